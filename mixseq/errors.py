@@ -1,0 +1,60 @@
+"""Everything that can go wrong, as one tree.
+
+::
+
+    MixseqError
+    ├── InvalidSequenceError   points, faces or times that are not a mesh sequence
+    ├── SegmentationError      a segmentation that does not fit the mesh or the request
+    ├── ReconstructionError    a point of the shape space that no mesh could be found for
+    ├── SettingsError          a setting outside its range, or two that exclude each other
+    ├── FormatError            a file that cannot be read: wrong type, damaged, too new
+    │   └── AmbiguousError     a file with several candidates, where one must be chosen
+    ├── OutputError            a file that cannot be written
+    └── MissingExtraError      an optional package that is not installed
+
+    MixseqWarning              data that a format cannot hold, or that was repaired
+
+Messages name the file, frame, part or face, and what would fix it.
+"""
+
+from __future__ import annotations
+
+
+class MixseqError(Exception):
+    """Base class of all errors that mixseq raises on purpose."""
+
+
+class InvalidSequenceError(MixseqError):
+    """Points, faces or times that do not form a mesh sequence."""
+
+
+class SegmentationError(MixseqError):
+    """A segmentation that does not fit the mesh or the request."""
+
+
+class ReconstructionError(MixseqError):
+    """A point of the shape space for which no mesh was found."""
+
+
+class SettingsError(MixseqError):
+    """A setting outside its range, or two settings that exclude each other."""
+
+
+class FormatError(MixseqError):
+    """A file that cannot be read: wrong type, damaged, or too new."""
+
+
+class AmbiguousError(FormatError):
+    """A file that holds several candidates, of which one must be chosen."""
+
+
+class OutputError(MixseqError):
+    """A file that cannot be written."""
+
+
+class MissingExtraError(MixseqError):
+    """An optional package that is not installed; the message names the cure."""
+
+
+class MixseqWarning(UserWarning):
+    """Data that a format cannot hold, or that had to be repaired."""

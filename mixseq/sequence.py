@@ -1,0 +1,378 @@
+"""The neutral form of an animation cache: one fixed mesh, new vertex positions every frame.
+
+`SequenceHeader` is everything about a sequence but its points; `MeshSequence` adds them. Readers stream
+``(header, blocks of points)``, everything else works on `MeshSequence`. This module is the one place where
+sequences are validated: whoever holds a `MeshSequence` holds a sound one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError
+
+FloatArray = NDArray[np.floating[Any]]
+IntArray = NDArray[np.integer[Any]]
+
+UP_AXES = ("X", "Y", "Z")
+DEFAULT_FPS = 24.0
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view, so that a frozen dataclass is frozen all the way down."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """The faces of a mesh as its author made them: triangles, quads and n-gons.
+
+    Parameters
+    ----------
+    counts : (P,) int
+        Number of corners of each polygon, at least 3.
+    indices : (sum(counts),) int
+        Vertex index of each corner, polygon by polygon.
+    """
+
+    counts: IntArray
+    indices: IntArray
+
+    def __post_init__(self) -> None:
+        counts = _as_indices(self.counts, "polygon corner counts").reshape(-1)
+        indices = _as_indices(self.indices, "polygon corners").reshape(-1)
+        if counts.size and counts.min() < 3:
+            bad = int(np.argmax(counts < 3))
+            raise InvalidSequenceError(
+                f"polygon {bad} has {counts[bad]} corners; a face needs at least 3 (remove points and lines)"
+            )
+        if int(counts.sum()) != indices.size:
+            raise InvalidSequenceError(
+                f"polygon corner counts add up to {int(counts.sum())} but {indices.size} corners are given"
+            )
+        object.__setattr__(self, "counts", _frozen(counts))
+        object.__setattr__(self, "indices", _frozen(indices))
+
+    @classmethod
+    def from_triangles(cls, faces: ArrayLike) -> Polygons:
+        """Make polygons of an ``(F, 3)`` array of triangles."""
+        triangles = _as_indices(faces, "faces")
+        if triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise InvalidSequenceError(f"faces have shape {triangles.shape}; (F, 3) is expected")
+        return cls(np.full(len(triangles), 3, dtype=np.int32), triangles.reshape(-1))
+
+    @cached_property
+    def triangles(self) -> NDArray[np.int32]:
+        """Triangulation ``(F, 3)``: a fan about each polygon's first corner.
+
+        By index only, never by shape: a pose-dependent triangulation would give every frame another
+        connectivity.
+
+        Examples
+        --------
+        >>> Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4])).triangles.tolist()
+        [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
+        """
+        starts = np.cumsum(self.counts) - self.counts
+        per_polygon = self.counts - 2
+        first = np.repeat(starts, per_polygon)
+        step = np.arange(int(per_polygon.sum())) - np.repeat(
+            np.cumsum(per_polygon) - per_polygon, per_polygon
+        )
+        corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
+        return np.asarray(_frozen(self.indices[corners]), dtype=np.int32)
+
+    @property
+    def only_triangles(self) -> bool:
+        """Whether every polygon has three corners."""
+        return bool(np.all(self.counts == 3))
+
+    def same_as(self, other: Polygons) -> bool:
+        """Whether both have the same polygons in the same order with the same first corners."""
+        return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SequenceHeader:
+    """Everything about a mesh sequence but its points.
+
+    Parameters
+    ----------
+    polygons : Polygons
+        The faces as authored. `faces` is their triangulation.
+    vertex_count : int
+        Number of vertices V.
+    times : (T,) float64
+        Time of every frame in seconds, strictly increasing.
+    fps : float
+        Frames per second of the time line the sequence lives on (USD: ``timeCodesPerSecond``). Times need
+        not be multiples of ``1 / fps``.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+    metres_per_unit : float
+        Length of one unit of `points` in metres.
+    name : str
+        Name of the mesh.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If faces point outside the vertices, times do not increase, or a value is out of range.
+    """
+
+    polygons: Polygons
+    vertex_count: int
+    times: NDArray[np.float64]
+    fps: float = DEFAULT_FPS
+    up_axis: str = "Y"
+    metres_per_unit: float = 1.0
+    name: str = "mesh"
+
+    def __post_init__(self) -> None:
+        times = np.asarray(self.times, dtype=np.float64).reshape(-1)
+        object.__setattr__(self, "times", _frozen(times))
+        object.__setattr__(self, "vertex_count", int(self.vertex_count))
+        object.__setattr__(self, "fps", float(self.fps))
+        object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
+        _check_header(self)
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles ``(F, 3)`` of the polygons."""
+        return self.polygons.triangles
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames T."""
+        return int(self.times.size)
+
+    def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
+        """Return the header of the same mesh with other frames."""
+        return SequenceHeader(
+            **{
+                **header_fields(self),
+                "times": np.asarray(times, dtype=np.float64),
+                "fps": self.fps if fps is None else fps,
+            }
+        )
+
+
+def header_fields(header: SequenceHeader) -> dict[str, Any]:
+    """Return the header's fields by name, to make another header or a sequence of them."""
+    return {field: getattr(header, field) for field in SequenceHeader.__dataclass_fields__}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeshSequence(SequenceHeader):
+    """A deforming mesh: fixed polygons, ``(T, V, 3)`` points.
+
+    Make one with `MeshSequence.from_arrays`, or read it from a file with `mixseq.read`.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float32 or float64
+        Vertex positions in the file's units.
+    **header
+        The fields of `SequenceHeader`.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the header is unsound, or points have another shape or are not finite.
+    """
+
+    points: FloatArray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "points", _frozen(_as_points(self.points)))
+        check_block(self, self.points, first_frame=0)
+        if len(self.points) != self.frame_count:
+            raise InvalidSequenceError(
+                f"{len(self.points)} frames of points but {self.frame_count} times; give one time per frame"
+            )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        points: ArrayLike,
+        faces: ArrayLike | Polygons,
+        times: ArrayLike | None = None,
+        fps: float | None = None,
+        up_axis: str = "Y",
+        metres_per_unit: float = 1.0,
+        name: str = "mesh",
+    ) -> MeshSequence:
+        """Make a sequence of arrays.
+
+        Parameters
+        ----------
+        points : (T, V, 3) array_like
+            Vertex positions of every frame.
+        faces : (F, 3) array_like or Polygons
+            Triangles, or polygons where there are quads or n-gons.
+        times : (T,) array_like, optional
+            Seconds; without it frames follow each other at `fps`.
+        fps : float, optional
+            Frames per second, 24 if nothing tells.
+        up_axis, metres_per_unit, name
+            See `SequenceHeader`.
+
+        Examples
+        --------
+        >>> points = np.zeros((2, 3, 3))
+        >>> points[:, 1, 0] = points[:, 2, 1] = 1
+        >>> MeshSequence.from_arrays(points, [[0, 1, 2]], fps=10).times.tolist()
+        [0.0, 0.1]
+        """
+        array = _as_points(points)
+        rate = DEFAULT_FPS if fps is None else float(fps)
+        if not (np.isfinite(rate) and rate > 0):
+            raise InvalidSequenceError(f"fps is {fps}; a positive number is expected")
+        return cls(
+            points=array,
+            polygons=faces if isinstance(faces, Polygons) else Polygons.from_triangles(faces),
+            vertex_count=array.shape[1],
+            times=np.arange(len(array)) / rate if times is None else np.asarray(times, dtype=np.float64),
+            fps=rate,
+            up_axis=up_axis,
+            metres_per_unit=metres_per_unit,
+            name=name,
+        )
+
+    @classmethod
+    def from_header(cls, header: SequenceHeader, points: FloatArray) -> MeshSequence:
+        """Make a sequence of a header and its points."""
+        return cls(points=points, **header_fields(header))
+
+    @property
+    def header(self) -> SequenceHeader:
+        """The sequence without its points."""
+        return SequenceHeader(**header_fields(self))
+
+    def with_points(self, points: FloatArray) -> MeshSequence:
+        """Return the same mesh and times with other points."""
+        return replace(self, points=points)
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal in the first frame, the unit that errors are quoted in."""
+        return bounding_diagonal(self.points[0])
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def __repr__(self) -> str:
+        return (
+            f"MeshSequence({self.name!r}: {self.frame_count} frames, {self.vertex_count} vertices, "
+            f"{len(self.polygons.counts)} faces, {self.fps:g} fps)"
+        )
+
+
+def bounding_diagonal(points: FloatArray) -> float:
+    """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
+    extent = points.max(axis=0).astype(np.float64) - points.min(axis=0).astype(np.float64)
+    return float(np.linalg.norm(extent))
+
+
+def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:
+    """Gather streamed blocks ``(B, V, 3)`` of points into one sequence."""
+    parts = [_as_points(block) for block in blocks]
+    points = np.concatenate(parts) if parts else np.zeros((0, header.vertex_count, 3), dtype=np.float32)
+    return MeshSequence.from_header(header, points)
+
+
+def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
+    """Check a block of frames against its header.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        The sequence that the block belongs to.
+    points : (B, V, 3) float
+        The block.
+    first_frame : int
+        Index of its first frame, for messages.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the number of vertices differs from the header's, or a coordinate is not finite.
+    """
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
+    if points.shape[1] != header.vertex_count:
+        raise InvalidSequenceError(
+            f"frame {first_frame} has {points.shape[1]} vertices, the mesh has {header.vertex_count}; "
+            "every frame needs the same vertices in the same order"
+        )
+    finite = np.isfinite(points).all(axis=2)
+    if not finite.all():
+        frame, vertex = (int(i) for i in np.argwhere(~finite)[0])
+        raise InvalidSequenceError(
+            f"frame {first_frame + frame}: vertex {vertex} is {points[frame, vertex].tolist()}; "
+            "coordinates must be finite"
+        )
+
+
+def _check_header(header: SequenceHeader) -> None:
+    if header.vertex_count < 3:
+        raise InvalidSequenceError(f"the mesh has {header.vertex_count} vertices; at least 3 are needed")
+    indices = header.polygons.indices
+    if indices.size == 0:
+        raise InvalidSequenceError("the mesh has no faces; a triangle mesh is needed, not points or curves")
+    outside = (indices < 0) | (indices >= header.vertex_count)
+    if outside.any():
+        corner = int(np.argmax(outside))
+        polygon = int(np.searchsorted(np.cumsum(header.polygons.counts), corner, side="right"))
+        raise InvalidSequenceError(
+            f"face {polygon} uses vertex {indices[corner]}, but vertices are 0 to {header.vertex_count - 1}"
+        )
+    if header.times.size == 0:
+        raise InvalidSequenceError("the sequence has no frames")
+    if not np.isfinite(header.times).all():
+        raise InvalidSequenceError(
+            f"frame {int(np.argmin(np.isfinite(header.times)))}: its time is not finite"
+        )
+    steps = np.diff(header.times)
+    if (steps <= 0).any():
+        frame = int(np.argmax(steps <= 0)) + 1
+        raise InvalidSequenceError(
+            f"frame {frame} is at {header.times[frame]:g} s, not after frame {frame - 1} at "
+            f"{header.times[frame - 1]:g} s; times must increase"
+        )
+    for label, value in (("fps", header.fps), ("metres_per_unit", header.metres_per_unit)):
+        if not (np.isfinite(value) and value > 0):
+            raise InvalidSequenceError(f"{label} is {value}; a positive number is expected")
+    if header.up_axis not in UP_AXES:
+        raise InvalidSequenceError(f"up axis is {header.up_axis!r}; one of {', '.join(UP_AXES)} is expected")
+
+
+def _as_points(points: ArrayLike) -> FloatArray:
+    """Return C-ordered float32 or float64 points of three dimensions; other numbers become float64."""
+    array = np.asarray(points)
+    if array.dtype not in (np.float32, np.float64):
+        try:
+            array = array.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            raise InvalidSequenceError(f"points are not numbers: {error}") from None
+    if array.ndim != 3 or array.shape[2] != 3:
+        raise InvalidSequenceError(f"points have shape {array.shape}; (frames, vertices, 3) is expected")
+    return np.ascontiguousarray(array)
+
+
+def _as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
+    array = np.asarray(values)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")
+    if array.size and (array.max() > np.iinfo(np.int32).max or array.min() < np.iinfo(np.int32).min):
+        raise InvalidSequenceError(f"{what} do not fit into 32 bits")
+    return np.ascontiguousarray(array, dtype=np.int32)
