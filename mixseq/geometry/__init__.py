@@ -1,0 +1,1 @@
+"""Quantities of meshes: edge lengths and dihedral angles, rigid motions, rotations."""

@@ -1,0 +1,118 @@
+r"""Edge lengths and signed dihedral angles, their gradients, and angles unwrapped along time.
+
+Conventions
+-----------
+For a hinge with edge ``ab`` and opposite vertices ``c`` (first face) and ``d`` (second face), with
+``e = b - a``, ``n1 = e x (c - a)`` and ``n2 = (d - a) x e``,
+
+.. math:: \theta = \mathrm{atan2}\bigl((n_1 \times n_2) \cdot e / |e|,\; n_1 \cdot n_2\bigr)
+
+in radians in (-pi, pi]: 0 where flat, positive where the surface is convex under the orientation of the first
+face (a -> b -> c counter-clockwise seen from outside).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.sequence import FloatArray, IntArray
+
+Float = NDArray[np.float64]
+
+_TURN = 2.0 * np.pi
+
+
+def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
+    """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``.
+
+    Examples
+    --------
+    >>> edge_lengths(np.array([[0.0, 0, 0], [3, 4, 0]]), np.array([[0, 1]])).tolist()
+    [5.0]
+    """
+    difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", difference, difference)), dtype=np.float64)
+
+
+def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
+    """Return the signed dihedral angles ``(..., H)`` of hinges ``(H, 4)`` in radians.
+
+    A hinge with a degenerate face has the angle 0 (``atan2(0, 0)``).
+
+    Examples
+    --------
+    A roof whose sides fall away from the ridge ab is convex:
+
+    >>> roof = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, -1], [0, -1, -1]])
+    >>> np.degrees(dihedral_angles(roof, np.array([[0, 1, 2, 3]]))).round(9).tolist()
+    [90.0]
+    """
+    a, b, c, d = (points[..., hinges[:, i], :] for i in range(4))
+    e = b - a
+    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
+    length = np.sqrt(np.einsum("...i,...i->...", e, e))
+    sine = np.einsum("...i,...i->...", np.cross(n1, n2), e)
+    cosine = np.einsum("...i,...i->...", n1, n2)
+    # Scaling both by |e| instead of dividing keeps an edge of length zero finite.
+    return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
+
+
+def length_gradients(points: FloatArray, edges: IntArray) -> Float:
+    """Return the derivative ``(E, 3)`` of each length by its second vertex (by its first: the negative)."""
+    difference = points[edges[:, 1]] - points[edges[:, 0]]
+    length = np.sqrt(np.einsum("ei,ei->e", difference, difference))
+    return np.asarray(difference / np.maximum(length, np.finfo(np.float64).tiny)[:, None], dtype=np.float64)
+
+
+def dihedral_gradients(points: FloatArray, hinges: IntArray) -> Float:
+    """Return the derivatives ``(H, 4, 3)`` of each dihedral angle by its vertices a, b, c, d.
+
+    With ``e = b - a`` and ``tc = (c - a).e / |e|^2`` (``td`` likewise) the gradient of the angle is
+    ``gc = -|e| n1 / |n1|^2``, ``gd = -|e| n2 / |n2|^2``, ``ga = -(1 - tc) gc - (1 - td) gd``,
+    ``gb = -tc gc - td gd``.
+    """
+    a, b, c, d = (points[hinges[:, i]] for i in range(4))
+    e = b - a
+    n1, n2 = np.cross(e, c - a), np.cross(d - a, e)
+    tiny = np.finfo(np.float64).tiny
+    ee = np.maximum(np.einsum("hi,hi->h", e, e), tiny)
+    length = np.sqrt(ee)
+    gc = -(length / np.maximum(np.einsum("hi,hi->h", n1, n1), tiny))[:, None] * n1
+    gd = -(length / np.maximum(np.einsum("hi,hi->h", n2, n2), tiny))[:, None] * n2
+    tc = (np.einsum("hi,hi->h", c - a, e) / ee)[:, None]
+    td = (np.einsum("hi,hi->h", d - a, e) / ee)[:, None]
+    ga = -(1.0 - tc) * gc - (1.0 - td) * gd
+    gb = -tc * gc - td * gd
+    return np.asarray(np.stack([ga, gb, gc, gd], axis=1), dtype=np.float64)
+
+
+def wrap(angles: FloatArray) -> Float:
+    """Map angles to (-pi, pi]."""
+    return np.asarray(np.pi - np.mod(np.pi - angles, _TURN), dtype=np.float64)
+
+
+def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
+    """Add whole turns so that each angle stays within half a turn of the frame before.
+
+    Parameters
+    ----------
+    angles : (T, H) float
+        Angles in radians, frame by frame.
+    reference : (H,) float, optional
+        What the first frame follows; without it the first frame stays as it is.
+
+    Returns
+    -------
+    (T, H) float64
+        The same angles modulo one turn, without jumps. Linear operations are meaningful only on these.
+
+    Examples
+    --------
+    >>> unwrap_angles(np.array([[3.0], [-3.0]])).round(4).tolist()
+    [[3.0], [3.2832]]
+    """
+    result = np.array(angles, dtype=np.float64)
+    if reference is not None and len(result):
+        result[0] -= _TURN * np.round((result[0] - reference) / _TURN)
+    return np.unwrap(result, axis=0)
