@@ -206,12 +206,20 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
     return patch
 
 
-def hop_distances(topology: Topology, sources: Mask, limit: int) -> NDArray[np.int64]:
-    """Number of edges ``(V,)`` from every vertex to the nearest source, `limit` where it is farther."""
-    level = np.where(sources, 0, limit).astype(np.int64)
-    front = sources
-    for step in range(1, limit):
-        reached = (topology.vertex_adjacency @ front.astype(np.float64)) > 0
-        front = reached & (level == limit)
-        level[front] = step
-    return level
+def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Let values spread over the mesh, losing one per edge: ``max_b (depth_b - hops(v, b))``, at least 0.
+
+    Examples
+    --------
+    >>> chain = Topology(np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]]), 6)
+    >>> spread(chain, np.array([2, 0, 0, 0, 0, 0])).tolist()
+    [2, 1, 1, 0, 0, 0]
+    """
+    i, j = topology.edges.T
+    result = np.maximum(depth, 0)
+    for _ in range(int(result.max(initial=0)) - 1):
+        grown = result.copy()
+        np.maximum.at(grown, i, result[j] - 1)
+        np.maximum.at(grown, j, result[i] - 1)
+        result = grown
+    return result

@@ -1,1 +1,22 @@
-"""File formats of mixseq."""
+"""File formats of mesh sequences: read into and written from `mixseq.sequence.MeshSequence`, frame by frame.
+
+The format follows from the file's extension; `FORMATS` is the table. Importing this package loads no format:
+pxr and h5py are imported when a file of theirs is opened.
+
+Examples
+--------
+>>> import tempfile
+>>> import numpy as np
+>>> from mixseq.sequence import MeshSequence
+>>> points = np.zeros((2, 3, 3), dtype=np.float32)
+>>> points[:, 1, 0] = points[:, 2, 1] = 1
+>>> with tempfile.TemporaryDirectory() as folder:
+...     write(folder + "/triangle.npz", MeshSequence.from_arrays(points, [[0, 1, 2]]))
+...     read(folder + "/triangle.npz")
+MeshSequence('mesh': 2 frames, 3 vertices, 1 faces, 24 fps)
+"""
+
+from mixseq_io.reader import SequenceReader
+from mixseq_io.registry import FORMATS, open_sequence, read, write, write_blocks
+
+__all__ = ["FORMATS", "SequenceReader", "open_sequence", "read", "write", "write_blocks"]

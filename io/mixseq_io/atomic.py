@@ -1,0 +1,141 @@
+"""Files appear whole or not at all: written beside the target, then moved over it.
+
+A rename within a folder is atomic [1]_: whoever reads the target sees the old file or the new one, and an
+error, a full disk or Ctrl-C leaves the old one as it was. The new file is flushed to the disk before the
+rename, else a power cut could leave an empty file under the target's name.
+
+References
+----------
+.. [1] https://pubs.opengroup.org/onlinepubs/9799919799/functions/rename.html
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mixseq.errors import OutputError
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path to write to; it becomes `path` if the block ends without an exception.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to make or replace. A symbolic link is followed, not replaced.
+
+    Yields
+    ------
+    Path
+        A new name beside the target with the same suffix, by which some libraries choose the format.
+
+    Raises
+    ------
+    OutputError
+        If the file system refuses; the message names the target, the reason and the cure.
+    """
+    target = Path(os.path.realpath(path))
+    with _explaining(target):
+        _check_target(target)
+        temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(4)}{target.suffix}")
+        try:
+            yield temporary
+            if target.exists():
+                shutil.copymode(target, temporary)
+            _flush(temporary)
+            temporary.replace(target)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        _flush_folder(target.parent)
+
+
+@contextmanager
+def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary folder to write files to; they move beside `pattern` if all goes well.
+
+    Each file moves atomically, one after the other; nothing moves before all are written and flushed.
+
+    Parameters
+    ----------
+    pattern : path-like
+        What the files are called, for messages; its folder is where they go.
+
+    Raises
+    ------
+    OutputError
+        As `replacing`.
+    """
+    target = Path(os.path.realpath(pattern))
+    folder = target.parent
+    with _explaining(target):
+        _check_target(target)
+        temporary = folder / f".mixseq.{secrets.token_hex(4)}"
+        temporary.mkdir()
+        try:
+            yield temporary
+            files = sorted(temporary.iterdir())
+            for file in files:
+                _check_target(folder / file.name)
+                _flush(file)
+            for file in files:
+                file.replace(folder / file.name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+        _flush_folder(folder)
+
+
+def _check_target(target: Path) -> None:
+    """Refuse before the work starts what could not succeed at its end."""
+    if target.is_dir():
+        raise OutputError(f"{target} is a folder; give the name of a file")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
+
+
+def _flush(file: Path) -> None:
+    descriptor = os.open(file, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _flush_folder(folder: Path) -> None:
+    # Some systems cannot flush folders. By now the file is in place and safe; a power cut could at worst undo
+    # the rename.
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+_CURES = {
+    errno.ENOSPC: "free some space or choose another disk",
+    errno.EDQUOT: "free some of your quota or choose another disk",
+    errno.EFBIG: "the file is larger than the limit for files here; choose another disk or raise the limit",
+    errno.EACCES: "choose a folder that you may write to",
+    errno.EPERM: "choose a folder that you may write to",
+    errno.EROFS: "choose a folder that you may write to",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
+
+@contextmanager
+def _explaining(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        cure = _CURES.get(error.errno or 0, "check the disk and the path")
+        raise OutputError(f"cannot write {target}: {reason}; {cure}") from error

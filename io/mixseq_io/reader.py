@@ -1,0 +1,153 @@
+"""What every format's reader has in common: the header at once, the points in blocks, checked on the way."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, SettingsError
+from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, check_block
+
+
+class SequenceReader(ABC):
+    """An open file of a mesh sequence; use it in a ``with`` statement.
+
+    A format's reader opens its file, finds the header, and implements `_read_blocks`.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    header : SequenceHeader
+        Everything but the points.
+    resources : ExitStack, optional
+        What `close` closes.
+    """
+
+    def __init__(self, path: Path, header: SequenceHeader, resources: ExitStack | None = None) -> None:
+        self.path = path
+        self.header = header
+        self._resources = resources or ExitStack()
+        self._closed = False
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the points, from the first frame each time it is called.
+
+        Parameters
+        ----------
+        size : int
+            Largest number of frames B per block.
+
+        Returns
+        -------
+        iterator of (B, V, 3) float32 or float64
+            The frames in order, in the file's units.
+
+        Raises
+        ------
+        SettingsError
+            If `size` is not positive.
+        FormatError
+            If the file is damaged, or the reader closed.
+        InvalidSequenceError
+            If a frame has another number of vertices, or coordinates that are not finite.
+        """
+        if size < 1:
+            raise SettingsError(f"block size is {size}; a positive number of frames is expected")
+        return self._checked_blocks(size)
+
+    def close(self) -> None:
+        """Close the file. Blocks that were read stay valid."""
+        self._closed = True
+        self._resources.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        """Yield the points in blocks of at most `size` frames."""
+
+    def _checked_blocks(self, size: int) -> Iterator[FloatArray]:
+        frame = 0
+        blocks = self._read_blocks(size)
+        while True:
+            if self._closed:
+                raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
+            block = next(blocks, None)
+            if block is None:
+                break
+            with naming(self.path):
+                check_block(self.header, block, frame)
+            yield block
+            frame += len(block)
+        if frame != self.header.frame_count:
+            raise FormatError(
+                f"{self.path}: {frame} frames of points for {self.header.frame_count} times; is it truncated?"
+            )
+
+
+class MemoryReader(SequenceReader):
+    """A reader of a sequence that is in memory already."""
+
+    def __init__(self, path: Path, sequence: MeshSequence) -> None:
+        super().__init__(path, sequence.header)
+        self._points = sequence.points
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        for start in range(0, len(self._points), size):
+            yield self._points[start : start + size]
+
+
+@contextmanager
+def naming(path: Path | str) -> Iterator[None]:
+    """Put the file's name before the messages of errors about the sequence in it."""
+    try:
+        yield
+    except InvalidSequenceError as error:
+        raise InvalidSequenceError(f"{path}: {error}") from None
+
+
+@contextmanager
+def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[None]:
+    """Translate what a library raises about a bad file into a `FormatError`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    what : str
+        What it should have been, for the message: "an npz file".
+    *errors : exception types
+        What the library raises; `OSError` and `MemoryError` are always translated.
+    """
+    damage: tuple[type[Exception], ...] = (OSError, MemoryError, *errors)
+    try:
+        yield
+    except MixseqError:
+        raise
+    except FileNotFoundError:
+        raise FormatError(f"{path} does not exist") from None
+    except IsADirectoryError:
+        raise FormatError(f"{path} is a folder, not {what}") from None
+    except PermissionError:
+        raise FormatError(f"{path}: no permission to read it") from None
+    except damage as error:
+        raise FormatError(
+            f"{path} cannot be read as {what}; it is damaged, truncated or of another type ({brief(error)})"
+        ) from error
+
+
+def brief(error: BaseException) -> str:
+    """Return an error's first line, or its type if it says nothing."""
+    lines = str(error).strip().splitlines()
+    return lines[0].strip() if lines else type(error).__name__

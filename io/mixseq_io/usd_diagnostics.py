@@ -1,0 +1,66 @@
+"""USD's own reports, kept off the user's terminal and turned into ours.
+
+USD prints warnings to stderr from C++, and raises errors as lists of diagnostics with C++ file names.
+
+Specification: https://openusd.org/release/api/page_tf__diagnostic.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pxr import Tf, UsdUtils
+
+from mixseq.errors import FormatError, OutputError
+
+
+@contextmanager
+def quiet() -> Iterator[list[str]]:
+    """Collect USD's warnings in the list that is yielded, which is complete when the block ends."""
+    messages: list[str] = []
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # listens as long as it lives
+    try:
+        yield messages
+    finally:
+        messages.extend(_text(report) for report in delegate.TakeUncoalescedDiagnostics())
+        del delegate
+
+
+@contextmanager
+def reading_usd(path: Path) -> Iterator[None]:
+    """Translate USD's errors about a file that is read into `FormatError`.
+
+    `Tf.ErrorException` is a `RuntimeError`; the others come from values and messages of damaged files that
+    have no counterpart in Python.
+    """
+    try:
+        yield
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise FormatError(
+            f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_reasons(error)})"
+        ) from error
+
+
+@contextmanager
+def writing_usd(path: Path) -> Iterator[None]:
+    """Translate USD's errors about a file that is written into `OutputError`."""
+    try:
+        yield
+    except Tf.ErrorException as error:
+        raise OutputError(
+            f"cannot write {path}: {_reasons(error)}; check the free space of the disk and the path"
+        ) from error
+
+
+def _reasons(error: Exception) -> str:
+    return "; ".join(dict.fromkeys(map(_text, error.args))) or type(error).__name__
+
+
+def _text(report: object) -> str:
+    """Return a diagnostic, or an argument of another error, in one line."""
+    try:
+        return " ".join(str(getattr(report, "commentary", report)).split())
+    except UnicodeDecodeError:  # the message quotes a damaged file
+        return "what it holds is not text"

@@ -1,0 +1,104 @@
+"""A fox that walks: the sample animation that comes with mixseq, made from nothing but a table of bones.
+
+The bones' flesh is melted into one closed surface (`skeleton`), polygonised (`surface`), posed (`gait`) and
+skinned. The middle of a bone moves nearly rigidly and only the joints bend, so that the fox is also a test
+case whose true parts are known (`part_of_vertex`).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.creature.gait import pose
+from mixseq.creature.skeleton import HEADS, NAMES, Array, body_distance, bone_distances
+from mixseq.creature.surface import Indices, neighbour_mean, polygonise
+from mixseq.sequence import MeshSequence
+
+__all__ = ["part_of_vertex", "walk_cycle"]
+
+CELL = 0.0215  # metres, about the length of an edge
+SOFTNESS = 8  # steps of diffusion, each of which widens a joint by one ring of vertices
+
+
+def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
+    """Animate the fox: one walk cycle on the spot.
+
+    Parameters
+    ----------
+    frames : int
+        Number of frames T of one cycle. Frame T would be frame 0 again.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    MeshSequence
+        One closed surface of genus 0, about 1 m high, Y up, facing +X, in metres; float64.
+
+    Examples
+    --------
+    >>> fox = walk_cycle(frames=4)
+    >>> fox.points.shape == (4, fox.vertex_count, 3)
+    True
+    """
+    rest, faces, weights = _rest()
+    rotations, heads = pose(np.arange(frames) / frames)
+    # linear blend skinning: bone b takes a point x to rotation x + (head - rotation rest_head)
+    shifts = heads - np.einsum("tbij,bj->tbi", rotations, HEADS)
+    blended = np.einsum("vb,tbij->tvij", weights, rotations, optimize=True)
+    points = np.einsum("tvij,vj->tvi", blended, rest) + np.einsum(
+        "vb,tbi->tvi", weights, shifts, optimize=True
+    )
+    return MeshSequence.from_arrays(points, faces, fps=fps, up_axis="Y", metres_per_unit=1.0, name="fox")
+
+
+def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Tell which bone moves each vertex most.
+
+    Returns
+    -------
+    part : (V,) int64
+        Index of the bone with the largest weight.
+    names : (B,) str
+        Names of the bones.
+    """
+    return np.argmax(_rest()[2], axis=1), NAMES
+
+
+@cache
+def _rest() -> tuple[Array, Indices, Array]:
+    """Rest pose ``(V, 3)``, faces ``(F, 3)`` and skinning weights ``(V, B)``; read-only, as it is cached."""
+    low, high = np.array([-1.05, -0.05, -0.24]), np.array([0.70, 1.08, 0.24])
+    points, faces = polygonise(body_distance, low, high, CELL)
+    arrays = points, faces, skin_weights(points, faces)
+    for array in arrays:
+        array.flags.writeable = False
+    return arrays
+
+
+def skin_weights(points: Array, faces: Indices) -> Array:
+    """Share every vertex out to the bones.
+
+    A vertex belongs to the nearest bone; diffusion over the mesh softens the borders. It spreads along the
+    surface, so that a leg never feels the other leg, and by `SOFTNESS` edges at most.
+
+    Parameters
+    ----------
+    points : (V, 3) float64
+        Rest pose.
+    faces : (F, 3) int64
+        Triangles.
+
+    Returns
+    -------
+    (V, B) float64
+        Rows add up to one.
+    """
+    weights: Array = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
+    mean = neighbour_mean(faces, len(points))
+    for _ in range(SOFTNESS):
+        weights = (weights + mean @ weights) / 2
+    return weights

@@ -1,0 +1,1 @@
+"""From points of a shape space back to vertex positions."""

@@ -1,0 +1,153 @@
+r"""Gauss-Newton on edge lengths and dihedral angles: the discrete shell that fits them best.
+
+Minimises, over the free vertices of a patch,
+
+.. math:: E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
+
+(Froehlich and Botsch 2011) with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms
+count relative changes. Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried
+again with ten times the damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn
+would pull the wrong way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.errors import ReconstructionError
+from mixseq.geometry.lengths_angles import (
+    dihedral_angles,
+    dihedral_gradients,
+    edge_lengths,
+    length_gradients,
+    wrap,
+)
+from mixseq.reconstruction.patch import Patch
+from mixseq.reconstruction.solvers import factorise
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ShellSettings:
+    """Settings of `fit_shell`.
+
+    Attributes
+    ----------
+    bending : float
+        Weight of an angle in radians against a relative length.
+    iterations : int
+        At most this many steps.
+    tolerance : float
+        Converged when the model promises to lower the energy by less than this fraction of it ...
+    exact : float
+        ... or when no weighted residual is above this.
+    """
+
+    bending: float = 0.3
+    iterations: int = 100
+    tolerance: float = 1e-6
+    exact: float = 1e-10
+
+
+@dataclass(frozen=True)
+class ShellReport:
+    """How a fit went: energy at the end, steps taken, whether it converged."""
+
+    energy: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ShellProblem:
+    """What to fit: a patch, target lengths ``(e,)`` and angles ``(h,)``, weights of the lengths ``(e,)``."""
+
+    patch: Patch
+    lengths: Float
+    angles: Float
+    length_weights: Float
+    bending: float
+
+    def residuals(self, points: Float) -> Float:
+        """Weighted residuals ``(e + h,)`` at points ``(n, 3)``."""
+        stretch = edge_lengths(points, self.patch.edges) - self.lengths
+        bend = wrap(dihedral_angles(points, self.patch.hinges) - self.angles)
+        return np.concatenate([self.length_weights * stretch, self.bending * bend])
+
+    def jacobian(self, points: Float) -> sparse.csr_array:
+        """Derivatives ``(e + h, 3 free)`` of the residuals by the free vertices."""
+        patch = self.patch
+        length = length_gradients(points, patch.edges) * self.length_weights[:, None]
+        stretch = np.stack([-length, length], axis=1)
+        bend = self.bending * dihedral_gradients(points, patch.hinges)
+        rows = [np.repeat(np.arange(len(patch.edges)), 6)]
+        rows.append(len(patch.edges) + np.repeat(np.arange(len(patch.hinges)), 12))
+        vertices = np.concatenate([patch.edges.reshape(-1), patch.hinges.reshape(-1)])
+        values = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
+        columns = (3 * patch.free_number[vertices][:, None] + np.arange(3)).reshape(-1)
+        row = np.concatenate(rows)
+        inside = np.repeat(patch.free_number[vertices] >= 0, 3)
+        size = (len(patch.edges) + len(patch.hinges), 3 * len(patch.free))
+        return sparse.coo_array((values[inside], (row[inside], columns[inside])), shape=size).tocsr()
+
+
+def fit_shell(
+    problem: ShellProblem, start: Float, settings: ShellSettings | None = None
+) -> tuple[Float, ShellReport]:
+    """Fit a patch to edge lengths and dihedral angles.
+
+    Parameters
+    ----------
+    problem : ShellProblem
+        Patch and targets. If nothing is fixed the result is up to a rigid motion.
+    start : (n, 3) float64
+        Where to start; fixed vertices stay there.
+    settings : ShellSettings, optional
+        When to stop.
+
+    Returns
+    -------
+    points : (n, 3) float64
+    report : ShellReport
+
+    Raises
+    ------
+    ReconstructionError
+        If the start or the targets are not finite.
+    """
+    settings = settings or ShellSettings()
+    points = np.array(start, dtype=np.float64)
+    residuals = problem.residuals(points)
+    energy = float(residuals @ residuals)
+    if not np.isfinite(energy):
+        raise ReconstructionError("lengths, angles or fixed vertices of a joint are not finite")
+    damping = 1e-6
+    for iteration in range(settings.iterations):
+        if np.abs(residuals).max(initial=0.0) <= settings.exact:
+            return points, ShellReport(energy, iteration, True)
+        jacobian = problem.jacobian(points)
+        gradient = jacobian.T @ residuals
+        normal = (jacobian.T @ jacobian).tocsc()
+        diagonal = normal.diagonal()
+        while True:
+            shift = sparse.diags_array(damping * diagonal + 1e-12 * diagonal.max())
+            step = -factorise(normal + shift).solve(gradient)
+            promised = -float(gradient @ step)  # twice what the linear model gains, for small damping
+            if promised <= settings.tolerance * energy:
+                return points, ShellReport(energy, iteration, True)
+            candidate = points.copy()
+            candidate[problem.patch.free] += step.reshape(-1, 3)
+            new_residuals = problem.residuals(candidate)
+            new_energy = float(new_residuals @ new_residuals)
+            if new_energy < energy:
+                break
+            damping *= 10.0
+        gain = (energy - new_energy) / promised
+        damping = max(damping / 10.0, 1e-10) if gain > 0.25 else damping * 2.0
+        points, residuals, energy = candidate, new_residuals, new_energy
+    return points, ShellReport(energy, settings.iterations, False)

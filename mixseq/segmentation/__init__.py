@@ -1,0 +1,14 @@
+"""Cutting a mesh into near-rigid parts and the joints between them."""
+
+from mixseq.segmentation.given import segment_by_labels
+from mixseq.segmentation.joints import Decomposition, Joint, decompose
+from mixseq.segmentation.motion import MotionSettings, segment_by_motion
+
+__all__ = [
+    "Decomposition",
+    "Joint",
+    "MotionSettings",
+    "decompose",
+    "segment_by_labels",
+    "segment_by_motion",
+]

@@ -1,0 +1,266 @@
+"""Joints between parts, and the parts that remain.
+
+A joint of width w grows w strips of triangles from every boundary to both sides; the parts lose w - 1 strips, so
+that joint and part overlap by one strip (paper, Section 2.1 and Figure 4, with w = 3). In terms of the *depth* of
+a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
+
+- a part keeps its vertices of depth <= 1,
+- the faces with a vertex of depth >= 1 are a joint's,
+- vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
+
+The width follows the motion: each strip but the first takes up a bend of at most 20 degrees between the two parts
+(largest relative rotation over the sequence), `joint_width` is the limit. And it follows the mesh: on a coarse mesh
+full strips would eat whole parts and all joints would run into one, so a part's own limit is the largest width that
+leaves it a core of a third of its vertices. Width 1 takes nothing from a part.
+
+Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
+vertices where a joint hangs together by a point only, and patches of a joint that no part holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SegmentationError, SettingsError
+from mixseq.geometry.rigid import kabsch, mean_shape
+from mixseq.sequence import FloatArray
+from mixseq.topology import Topology, face_patches, spread, vertices_of
+
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+CORE = 1.0 / 3.0
+"""Share of its vertices that a part keeps, whatever the width of its joints."""
+
+BEND = 20.0
+"""Degrees of bend that each strip of a joint but its first takes up."""
+
+FLAT = 1e-5
+"""A face lower than this, relative to its longest side, has no area to speak of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A hinge-connected patch of faces between parts, with indices into itself (local) and the mesh (global).
+
+    Attributes
+    ----------
+    vertices : (n,) int64
+        Global vertices, ascending.
+    faces : (m, 3) int64
+        Local triangles.
+    face_ids : (m,) int64
+        Their global numbers.
+    edge_ids : (e,) int64
+        Global numbers of the joint's edges, ascending.
+    hinge_ids : (h,) int64
+        Global numbers of the hinges between two of its faces, ascending.
+    free : (n,) bool
+        Vertices that no part keeps.
+    """
+
+    vertices: Index
+    faces: Index
+    face_ids: Index
+    edge_ids: Index
+    hinge_ids: Index
+    free: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposition:
+    """A mesh cut into parts and joints.
+
+    Attributes
+    ----------
+    part_of_face : (F,) int64
+        The segmentation the decomposition was made from.
+    parts : tuple of (V_i,) int64
+        Vertices of every part, ascending. Parts may share vertices.
+    joints : tuple of Joint
+        The joints; their faces are disjoint.
+    widths : (p,) int64
+        Largest width of the joints on the side of every part, in strips.
+    """
+
+    part_of_face: Index
+    parts: tuple[Index, ...]
+    joints: tuple[Joint, ...]
+    widths: Index
+
+    @property
+    def joint_of_face(self) -> Index:
+        """Joint ``(F,)`` of every face, -1 where there is none."""
+        result = np.full(len(self.part_of_face), -1, dtype=np.int64)
+        for number, joint in enumerate(self.joints):
+            result[joint.face_ids] = number
+        return result
+
+    @property
+    def paper_dimension(self) -> int:
+        """Dimension of the free S_m as the paper counts it: ``2 sum E_k + 3 sum V_i + 6`` (Section 2.2)."""
+        edges = sum(len(joint.edge_ids) for joint in self.joints)
+        return 2 * edges + 3 * sum(len(part) for part in self.parts) + 6
+
+
+def decompose(
+    topology: Topology, part_of_face: Index, joint_width: int = 3, points: FloatArray | None = None
+) -> Decomposition:
+    """Grow joints around the boundaries of a segmentation.
+
+    Parameters
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    part_of_face : (F,) int
+        Part of every face, 0, 1, ..., as the segmentations return it.
+    joint_width : int
+        Largest width of the joints in strips of triangles on each side of a boundary, at least 1.
+    points : (T, V, 3) float, optional
+        The sequence: joints are as wide as it bends, and faces must have area in every frame. Without it all
+        joints have full width.
+
+    Returns
+    -------
+    Decomposition
+
+    Raises
+    ------
+    SettingsError
+        If the width is below 1.
+    SegmentationError
+        If there is not one part per face.
+    """
+    if joint_width < 1:
+        raise SettingsError(f"joint_width is {joint_width}; at least 1 strip is needed")
+    if part_of_face.shape != (len(topology.faces),):
+        raise SegmentationError(
+            f"part_of_face has shape {part_of_face.shape}, the mesh has {len(topology.faces)} faces"
+        )
+    part_count = int(part_of_face.max()) + 1
+    members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
+    wanted = _boundary_widths(topology, part_of_face, members, joint_width, points)
+    depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
+    widths = np.array([_width(depths, inside) for inside in members], dtype=np.int64)
+
+    kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
+    touching = [(depth[topology.faces] >= 1).any(axis=1) for depth in depths]
+    in_joint = np.choose(widths[part_of_face], touching) & ~_flat_faces(topology, points)
+
+    patches = _give_back(topology, part_of_face, kept, in_joint)
+    if topology.unused_vertices.size:
+        loose = np.zeros(topology.vertex_count, dtype=bool)
+        loose[topology.unused_vertices] = True
+        kept.append(loose)
+    held = np.any(kept, axis=0)
+    return Decomposition(
+        part_of_face=np.asarray(part_of_face, dtype=np.int64),
+        parts=tuple(np.flatnonzero(inside) for inside in kept),
+        joints=tuple(
+            _joint(topology, patches == number, held) for number in np.unique(patches[patches >= 0])
+        ),
+        widths=widths,
+    )
+
+
+def _boundary_widths(
+    topology: Topology,
+    part_of_face: Index,
+    members: list[Mask],
+    joint_width: int,
+    points: FloatArray | None,
+) -> Index:
+    """Width ``(V,)`` that the joint at every boundary vertex should have, 0 where there is no boundary."""
+    sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
+    pairs, pair_of_hinge = np.unique(sides, axis=0, return_inverse=True)
+    rotations = [_rotations(points[:, inside]) for inside in members] if points is not None else None
+    widths = np.zeros(topology.vertex_count, dtype=np.int64)
+    for number, (i, j) in enumerate(pairs):
+        if i == j:
+            continue
+        width = joint_width
+        if rotations is not None:
+            relative = np.swapaxes(rotations[i], 1, 2) @ rotations[j]
+            cosine = (np.trace(relative, axis1=1, axis2=2) - 1.0) / 2.0
+            bend = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max()
+            width = min(joint_width, max(2, 1 + int(np.ceil(bend / BEND))))
+        ends = topology.edges[topology.hinge_edges[pair_of_hinge.reshape(-1) == number]].reshape(-1)
+        widths[ends] = np.maximum(widths[ends], width)
+    return widths
+
+
+def _rotations(points: FloatArray) -> NDArray[np.float64]:
+    """Rotation ``(T, 3, 3)`` of a part in every frame, relative to its mean shape."""
+    moved = points.astype(np.float64)
+    return kabsch(mean_shape(moved, sweeps=3), moved)[0]
+
+
+def _width(depths: list[Index], inside: Mask) -> int:
+    """Largest width that leaves a part its core."""
+    size = np.count_nonzero(inside)
+    for width in range(len(depths) - 1, 1, -1):
+        core = np.count_nonzero(depths[width][inside] <= 1)
+        if core >= 3 and core >= CORE * size:
+            return width
+    return 1
+
+
+def _flat_faces(topology: Topology, points: FloatArray | None) -> Mask:
+    """Mark the faces that have no area in some frame."""
+    flat = np.zeros(len(topology.faces), dtype=bool)
+    for frame in points if points is not None else ():
+        x = frame.astype(np.float64)[topology.faces]
+        sides = np.roll(x, -1, axis=1) - x
+        longest = np.einsum("fki,fki->fk", sides, sides).max(axis=1)
+        double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        flat |= double_area <= FLAT * longest
+    return flat
+
+
+def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
+    """Number the patches of the joints that stay; what cannot stay is added to `kept`, in place."""
+
+    def keep(faces: Mask, vertices: Mask | None = None) -> None:
+        for part, inside in enumerate(kept):
+            corners = vertices_of(topology, faces & (part_of_face == part))
+            inside |= corners if vertices is None else corners & vertices
+
+    keep(~in_joint & (~np.any(kept, axis=0))[topology.faces].any(axis=1))
+    patches = face_patches(topology, in_joint)
+    keep(in_joint, _points_of_contact(topology, patches))
+    held = np.any(kept, axis=0)
+    for number in range(int(patches.max(initial=-1)) + 1):
+        faces = patches == number
+        if not held[topology.faces[faces]].all(axis=1).any():
+            keep(faces)
+            patches[faces] = -1
+    return patches
+
+
+def _points_of_contact(topology: Topology, patches: Index) -> Mask:
+    """Mark the vertices whose joint faces do not form one fan across hinges."""
+    corners = topology.faces.reshape(-1).astype(np.int64)
+    face_of_corner = np.repeat(np.arange(len(topology.faces)), 3)
+    # A fan of k faces around a vertex has k - 1 hinges at that vertex, or k where it is closed.
+    inside = patches[face_of_corner] >= 0
+    faces_at = np.bincount(corners[inside], minlength=topology.vertex_count)
+    joined = (patches[topology.hinge_faces] >= 0).all(axis=1)
+    ends = topology.edges[topology.hinge_edges[joined]].reshape(-1)
+    hinges_at = np.bincount(ends, minlength=topology.vertex_count)
+    return np.asarray((faces_at > 0) & (hinges_at < faces_at - 1))
+
+
+def _joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
+    face_ids = np.flatnonzero(faces)
+    vertices = np.unique(topology.faces[face_ids]).astype(np.int64)
+    return Joint(
+        vertices=vertices,
+        faces=np.searchsorted(vertices, topology.faces[face_ids]),
+        face_ids=face_ids,
+        edge_ids=np.unique(topology.face_edges[face_ids]),
+        hinge_ids=np.flatnonzero(faces[topology.hinge_faces].all(axis=1)),
+        free=~held[vertices],
+    )

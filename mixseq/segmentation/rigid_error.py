@@ -1,0 +1,102 @@
+r"""How far sets of vertices are from moving rigidly, from sums that add up.
+
+For vertices with weights w, rest positions h and positions x_t in frame t, the error of the best rigid motion is
+
+.. math:: E = \sum_t \Bigl( S^{xx}_t + S^{hh} - 2 \max_R \mathrm{tr}(R^T C_t) \Bigr), \qquad
+          C_t = \sum w\, x_t h^T - \frac{1}{W} \bigl(\sum w\, x_t\bigr)\bigl(\sum w\, h\bigr)^T
+
+with centred second moments S. The maximum is the sum of the singular values of C_t, the last one with the sign
+of det C_t (Kabsch 1976). All sums are additive over disjoint sets, so the error of a union costs no further look
+at the vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import nearest_rotations
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Weighted sums over a set of vertices, for T frames.
+
+    Attributes
+    ----------
+    weight : float
+        Sum of w.
+    rest : (3,)
+        Sum of w h.
+    moved : (T, 3)
+        Sum of w x_t.
+    rest_square : float
+        Sum of w |h|^2.
+    moved_square : (T,)
+        Sum of w |x_t|^2.
+    cross : (T, 3, 3)
+        Sum of w x_t h^T.
+    """
+
+    weight: float
+    rest: Float
+    moved: Float
+    rest_square: float
+    moved_square: Float
+    cross: Float
+
+    def __add__(self, other: Moments) -> Moments:
+        return Moments(*(a + b for a, b in zip(_sums(self), _sums(other), strict=True)))
+
+    @property
+    def covariance(self) -> Float:
+        """Centred cross moments ``(T, 3, 3)``, the C_t above."""
+        return self.cross - self.moved[:, :, None] * self.rest / max(self.weight, _TINY)
+
+    def error(self) -> float:
+        """Weighted squared error of the best rigid motion of every frame, summed over frames."""
+        weight = max(self.weight, _TINY)
+        moved = self.moved_square - np.einsum("ti,ti->t", self.moved, self.moved) / weight
+        rest = self.rest_square - float(self.rest @ self.rest) / weight
+        covariance = self.covariance
+        singular = np.linalg.svd(covariance, compute_uv=False)
+        singular[:, 2] *= np.where(np.linalg.det(covariance) < 0, -1.0, 1.0)
+        return float(np.maximum(moved + rest - 2.0 * singular.sum(axis=1), 0.0).sum())
+
+    def motion(self) -> tuple[Float, Float]:
+        """Rotation ``(T, 3, 3)`` and translation ``(T, 3)`` of the best rigid motion."""
+        weight = max(self.weight, _TINY)
+        rotation = nearest_rotations(self.covariance)
+        return rotation, (self.moved - rotation @ self.rest) / weight
+
+
+_TINY = np.finfo(np.float64).tiny
+
+
+def _sums(moments: Moments) -> Iterable[float | Float]:
+    return (
+        moments.weight,
+        moments.rest,
+        moments.moved,
+        moments.rest_square,
+        moments.moved_square,
+        moments.cross,
+    )
+
+
+def moments(rest: Float, moved: Float, weights: Float) -> Moments:
+    """Gather the moments of vertices with rest positions ``(N, 3)``, positions ``(N, T, 3)``, weights ``(N,)``."""
+    weighted = moved * weights[:, None, None]
+    return Moments(
+        weight=float(weights.sum()),
+        rest=weights @ rest,
+        moved=weighted.sum(axis=0),
+        rest_square=float(weights @ np.einsum("ni,ni->n", rest, rest)),
+        moved_square=np.einsum("nti,nti->t", weighted, moved),
+        cross=(weighted.reshape(len(rest), -1).T @ rest).reshape(-1, 3, 3),
+    )

@@ -1,0 +1,102 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from mixseq.errors import OutputError
+from mixseq_io.atomic import replacing, replacing_many
+
+
+def test_the_file_appears_at_the_end(tmp_path: Path) -> None:
+    target = tmp_path / "a.usdc"
+    with replacing(target) as temporary:
+        assert temporary.suffix == ".usdc"
+        assert temporary.parent == tmp_path
+        temporary.write_text("new")
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_modes_and_links_are_kept(tmp_path: Path) -> None:
+    target, link = tmp_path / "a.npz", tmp_path / "link.npz"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    with replacing(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+
+
+def test_new_files_follow_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        with replacing(tmp_path / "a") as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, ValueError])
+def test_errors_pass_and_leave_no_trace(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "a.npz"
+    target.write_text("old")
+    with pytest.raises(error), replacing(target) as temporary:
+        temporary.write_text("new")
+        raise error
+    with pytest.raises(error), replacing_many(tmp_path / "a_#.obj") as folder:
+        (folder / "a_1.obj").write_text("new")
+        raise error
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_the_file_reaches_the_disk_before_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[str] = []
+    fsync, replace = os.fsync, Path.replace
+
+    def log_fsync(descriptor: int) -> None:
+        steps.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file")
+        fsync(descriptor)
+
+    def log_replace(self: Path, target: Path) -> Path:
+        steps.append("rename")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", log_fsync)
+    monkeypatch.setattr(Path, "replace", log_replace)
+    with replacing(tmp_path / "a") as temporary:
+        temporary.write_text("new")
+    assert steps == ["file", "rename", "folder"]
+    steps.clear()
+    with replacing_many(tmp_path / "a_#") as folder:
+        for number in (1, 2):
+            (folder / f"a_{number}").write_text("new")
+    assert steps == ["file", "file", "rename", "rename", "folder"]
+
+
+def test_long_names(tmp_path: Path) -> None:
+    with replacing(tmp_path / ("ö" * 120)) as temporary:  # 240 of 255 bytes
+        temporary.write_text("new")
+    with (
+        pytest.raises(OutputError, match="too long; choose a shorter name"),
+        replacing(tmp_path / ("x" * 300)),
+    ):
+        pass
+
+
+def test_a_file_for_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(OutputError, match="does not exist; make it first"),
+        replacing(tmp_path / "file" / "a.npz"),
+    ):
+        pass

@@ -1,0 +1,262 @@
+"""What every format owes: the same sequence back, whole or in blocks, and honest errors."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.sequence import FloatArray, MeshSequence
+from mixseq_io import open_sequence, read, write, write_blocks
+
+Store = Callable[[Any, MeshSequence], Path]
+Files = Callable[[], dict[str, bytes]]
+
+
+def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:
+    assert got.polygons.same_as(written.polygons)
+    if target.float32_only:
+        np.testing.assert_array_equal(got.points, written.points.astype(np.float32))
+    else:
+        assert got.points.dtype == written.points.dtype
+        np.testing.assert_array_equal(got.points, written.points)
+    if not target.keeps_header:
+        return
+    np.testing.assert_allclose(got.times, written.times, rtol=1e-14, atol=0)
+    for what in ("fps", "up_axis", "metres_per_unit", "name"):
+        assert getattr(got, what) == getattr(written, what)
+
+
+def test_what_is_written_is_read(target: Any, sequence: MeshSequence, store: Store) -> None:
+    assert_kept(target, sequence, read(store(target, sequence)))
+
+
+def test_blocks_give_the_whole(target: Any, store: Store, tmp_path: Path) -> None:
+    whole = MeshSequence.from_arrays(
+        np.arange(7 * 4 * 3, dtype=np.float32).reshape(7, 4, 3) % 11, [[0, 1, 2], [0, 2, 3]]
+    )
+    path = store(target, whole)
+    with open_sequence(path) as reader:
+        for size in (1, 3, 7, 100):
+            blocks = list(reader.blocks(size))
+            assert max(map(len, blocks)) <= size
+            np.testing.assert_array_equal(np.concatenate(blocks), whole.points)
+        first, second = reader.blocks(2), reader.blocks(3)  # two at once do not disturb each other
+        next(first), next(second)
+        np.testing.assert_array_equal(next(first), whole.points[2:4])
+        np.testing.assert_array_equal(next(second), whole.points[3:6])
+
+
+def test_writing_in_blocks_gives_the_same_file(
+    target: Any, plain: MeshSequence, store: Store, files: Files
+) -> None:
+    path = store(target, plain)
+    whole = read(path)
+    write_blocks(
+        path, plain.header, iter([plain.points[:1], plain.points[1:4], plain.points[4:]]), **target.options
+    )
+    assert_kept(target, whole, read(path))
+
+
+def test_unicode_file_names(target: Any, plain: MeshSequence, tmp_path: Path) -> None:
+    path = tmp_path / "Läufe 走る [1]" / target.file_name.replace("walk", "größer 走")
+    path.parent.mkdir()
+    write(path, plain, **target.options)
+    assert_kept(target, plain, read(path))
+
+
+def test_a_sequence_can_be_written_onto_the_file_it_streams_from(
+    target: Any, plain: MeshSequence, store: Store
+) -> None:
+    path = store(target, plain)
+    with open_sequence(path) as reader:
+        write_blocks(path, reader.header, (2 * block for block in reader.blocks(1)), **target.options)
+    np.testing.assert_array_equal(read(path).points, 2 * plain.points)
+
+
+def test_a_replaced_file_is_read_anew_while_the_old_one_is_open(
+    target: Any, plain: MeshSequence, store: Store
+) -> None:
+    path = store(target, plain)
+    with open_sequence(path):
+        store(target, plain.with_points(plain.points + 1))
+        np.testing.assert_array_equal(read(path).points, plain.points + 1)
+
+
+class Interruption:
+    """Blocks that stop in the middle."""
+
+    def __init__(self, sequence: MeshSequence, error: BaseException) -> None:
+        self.sequence, self.error = sequence, error
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        yield self.sequence.points[:2]
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (KeyboardInterrupt(), KeyboardInterrupt),
+        (ValueError("from the caller"), ValueError),
+        (OSError(errno.ENOSPC, "No space left on device"), OutputError),
+    ],
+    ids=["interrupt", "error", "disk full"],
+)
+def test_after_an_interruption_nothing_has_changed(
+    target: Any,
+    plain: MeshSequence,
+    store: Store,
+    files: Files,
+    error: BaseException,
+    expected: type[BaseException],
+) -> None:
+    path = store(target, plain)
+    before = files()
+    with pytest.raises(expected):
+        write_blocks(path, plain.header, Interruption(plain, error), **target.options)
+    assert files() == before
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EIO])
+def test_a_refusal_of_the_disk_at_the_end_is_explained(
+    target: Any,
+    plain: MeshSequence,
+    store: Store,
+    files: Files,
+    monkeypatch: pytest.MonkeyPatch,
+    step: str,
+    code: int,
+) -> None:
+    path = store(target, plain)
+    before = files()
+
+    def refuse(*arguments: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    if step == "fsync":
+        monkeypatch.setattr(os, "fsync", refuse)
+    else:
+        monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(OutputError, match=f"(?s){path.name.split('.')[0]}.*{os.strerror(code)}; "):
+        write(path, plain, **target.options)
+    monkeypatch.undo()
+    assert files() == before
+
+
+def test_missing_folder(target: Any, plain: MeshSequence, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"nowhere.* does not exist; make it first"):
+        write(tmp_path / "nowhere" / target.file_name, plain, **target.options)
+
+
+def test_a_folder_in_the_way(target: Any, plain: MeshSequence, tmp_path: Path, files: Files) -> None:
+    (tmp_path / target.file_name).mkdir()
+    with pytest.raises(OutputError, match="is a folder"):
+        write(tmp_path / target.file_name, plain, **target.options)
+    assert files() == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda points: [points[:3]], "3 frames of points for 5 times"),
+        (lambda points: [points, points], "more frames of points than 5 times"),
+        (lambda points: [], "no points for the header's 5 times"),
+        (lambda points: [points[:, :-1]], "frame 0 has 7 vertices, the mesh has 8"),
+        (lambda points: [points[:2], points[2:].astype(np.float64)], "frame 2: points turn from float32"),
+        (lambda points: [points[:2], np.where(points[2:] > 0, np.nan, points[2:])], "frame 2: vertex"),
+    ],
+    ids=["too few", "too many", "none", "vertices", "dtype", "nan"],
+)
+def test_blocks_that_do_not_fit_the_header(
+    target: Any, plain: MeshSequence, tmp_path: Path, files: Files, change: Callable[..., Any], message: str
+) -> None:
+    with pytest.raises(InvalidSequenceError, match=message):
+        write_blocks(tmp_path / target.file_name, plain.header, change(plain.points), **target.options)
+    assert files() == {}
+
+
+def test_truncated_files(
+    target: Any, plain: MeshSequence, store: Store, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = store(target, plain)
+    file = sorted(tmp_path.iterdir())[2 if target.file_name.endswith("obj") else 0]
+    content = file.read_bytes()
+    last = len(content.rstrip()) - 1
+    ends = {0, 1, 4, 16, 100, last, *range(200, last, len(content) // 12)}
+    for end in sorted(ends):
+        file.write_bytes(content[:end])
+        with pytest.raises(FormatError, match="walk"):
+            read(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_flipped_bits_give_an_error_or_a_sound_sequence(
+    target: Any, plain: MeshSequence, store: Store, tmp_path: Path
+) -> None:
+    path = store(target, plain)
+    file = sorted(tmp_path.iterdir())[0]
+    content = file.read_bytes()
+    rng = np.random.default_rng(7)
+    checksummed = target.file_name.endswith((".npz", ".h5", ".hdf5"))
+    places = rng.integers(0, len(content), 60)
+    if target.file_name in ("walk.usdc", "walk.usd"):
+        # Only coordinates: USD allocates whatever a damaged size says, up to all memory, before it gives up.
+        places = content.index(plain.points[0].tobytes()) + rng.integers(0, plain.points[0].nbytes, 60)
+    for place in places:
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        file.write_bytes(damaged)
+        try:
+            got = read(path)
+        except (FormatError, InvalidSequenceError):
+            continue
+        if checksummed:
+            np.testing.assert_array_equal(got.points, plain.points)
+            assert got.polygons.same_as(plain.polygons)
+
+
+@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "hdf5", "obj"])
+@pytest.mark.parametrize("seed", range(3))
+def test_garbage(tmp_path: Path, extension: str, seed: int, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"noise.{extension}"
+    path.write_bytes(np.random.default_rng(seed).bytes(3000))
+    with pytest.raises(FormatError, match="noise"):
+        read(path)
+    assert capfd.readouterr() == ("", "")  # nothing of the libraries' own reports
+
+
+@pytest.mark.parametrize("extension", ["usd", "usda", "usdc", "usdz", "npz", "h5", "obj"])
+def test_empty_and_missing_files(tmp_path: Path, extension: str) -> None:
+    with pytest.raises(FormatError, match="does not exist"):
+        read(tmp_path / f"missing.{extension}")
+    (tmp_path / f"empty.{extension}").touch()
+    with pytest.raises(FormatError, match="empty"):
+        read(tmp_path / f"empty.{extension}")
+
+
+def test_unknown_options(target: Any, plain: MeshSequence, store: Store, tmp_path: Path) -> None:
+    path = store(target, plain)
+    with pytest.raises(SettingsError, match="has no option 'colour'; it is read with"):
+        read(path, colour="red")
+    with pytest.raises(SettingsError, match="has no option 'colour'; it is written with"):
+        write(path, plain, colour="red")
+
+
+def test_reader_misuse(target: Any, plain: MeshSequence, store: Store) -> None:
+    with open_sequence(store(target, plain)) as reader:
+        with pytest.raises(SettingsError, match="block size is 0"):
+            reader.blocks(0)
+        blocks = reader.blocks(1)
+        next(blocks)
+    with pytest.raises(FormatError, match="is closed"):
+        next(blocks)
+    with pytest.raises(FormatError, match="is closed"):
+        next(reader.blocks())

@@ -1,0 +1,207 @@
+"""Numbered OBJ files: names, numbers, dialects of the text, and what OBJ cannot hold."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixseq.errors import (
+    AmbiguousError,
+    FormatError,
+    InvalidSequenceError,
+    MixseqWarning,
+    OutputError,
+    SettingsError,
+)
+from mixseq.sequence import MeshSequence
+from mixseq_io import read, write
+
+TRIANGLE = "v 0 0 {z}\nv 1 0 {z}\nv 0 1 {z}\nf 1 2 3\n"
+
+
+def save(folder: Path, *names: str, text: str = TRIANGLE) -> None:
+    for z, name in enumerate(names):
+        (folder / name).write_text(text.format(z=z))
+
+
+@pytest.mark.parametrize("pattern", ["walk_####.obj", "walk_%04d.obj", "walk_*.obj", "walk*", "."])
+def test_ways_to_name_a_sequence(tmp_path: Path, pattern: str) -> None:
+    save(tmp_path, "walk_0009.obj", "walk_0010.obj", "walk_0011.obj")
+    if pattern == "walk*":
+        pattern = "w?lk_00*.obj"
+    sequence = read(tmp_path / pattern, fps=10)
+    np.testing.assert_array_equal(sequence.points[:, 0, 2], [0, 1, 2])
+    np.testing.assert_allclose(sequence.times, [0, 0.1, 0.2])
+    assert (sequence.name, sequence.fps) == ("walk", 10)
+
+
+def test_frames_are_sorted_by_number_not_by_name(tmp_path: Path) -> None:
+    save(tmp_path, "walk9.obj", "walk10.obj", "walk11.obj")
+    for pattern in ("walk#.obj", "walk%d.obj", "walk*.obj"):
+        assert read(tmp_path / pattern).points[:, 0, 2].tolist() == [0, 1, 2]
+    with pytest.raises(FormatError, match="no files of this name"):
+        read(tmp_path / "walk####.obj")
+
+
+def test_other_files_are_left_out(tmp_path: Path) -> None:
+    save(tmp_path, "walk_1.obj", "walk_2.obj", "walk_3.obj.bak", "walk_.obj", "run_3.obj")
+    assert read(tmp_path / "walk_#.obj").frame_count == 2
+
+
+def test_a_single_file(tmp_path: Path) -> None:
+    save(tmp_path, "walk_0009.obj", "odd#name*.obj")
+    for name in ("walk_0009.obj", "odd#name*.obj"):
+        assert read(tmp_path / name).times.tolist() == [0]
+
+
+def test_gaps(tmp_path: Path) -> None:
+    save(tmp_path, "a_01.obj", "a_02.obj", "a_04.obj", "a_10.obj")
+    with pytest.raises(
+        InvalidSequenceError, match=r"numbers 3, 5-9 are missing between a_01.obj and a_10.obj"
+    ):
+        read(tmp_path / "a_##.obj")
+    sequence = read(tmp_path / "a_##.obj", allow_gaps=True, fps=1)
+    assert sequence.times.tolist() == [0, 1, 3, 9]
+
+
+def test_double_numbers(tmp_path: Path) -> None:
+    save(tmp_path, "a_1.obj", "a_01.obj")
+    with pytest.raises(InvalidSequenceError, match="have the same number"):
+        read(tmp_path / "a_*.obj")
+
+
+def test_several_sequences_in_a_folder(tmp_path: Path) -> None:
+    save(tmp_path, "cat_1.obj", "cat_2.obj", "dog_1.obj")
+    with pytest.raises(AmbiguousError, match=r"several sequences: cat_\*\.obj, dog_\*\.obj"):
+        read(tmp_path)
+    assert read(tmp_path / "cat_*.obj").frame_count == 2
+
+
+def test_an_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="no files of this name"):
+        read(tmp_path)
+
+
+DIALECT = """# comment
+mtllib a.mtl
+o  Spot the cow
+v\t0 0 0 1.0
+ v 1 0 0 0.5 0.5 0.5
+v 1 1 0
+v 0 1 \\
+  1e-1
+vt 0 0
+vn 0 0 1
+g body
+usemtl skin
+s off
+f 1/1/1 2/1/1 3//1 4
+v 5 5 5
+f -1 -2/1 -3
+l 1 2
+p 3
+f 1 2 3 4 5
+"""
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+def test_dialects_of_the_text(tmp_path: Path, ends: str) -> None:
+    (tmp_path / "cow.obj").write_bytes(DIALECT.replace("\n", ends).encode())
+    sequence = read(tmp_path / "cow.obj")
+    assert sequence.points[0].tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.1], [5, 5, 5]]
+    assert sequence.polygons.counts.tolist() == [4, 3, 5]
+    assert sequence.polygons.indices.tolist() == [0, 1, 2, 3, 4, 3, 2, 0, 1, 2, 3, 4]
+    assert sequence.name == "Spot the cow"
+    assert sequence.points.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("v 0 0\nf 1 2 3", FormatError, r"line 1: 'v 0 0' is not a vertex; three numbers"),
+        ("v 0 0 x", FormatError, "line 1: 'v 0 0 x' is not a vertex"),
+        (TRIANGLE.format(z=0) + "f 1 2 a", FormatError, "face 1: 'f 1 2 a' is not a face"),
+        (TRIANGLE.format(z=0) + "f 0 1 2", FormatError, "face 1: 'f 0 1 2' is not a face"),
+        (TRIANGLE.format(z=0) + "f 1 2 99999999999999999999", FormatError, "is not a face"),
+        (TRIANGLE.format(z=0) + "f 1 2", InvalidSequenceError, "polygon 1 has 2 corners"),
+        (
+            TRIANGLE.format(z=0) + "f 1 2 4",
+            InvalidSequenceError,
+            "face 1 uses vertex 3, but vertices are 0 to 2",
+        ),
+        (TRIANGLE.format(z=0) + "f 1 2 -4", InvalidSequenceError, "face 1 uses vertex -1"),
+        (TRIANGLE.format(z="nan"), InvalidSequenceError, "frame 0: vertex 0 is"),
+        (TRIANGLE.format(z="1e999"), InvalidSequenceError, "frame 0: vertex 0 is"),
+        ("v 0 0 0\nv 1 1 1\nv 2 2 2", InvalidSequenceError, "has no faces"),
+        ("hello", FormatError, "no vertices"),
+    ],
+)
+def test_bad_text(tmp_path: Path, text: str, error: type[Exception], message: str) -> None:
+    (tmp_path / "bad.obj").write_text(text)
+    with pytest.raises(error, match=f"bad.obj.*{message}"):
+        read(tmp_path / "bad.obj")
+
+
+def test_changing_connectivity(tmp_path: Path) -> None:
+    save(tmp_path, "a_1.obj", "a_2.obj", "a_3.obj")
+    (tmp_path / "a_3.obj").write_text(TRIANGLE.format(z=0).replace("1 2 3", "2 1 3"))
+    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 2\) has other faces than .*a_1\.obj"):
+        read(tmp_path / "a_#.obj")
+    (tmp_path / "a_3.obj").write_text("v 0 0 0\n" + TRIANGLE.format(z=0))
+    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 2\) has 4 vertices, .*a_1\.obj has 3"):
+        read(tmp_path / "a_#.obj")
+
+
+def test_the_same_faces_written_otherwise(tmp_path: Path) -> None:
+    save(tmp_path, "a_1.obj", "a_2.obj")
+    (tmp_path / "a_2.obj").write_text(TRIANGLE.format(z=7).replace("f 1 2 3", "f -3/1 -2/1 -1/1"))
+    assert read(tmp_path / "a_#.obj").points[1, 0, 2] == 7
+
+
+def test_numbers_of_written_files(tmp_path: Path, plain: MeshSequence) -> None:
+    write(tmp_path / "out_####.obj", plain)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [f"out_000{i}.obj" for i in range(1, 6)]
+    write(tmp_path / "big.%d.obj", plain, start=98)
+    assert len(list(tmp_path.glob("big.*.obj"))) == 5
+    with pytest.raises(SettingsError, match="start is -1"):
+        write(tmp_path / "out_####.obj", plain, start=-1)
+
+
+def test_several_frames_need_a_pattern(tmp_path: Path, plain: MeshSequence) -> None:
+    for name in ("out.obj", "out_*.obj"):
+        with pytest.raises(
+            OutputError, match=r"holds one frame, this sequence has 5; .* such as out_+####\.obj"
+        ):
+            write(tmp_path / name, plain)
+    single = MeshSequence.from_arrays(plain.points[:1], plain.polygons)
+    write(tmp_path / "out.obj", single)
+    np.testing.assert_array_equal(read(tmp_path / "out.obj").points, single.points)
+
+
+def test_one_warning_names_all_that_is_lost(tmp_path: Path, plain: MeshSequence) -> None:
+    rich = MeshSequence.from_arrays(
+        plain.points, plain.polygons, times=[0, 1, 2, 3, 5], fps=30, up_axis="Z", metres_per_unit=0.01
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write(tmp_path / "out_#.obj", rich)
+    (warning,) = caught
+    assert warning.category is MixseqWarning
+    assert "30 frames per second, the times of the frames, Z up, 0.01 metres per unit" in str(warning.message)
+    assert warning.filename == __file__  # the line that wrote, not one of ours
+
+
+def test_leftovers_of_a_longer_sequence(tmp_path: Path, plain: MeshSequence) -> None:
+    write(tmp_path / "out_#.obj", plain)
+    shorter = MeshSequence.from_arrays(plain.points[:3], plain.polygons)
+    with pytest.warns(MixseqWarning, match=r"2 files of another sequence, out_4\.obj to out_5\.obj"):
+        write(tmp_path / "out_#.obj", shorter)
+
+
+def test_rate_out_of_range(tmp_path: Path) -> None:
+    save(tmp_path, "a.obj")
+    with pytest.raises(SettingsError, match="fps is 0"):
+        read(tmp_path / "a.obj", fps=0)
