@@ -314,9 +314,8 @@ def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) ->
             f"frame {first_frame} has {points.shape[1]} vertices, the mesh has {header.vertex_count}; "
             "every frame needs the same vertices in the same order"
         )
-    finite = np.isfinite(points).all(axis=2)
-    if not finite.all():
-        frame, vertex = (int(i) for i in np.argwhere(~finite)[0])
+    if not np.isfinite(points).all():
+        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(points))[0][:2])
         raise InvalidSequenceError(
             f"frame {first_frame + frame}: vertex {vertex} is {points[frame, vertex].tolist()}; "
             "coordinates must be finite"
@@ -352,6 +351,8 @@ def _check_header(header: SequenceHeader) -> None:
     for label, value in (("fps", header.fps), ("metres_per_unit", header.metres_per_unit)):
         if not (np.isfinite(value) and value > 0):
             raise InvalidSequenceError(f"{label} is {value}; a positive number is expected")
+    if "\0" in header.name or any("\ud800" <= letter <= "\udfff" for letter in header.name):
+        raise InvalidSequenceError(f"the name {header.name!r} has characters that no file can hold")
     if header.up_axis not in UP_AXES:
         raise InvalidSequenceError(f"up axis is {header.up_axis!r}; one of {', '.join(UP_AXES)} is expected")
 

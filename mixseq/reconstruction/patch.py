@@ -1,4 +1,4 @@
-"""A patch of triangles to be rebuilt from edge lengths and dihedral angles, with all that connectivity tells."""
+"""A patch of triangles to be rebuilt from lengths and angles, with all that its connectivity tells."""
 
 from __future__ import annotations
 
@@ -67,6 +67,16 @@ class Patch:
         number = np.full(len(self.fixed), -1, dtype=np.int64)
         number[self.free] = np.arange(len(self.free))
         return number
+
+    @cached_property
+    def free_edges(self) -> Mask:
+        """Mark the edges ``(e,)`` with a free vertex; the others follow from the fixed positions."""
+        return np.asarray(~self.fixed[self.edges].all(axis=1))
+
+    @cached_property
+    def free_hinges(self) -> Mask:
+        """Mark the hinges ``(h,)`` with a free vertex; the others follow from the fixed positions."""
+        return np.asarray(~self.fixed[self.hinges].all(axis=1))
 
     @cached_property
     def fixed_faces(self) -> Mask:

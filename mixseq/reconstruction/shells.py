@@ -4,8 +4,8 @@ Minimises, over the free vertices of a patch,
 
 .. math:: E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
 
-(Froehlich and Botsch 2011) with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms
-count relative changes. Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried
+(Froehlich and Botsch 2011) with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both
+terms count relative changes. Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried
 again with ten times the damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn
 would pull the wrong way round.
 """
@@ -13,6 +13,7 @@ would pull the wrong way round.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +66,7 @@ class ShellReport:
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """What to fit: a patch, target lengths ``(e,)`` and angles ``(h,)``, weights of the lengths ``(e,)``."""
+    """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both."""
 
     patch: Patch
     lengths: Float
@@ -73,27 +74,39 @@ class ShellProblem:
     length_weights: Float
     bending: float
 
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """The edges ``(e', 2)`` that count."""
+        return self.patch.edges[self.patch.free_edges]
+
+    @cached_property
+    def hinges(self) -> NDArray[np.int64]:
+        """The hinges ``(h', 4)`` that count."""
+        return self.patch.hinges[self.patch.free_hinges]
+
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals ``(e + h,)`` at points ``(n, 3)``."""
-        stretch = edge_lengths(points, self.patch.edges) - self.lengths
-        bend = wrap(dihedral_angles(points, self.patch.hinges) - self.angles)
+        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``."""
+        stretch = edge_lengths(points, self.edges) - self.lengths
+        bend = wrap(dihedral_angles(points, self.hinges) - self.angles)
         return np.concatenate([self.length_weights * stretch, self.bending * bend])
 
     def jacobian(self, points: Float) -> sparse.csr_array:
-        """Derivatives ``(e + h, 3 free)`` of the residuals by the free vertices."""
-        patch = self.patch
-        length = length_gradients(points, patch.edges) * self.length_weights[:, None]
+        """Derivatives ``(e' + h', 3 free)`` of the residuals by the free vertices."""
+        length = length_gradients(points, self.edges) * self.length_weights[:, None]
         stretch = np.stack([-length, length], axis=1)
-        bend = self.bending * dihedral_gradients(points, patch.hinges)
-        rows = [np.repeat(np.arange(len(patch.edges)), 6)]
-        rows.append(len(patch.edges) + np.repeat(np.arange(len(patch.hinges)), 12))
-        vertices = np.concatenate([patch.edges.reshape(-1), patch.hinges.reshape(-1)])
-        values = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
-        columns = (3 * patch.free_number[vertices][:, None] + np.arange(3)).reshape(-1)
-        row = np.concatenate(rows)
-        inside = np.repeat(patch.free_number[vertices] >= 0, 3)
-        size = (len(patch.edges) + len(patch.hinges), 3 * len(patch.free))
-        return sparse.coo_array((values[inside], (row[inside], columns[inside])), shape=size).tocsr()
+        bend = self.bending * dihedral_gradients(points, self.hinges)
+        row = np.concatenate(
+            [
+                np.repeat(np.arange(len(self.edges)), 6),
+                len(self.edges) + np.repeat(np.arange(len(self.hinges)), 12),
+            ]
+        )
+        place = self.patch.free_number[np.concatenate([self.edges.reshape(-1), self.hinges.reshape(-1)])]
+        column = (3 * place[:, None] + np.arange(3)).reshape(-1)
+        value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
+        inside = np.repeat(place >= 0, 3)
+        size = (len(self.edges) + len(self.hinges), 3 * len(self.patch.free))
+        return sparse.coo_array((value[inside], (row[inside], column[inside])), shape=size).tocsr()
 
 
 def fit_shell(

@@ -1,0 +1,52 @@
+"""One joint from its lengths and angles: the linear start, then Gauss-Newton."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.reconstruction.patch import Patch
+from mixseq.reconstruction.shells import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.reconstruction.unfold import unfold
+
+Float = NDArray[np.float64]
+
+
+def rebuild(
+    patch: Patch, lengths: Float, angles: Float, weights: Float, positions: Float, settings: ShellSettings
+) -> tuple[Float, ShellReport]:
+    """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
+
+    Parameters
+    ----------
+    patch : Patch
+        The joint and which of its vertices are fixed.
+    lengths : (e',) float64
+        Lengths of `Patch.free_edges`.
+    angles : (h',) float64
+        Angles of `Patch.free_hinges`, radians.
+    weights : (e',) float64
+        Weights of the lengths.
+    positions : (n, 3) float64
+        Positions of the fixed vertices; the others are not looked at.
+    settings : ShellSettings
+        Weight of the angles, and when to stop.
+
+    Returns
+    -------
+    points : (n, 3) float64
+    report : ShellReport
+
+    Notes
+    -----
+    The start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
+    Gauss-Newton find the right fold: starting from another pose gets trapped.
+    """
+    all_lengths = edge_lengths(positions, patch.edges)
+    all_lengths[patch.free_edges] = lengths
+    all_angles = dihedral_angles(positions, patch.hinges)
+    all_angles[patch.free_hinges] = angles
+    start = unfold(patch, all_lengths, all_angles, positions)
+    problem = ShellProblem(patch, lengths, angles, weights, settings.bending)
+    return fit_shell(problem, start, settings)

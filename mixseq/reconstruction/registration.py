@@ -1,0 +1,217 @@
+r"""Simultaneous registration of overlapping pieces (Williams and Bennamoun 2000).
+
+Pieces know their vertices up to a rigid motion and share vertices with other pieces. Wanted are the motions that
+minimise the squared distances between all copies of the same vertex. For a pair p of copies of one vertex, x in
+piece k and y in piece l, stack ``x`` and ``-y`` into the columns of pieces k and l of a row of Q, and +1, -1 into the
+columns k, l of a row of B. Optimal translations are linear in the rotations, and what remains is
+
+.. math:: E = \mathrm{tr}(R^T M R), \qquad M = Q^T Q - (B^T Q)^T (B^T B)^+ (B^T Q)
+
+with the rotations stacked in R. Sweeping over the pieces, each rotation is replaced by the best one given the
+others, a 3 x 3 singular value decomposition that never raises E. The start is pairwise registration along a
+spanning tree of the overlaps; where the overlaps form a tree that already is the minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.geometry.rigid import kabsch, nearest_rotations
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Overlaps:
+    """Which vertices the pieces share.
+
+    Attributes
+    ----------
+    sizes : (n,) int64
+        Number of vertices of every piece. Points of all pieces are kept in one array, piece after piece.
+    pieces : (P, 2) int64
+        The two pieces of every pair of copies, the first one with the lower number.
+    rows : (P, 2) int64
+        Rows of the two copies in the array of all points.
+    group : (n,) int64
+        Pieces of one group are held together by their overlaps; the number is that of its first piece.
+    tree : (n,) int64
+        Parent of every piece in the spanning tree of its group, -1 for the first piece.
+    order : (n,) int64
+        Pieces, parents before children.
+    """
+
+    sizes: Index
+    pieces: Index
+    rows: Index
+    group: Index
+    tree: Index
+    order: Index
+
+    @classmethod
+    def of(cls, vertices: list[Index], shapes: list[Float]) -> Overlaps:
+        """Find the overlaps of pieces with global vertices ``(n_k,)`` and typical shapes ``(n_k, 3)``.
+
+        Two pieces hold each other if the vertices they share are not on one line.
+        """
+        sizes = np.array([len(v) for v in vertices], dtype=np.int64)
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        vertex = np.concatenate(vertices) if vertices else np.zeros(0, dtype=np.int64)
+        pairs = _pairs_of_equals(vertex)
+        pieces = owner[pairs]
+        points = np.concatenate(shapes) if shapes else np.zeros((0, 3))
+        count = len(sizes)
+        strength = np.zeros((count, count))
+        for k, l in np.unique(pieces, axis=0):  # noqa: E741
+            shared = points[pairs[(pieces == (k, l)).all(axis=1), 0]]
+            spread = np.linalg.svd(shared - shared.mean(axis=0), compute_uv=False)
+            if len(spread) > 1 and spread[1] > 1e-3 * spread[0] > 0:
+                strength[k, l] = len(shared)
+        group, tree, order = _forest(strength)
+        return cls(sizes, pieces, pairs, group, tree, order)
+
+    @cached_property
+    def starts(self) -> Index:
+        """First row of every piece."""
+        return np.asarray(np.cumsum(self.sizes) - self.sizes)
+
+    @cached_property
+    def roots(self) -> Index:
+        """First piece of every group."""
+        return np.flatnonzero(self.tree < 0)
+
+    @cached_property
+    def incidence(self) -> sparse.csr_array:
+        """The matrix B ``(P, n)``."""
+        count = len(self.pieces)
+        row = np.repeat(np.arange(count), 2)
+        value = np.tile([1.0, -1.0], count)
+        size = (count, len(self.sizes))
+        return sparse.coo_array((value, (row, self.pieces.reshape(-1))), shape=size).tocsr()
+
+    @cached_property
+    def translation_solver(self) -> Float:
+        """The pseudo-inverse of ``B^T B`` ``(n, n)``."""
+        return np.linalg.pinv((self.incidence.T @ self.incidence).toarray(), hermitian=True)
+
+
+def register(
+    overlaps: Overlaps, points: Float, sweeps: int = 500, tolerance: float = 1e-12
+) -> tuple[Float, Float]:
+    """Find the rigid motions that bring pieces together.
+
+    Parameters
+    ----------
+    overlaps : Overlaps
+        Which rows of `points` are copies of one vertex.
+    points : (sum(sizes), 3) float64
+        Vertices of all pieces, each in its own coordinates.
+    sweeps : int
+        At most this many rounds.
+    tolerance : float
+        Stop when a round changes no entry of a rotation by more than this.
+
+    Returns
+    -------
+    rotation : (n, 3, 3) float64
+    translation : (n, 3) float64
+        Motions ``x -> R x + t``; the first piece of every group stays where it is.
+    """
+    rotation, translation = _along_tree(overlaps, points)
+    if not len(overlaps.pieces):
+        return rotation, translation
+    matrix, projected = _energy_matrix(overlaps, points)
+    stacked = np.swapaxes(rotation, 1, 2).reshape(
+        -1, 3
+    )  # R_k^T below each other: rows are points' coordinates
+    for _ in range(sweeps):
+        change = 0.0
+        for k in range(len(overlaps.sizes)):
+            own = slice(3 * k, 3 * k + 3)
+            pull = matrix[own, own] @ stacked[own] - matrix[own] @ stacked
+            if not pull.any():
+                continue
+            best = nearest_rotations(pull)
+            change = max(change, float(np.abs(best - stacked[own]).max()))
+            stacked[own] = best
+        if change <= tolerance:
+            break
+    shift = -overlaps.translation_solver @ (projected @ stacked)
+    return _rooted(overlaps, np.swapaxes(stacked.reshape(-1, 3, 3), 1, 2), shift)
+
+
+def _pairs_of_equals(values: Index) -> Index:
+    """All pairs ``(P, 2)`` of positions with equal values, in ascending order."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    found = []
+    step = 1
+    while step < len(values):
+        same = ordered[step:] == ordered[:-step]
+        if not same.any():
+            break
+        found.append(np.stack([order[:-step][same], order[step:][same]], axis=1))
+        step += 1
+    pairs = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _forest(strength: Float) -> tuple[Index, Index, Index]:
+    """Groups, parents and order of the maximum spanning forest of an upper triangular matrix."""
+    count = len(strength)
+    costs = np.where(strength > 0, 1.0 / np.maximum(strength, 1.0), 0.0)
+    forest = csgraph.minimum_spanning_tree(sparse.csr_array(costs))
+    group = np.full(count, -1, dtype=np.int64)
+    parent = np.full(count, -1, dtype=np.int64)
+    orders = []
+    for piece in range(count):
+        if group[piece] >= 0:
+            continue
+        order, predecessors = csgraph.breadth_first_order(forest, piece, directed=False)
+        group[order] = piece
+        parent[order[1:]] = predecessors[order[1:]]
+        orders.append(order)
+    return group, parent, np.concatenate(orders).astype(np.int64) if orders else np.zeros(0, dtype=np.int64)
+
+
+def _along_tree(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
+    count = len(overlaps.sizes)
+    rotation = np.tile(np.eye(3), (count, 1, 1))
+    translation = np.zeros((count, 3))
+    for piece in overlaps.order:
+        parent = overlaps.tree[piece]
+        if parent < 0:
+            continue
+        low, high = sorted((int(piece), int(parent)))
+        rows = overlaps.rows[(overlaps.pieces == (low, high)).all(axis=1)]
+        mine, theirs = (rows[:, 0], rows[:, 1]) if piece == low else (rows[:, 1], rows[:, 0])
+        placed = points[theirs] @ rotation[parent].T + translation[parent]
+        rotation[piece], translation[piece] = kabsch(points[mine], placed)
+    return rotation, translation
+
+
+def _energy_matrix(overlaps: Overlaps, points: Float) -> tuple[Float, Float]:
+    """The matrix M ``(3n, 3n)`` and ``B^T Q`` ``(n, 3n)``."""
+    count = len(overlaps.pieces)
+    row = np.repeat(np.arange(count), 6)
+    column = (3 * overlaps.pieces[:, :, None] + np.arange(3)).reshape(-1)
+    value = (points[overlaps.rows] * np.array([1.0, -1.0])[:, None]).reshape(-1)
+    size = (count, 3 * len(overlaps.sizes))
+    q = sparse.coo_array((value, (row, column)), shape=size).tocsr()
+    projected = (overlaps.incidence.T @ q).toarray()
+    return (q.T @ q).toarray() - projected.T @ overlaps.translation_solver @ projected, projected
+
+
+def _rooted(overlaps: Overlaps, rotation: Float, translation: Float) -> tuple[Float, Float]:
+    """Move every group rigidly so that its first piece is where it was."""
+    root = rotation[overlaps.group]
+    back = np.swapaxes(root, 1, 2)
+    moved = np.einsum("kij,kj->ki", back, translation - translation[overlaps.group])
+    return back @ rotation, moved
