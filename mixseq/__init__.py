@@ -1,1 +1,76 @@
-"""mixseq."""
+"""Resample, edit, transfer and compress deforming mesh sequences in the mixed shape space.
+
+::
+
+    import mixseq
+
+    sequence = mixseq.read("walk.usdc")         # points (T, V, 3), faces, times, units
+    model = mixseq.fit(sequence)                # parts, joints, registration, signals
+    mixseq.save("walk.h5", model)
+    twice = mixseq.load("walk.h5").sample(fps=48)
+    mixseq.write("walk48.usdc", twice)
+
+Names are imported when they are first used, so that ``import mixseq`` is quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mixseq.metrics import Comparison, compare
+    from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
+    from mixseq.signals import Model, fit
+    from mixseq.topology import Topology
+    from mixseq_io import open_sequence, read, write, write_blocks
+    from mixseq_io.model_h5 import load, save
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Comparison": "mixseq.metrics",
+    "MeshSequence": "mixseq.sequence",
+    "Model": "mixseq.signals",
+    "Polygons": "mixseq.sequence",
+    "SequenceHeader": "mixseq.sequence",
+    "Topology": "mixseq.topology",
+    "compare": "mixseq.metrics",
+    "fit": "mixseq.signals",
+    "load": "mixseq_io.model_h5",
+    "open_sequence": "mixseq_io",
+    "read": "mixseq_io",
+    "save": "mixseq_io.model_h5",
+    "write": "mixseq_io",
+    "write_blocks": "mixseq_io",
+}
+
+__all__ = [
+    "Comparison",
+    "MeshSequence",
+    "Model",
+    "Polygons",
+    "SequenceHeader",
+    "Topology",
+    "__version__",
+    "compare",
+    "fit",
+    "load",
+    "open_sequence",
+    "read",
+    "save",
+    "write",
+    "write_blocks",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'mixseq' has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

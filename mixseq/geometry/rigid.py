@@ -101,3 +101,27 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
             break
     rotation, _ = kabsch(mean, first)
     return np.asarray(mean @ rotation.T, dtype=np.float64)
+
+
+def bend(first: FloatArray, second: FloatArray) -> float:
+    """How far two moving bodies turn against each other.
+
+    Parameters
+    ----------
+    first, second : (T, 3, 3) float
+        Their rotations, frame by frame.
+
+    Returns
+    -------
+    float
+        Largest angle in degrees between their relative rotations in any two frames.
+
+    Examples
+    --------
+    >>> quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    >>> round(bend(np.stack([np.eye(3), np.eye(3)]), np.stack([np.eye(3), quarter])), 6)
+    90.0
+    """
+    relative = np.swapaxes(first, 1, 2) @ second
+    traces = np.einsum("sij,tij->st", relative, relative)
+    return float(np.degrees(np.arccos(np.clip((traces.min() - 1.0) / 2.0, -1.0, 1.0))))

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import transform
 from mixseq.reconstruction.joint import rebuild
 from mixseq.reconstruction.patch import Patch
@@ -20,6 +21,7 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 class Placement(Protocol):
@@ -70,30 +72,30 @@ class Placement(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """The joints that are solved, and where their rows are in the vector."""
+    """The joints that are solved, which of their edges and hinges are stored, and where in the vector."""
 
     joints: tuple[Joint, ...]
     patches: tuple[Patch, ...]
+    stored_edges: tuple[Mask, ...]
+    stored_hinges: tuple[Mask, ...]
 
     @cached_property
     def edge_ids(self) -> Index:
-        return _concatenate(
-            [j.edge_ids[p.free_edges] for j, p in zip(self.joints, self.patches, strict=True)]
-        )
+        ids = [joint.edge_ids[stored] for joint, stored in zip(self.joints, self.stored_edges, strict=True)]
+        return _concatenate(ids)
 
     @cached_property
     def hinge_ids(self) -> Index:
-        return _concatenate(
-            [j.hinge_ids[p.free_hinges] for j, p in zip(self.joints, self.patches, strict=True)]
-        )
+        ids = [joint.hinge_ids[stored] for joint, stored in zip(self.joints, self.stored_hinges, strict=True)]
+        return _concatenate(ids)
 
     @cached_property
     def edge_slices(self) -> list[slice]:
-        return _slices([int(np.count_nonzero(patch.free_edges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(stored)) for stored in self.stored_edges])
 
     @cached_property
     def hinge_slices(self) -> list[slice]:
-        return _slices([int(np.count_nonzero(patch.free_hinges)) for patch in self.patches])
+        return _slices([int(np.count_nonzero(stored)) for stored in self.stored_hinges])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,10 @@ class AnchoredPlacement:
     @cached_property
     def _rows(self) -> _Rows:
         joints = tuple(joint for joint in self.decomposition.joints if joint.free.any())
-        return _Rows(joints, tuple(Patch.of_joint(self.topology, j, ~j.free) for j in joints))
+        patches = tuple(Patch.of_joint(self.topology, joint, ~joint.free) for joint in joints)
+        return _Rows(
+            joints, patches, tuple(p.free_edges for p in patches), tuple(p.free_hinges for p in patches)
+        )
 
     @property
     def edge_ids(self) -> Index:
@@ -176,9 +181,36 @@ class FreePlacement:
     @cached_property
     def _rows(self) -> _Rows:
         joints = self.decomposition.joints
-        nothing_fixed = [np.zeros(len(joint.vertices), dtype=bool) for joint in joints]
-        patches = [Patch.of_joint(self.topology, j, f) for j, f in zip(joints, nothing_fixed, strict=True)]
-        return _Rows(joints, tuple(patches))
+        nothing_fixed = (np.zeros(len(joint.vertices), dtype=bool) for joint in joints)
+        patches = tuple(
+            Patch.of_joint(self.topology, j, f) for j, f in zip(joints, nothing_fixed, strict=True)
+        )
+        edges = tuple(np.any(rows < 0, axis=1) for rows in self._known_edges)
+        hinges = tuple(np.any(rows < 0, axis=1) for rows in self._known_hinges)
+        return _Rows(joints, patches, edges, hinges)
+
+    @cached_property
+    def _known_edges(self) -> list[Index]:
+        """Joint by joint, the rows ``(e, 2)`` of part vertices that an edge connects, -1 if no part has both."""
+        return [self._rows_in_one_part(self.topology.edges[j.edge_ids]) for j in self.decomposition.joints]
+
+    @cached_property
+    def _known_hinges(self) -> list[Index]:
+        """The same for hinges ``(h, 4)``."""
+        return [self._rows_in_one_part(self.topology.hinges[j.hinge_ids]) for j in self.decomposition.joints]
+
+    def _rows_in_one_part(self, vertices: Index) -> Index:
+        """Rows of vertices ``(n, k)`` in the first part that has all k of them, -1 where none has."""
+        result = np.full(vertices.shape, -1, dtype=np.int64)
+        start = 0
+        for part in self.decomposition.parts:
+            place = np.full(self.topology.vertex_count, -1, dtype=np.int64)
+            place[part] = start + np.arange(len(part))
+            rows = place[vertices]
+            found = (rows >= 0).all(axis=1) & (result < 0).any(axis=1)
+            result[found] = rows[found]
+            start += len(part)
+        return result
 
     @cached_property
     def _pieces(self) -> list[Index]:
@@ -199,12 +231,12 @@ class FreePlacement:
 
     @property
     def edge_ids(self) -> Index:
-        """All edges of the joints."""
+        """Edges of the joints that no part has both ends of."""
         return self._rows.edge_ids
 
     @property
     def hinge_ids(self) -> Index:
-        """All hinges of the joints."""
+        """Hinges of the joints that no part has all vertices of."""
         return self._rows.hinge_ids
 
     @property
@@ -224,12 +256,21 @@ class FreePlacement:
     ) -> tuple[Float, list[ShellReport]]:
         """See `Placement.assemble`."""
         pieces, reports = [parts], []
+        wanted = np.full(len(self.topology.edges), np.nan)
         rows = self._rows
-        for patch, edges, hinges in zip(rows.patches, rows.edge_slices, rows.hinge_slices, strict=True):
+        for number, (joint, patch) in enumerate(zip(rows.joints, rows.patches, strict=True)):
+            # What lies in one part is known from that part; only the rest is stored.
+            joint_lengths = edge_lengths(parts, self._known_edges[number])
+            joint_lengths[rows.stored_edges[number]] = lengths[rows.edge_slices[number]]
+            joint_angles = dihedral_angles(parts, self._known_hinges[number])
+            joint_angles[rows.stored_hinges[number]] = angles[rows.hinge_slices[number]]
+            joint_weights = 1.0 / np.maximum(joint_lengths, np.finfo(np.float64).tiny)
+            joint_weights[rows.stored_edges[number]] = weights[rows.edge_slices[number]]
             nowhere = np.zeros((len(patch.fixed), 3))
-            solved, report = rebuild(patch, lengths[edges], angles[hinges], weights[edges], nowhere, settings)
+            solved, report = rebuild(patch, joint_lengths, joint_angles, joint_weights, nowhere, settings)
             pieces.append(solved)
             reports.append(report)
+            wanted[joint.edge_ids] = joint_lengths
         points = np.concatenate(pieces)
 
         overlaps = self._overlaps
@@ -240,8 +281,6 @@ class FreePlacement:
         owner = np.repeat(np.arange(len(overlaps.sizes)), overlaps.sizes)
         placed = np.einsum("nij,nj->ni", to_world[owner], points) + centre[owner]
 
-        wanted = np.full(len(self.topology.edges), np.nan)
-        wanted[rows.edge_ids] = lengths
         return stitch(self._seams, placed, wanted), reports
 
 

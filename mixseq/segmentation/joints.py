@@ -8,10 +8,10 @@ a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 - the faces with a vertex of depth >= 1 are a joint's,
 - vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
 
-The width follows the motion: each strip but the first takes up a bend of at most 20 degrees between the two parts
-(largest relative rotation over the sequence), `joint_width` is the limit. And it follows the mesh: on a coarse mesh
-full strips would eat whole parts and all joints would run into one, so a part's own limit is the largest width that
-leaves it a core of a third of its vertices. Width 1 takes nothing from a part.
+The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
+(their largest relative rotation between any two frames), and `joint_width` is the limit. And it follows the mesh:
+on a coarse mesh full strips would eat whole parts and all joints would run into one, so a part's own limit is the
+largest width that leaves it a core of a third of its vertices. Width 1 takes nothing from a part.
 
 Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
 vertices where a joint hangs together by a point only, and patches of a joint that no part holds.
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.geometry.rigid import kabsch, mean_shape
+from mixseq.geometry.rigid import bend, kabsch, mean_shape
 from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, face_patches, spread, vertices_of
 
@@ -35,7 +35,7 @@ Mask = NDArray[np.bool_]
 CORE = 1.0 / 3.0
 """Share of its vertices that a part keeps, whatever the width of its joints."""
 
-BEND = 20.0
+BEND = 30.0
 """Degrees of bend that each strip of a joint but its first takes up."""
 
 FLAT = 1e-5
@@ -160,7 +160,7 @@ def decompose(
         part_of_face=np.asarray(part_of_face, dtype=np.int64),
         parts=tuple(np.flatnonzero(inside) for inside in kept),
         joints=tuple(
-            _joint(topology, patches == number, held) for number in np.unique(patches[patches >= 0])
+            make_joint(topology, patches == number, held) for number in np.unique(patches[patches >= 0])
         ),
         widths=widths,
     )
@@ -183,10 +183,8 @@ def _boundary_widths(
             continue
         width = joint_width
         if rotations is not None:
-            relative = np.swapaxes(rotations[i], 1, 2) @ rotations[j]
-            cosine = (np.trace(relative, axis1=1, axis2=2) - 1.0) / 2.0
-            bend = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).max()
-            width = min(joint_width, max(2, 1 + int(np.ceil(bend / BEND))))
+            strips = int(np.ceil(bend(rotations[i], rotations[j]) / BEND))
+            width = min(joint_width, max(2, 1 + strips))
         ends = topology.edges[topology.hinge_edges[pair_of_hinge.reshape(-1) == number]].reshape(-1)
         widths[ends] = np.maximum(widths[ends], width)
     return widths
@@ -253,7 +251,8 @@ def _points_of_contact(topology: Topology, patches: Index) -> Mask:
     return np.asarray((faces_at > 0) & (hinges_at < faces_at - 1))
 
 
-def _joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
+def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
+    """Make a joint of the marked faces ``(F,)``, with free vertices where none of the parts ``(V,)`` holds one."""
     face_ids = np.flatnonzero(faces)
     vertices = np.unique(topology.faces[face_ids]).astype(np.int64)
     return Joint(

@@ -1,11 +1,13 @@
-"""Segmentation by rigid motion: faces that move together form a part.
+"""Segmentation by rigid motion: faces that turn together form a part.
 
 1. *Cluster.* Every cluster carries one rigid motion per frame; faces go to the cluster that predicts them best
    (Lloyd's iteration), the costs being diffused over the surface first so that boundaries come out smooth. The
    worst predicted patch seeds the next cluster, until there are enough.
 2. *Connect.* Clusters are split into connected patches; crumbs join the neighbour that predicts them best.
-3. *Merge.* Neighbours are merged, cheapest pair first, while a boundary buys too little (or until the number of
-   parts asked for is reached).
+3. *Merge.* Neighbours are merged, those that turn least against each other first, until every boundary bends
+   enough (or the number of parts asked for is reached). Bending is the measure because it is what a part cannot
+   do: vertices of a part are combined linearly, which is fine for slides and small deformations, but shortens
+   what turns.
 
 The result depends on nothing but the input: there are no random numbers.
 """
@@ -13,14 +15,17 @@ The result depends on nothing but the input: there are no random numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.rigid import bend
 from mixseq.segmentation.rigid_error import Moments, moments
 from mixseq.sequence import FloatArray
-from mixseq.topology import Topology, face_patches
+from mixseq.topology import Topology, face_patches, spread
 
 Float = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -28,32 +33,32 @@ Labels = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """Settings of `segment_by_motion`; lengths are fractions of the bounding-box diagonal.
+    """Settings of `segment_by_motion`.
 
     Attributes
     ----------
     clusters : int
-        Clusters to start from when the number of parts is found automatically.
+        Clusters to start from; parts are merged from these.
     frames : int
         Frames looked at, evenly spread over the sequence.
     smoothing : float
         Rounds of averaging costs over neighbouring faces, per square root of the number of faces, so that
         boundaries are equally smooth on coarse and on dense meshes.
-    gain : float
-        A boundary is kept if dropping it raises the squared rigid error by more than this fraction, for a
-        boundary as long (in edges) as the square root of the number of vertices and in proportion for others:
-        long boundaries make large joints and must buy more; ...
-    rigid : float
-        ... and the error, root mean square, is above this then.
+    bend : float
+        A boundary stays where its sides turn against each other by more degrees than this, between any two
+        frames ...
+    narrow : float
+        ... and by up to this fraction more where a side is so narrow that its joints would take all of it:
+        such patches are where skin bends, not parts.
     crumb : float
         Patches below this fraction of the faces join a neighbour.
     """
 
     clusters: int = 20
-    frames: int = 40
+    frames: int = 24
     smoothing: float = 0.1
-    gain: float = 0.5
-    rigid: float = 0.003
+    bend: float = 25.0
+    narrow: float = 2.0
     crumb: float = 0.003
 
 
@@ -92,7 +97,7 @@ def segment_by_motion(
     if parts is not None and not 1 <= parts <= face_count:
         raise SettingsError(f"parts is {parts}; a number from 1 to {face_count} (the faces) is expected")
     motion = _Motion.of(points, topology, settings.frames)
-    clusters = settings.clusters if parts is None else max(parts, round(1.25 * parts))
+    clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(motion, min(clusters, face_count), settings)
     patches = _absorb_crumbs(motion, _patches(topology, labels), settings)
     return _by_area(_merge(motion, patches, parts, settings), motion.area)
@@ -121,58 +126,70 @@ class _Motion:
     def moments(self, faces: NDArray[np.intp]) -> Moments:
         """Moments of a set of faces, a third of each area on every corner."""
         corners = self.topology.faces[faces].reshape(-1)
-        weights = np.bincount(corners, np.repeat(self.area[faces] / 3.0, 3), self.topology.vertex_count)
+        thirds = np.repeat(self.area[faces] / 3.0, 3)
+        weights = np.bincount(corners, thirds, self.topology.vertex_count).astype(np.float64)
         used = np.flatnonzero(weights)
         return moments(self.rest[used], self.moved[used], weights[used])
 
     def costs(self, clusters: list[Moments]) -> Float:
         """Mean squared distance ``(F, K)`` of every face's corners from where each cluster puts them.
 
-        ``|x - (R h + t)|^2`` is expanded so that all clusters and frames are one matrix product.
+        ``|x - A h|^2``, with h in homogeneous coordinates and A the motions of all frames below each other, is
+        expanded so that all clusters and frames are one matrix product.
         """
         count, frames = len(self.rest), self.moved.shape[1]
         flat = self.moved.reshape(count, -1)
-        affine = np.concatenate([self.rest, np.ones((count, 1))], axis=1)
-        square = np.einsum("vi,vi->v", flat, flat)
-        columns = []
-        for cluster in clusters:
-            rotation, translation = cluster.motion()
-            matrix = np.concatenate([rotation, translation[:, :, None]], axis=2).reshape(-1, 4)
-            mixed = np.einsum("vi,vi->v", flat @ matrix, affine)
-            columns.append(square - 2.0 * mixed + np.einsum("vi,ij,vj->v", affine, matrix.T @ matrix, affine))
-        per_vertex = np.maximum(np.stack(columns, axis=1), 0.0) / frames
+        h = np.concatenate([self.rest, np.ones((count, 1))], axis=1)
+        motions = [
+            np.concatenate([r, t[:, :, None]], axis=2).reshape(-1, 4)
+            for r, t in (c.motion() for c in clusters)
+        ]
+        mixed = (flat @ np.concatenate(motions, axis=1)).reshape(count, -1, 4)
+        squares = np.stack([a.T @ a for a in motions])
+        predicted = np.einsum("vi,kij,vj->vk", h, squares, h, optimize=True)
+        distance = self.square[:, None] - 2.0 * np.einsum("vki,vi->vk", mixed, h) + predicted
+        per_vertex = np.maximum(distance, 0.0) / frames
         return np.asarray(per_vertex[self.topology.faces].mean(axis=1))
+
+    @cached_property
+    def averaging(self) -> sparse.csr_array:
+        """Matrix ``(F, F)`` that averages over each face and its neighbours."""
+        weights = self.topology.face_adjacency + sparse.eye_array(len(self.area))
+        mean = sparse.diags_array(1.0 / np.asarray(weights.sum(axis=1)).reshape(-1)) @ weights
+        return mean.tocsr().astype(np.float32)
+
+    @cached_property
+    def square(self) -> Float:
+        """Sum of squares ``(V,)`` of every trajectory."""
+        return np.asarray(np.einsum("vti,vti->v", self.moved, self.moved))
 
 
 def _cluster(motion: _Motion, count: int, settings: MotionSettings) -> Labels:
+    """Lloyd's iteration with one more cluster at a time; only its end looks at fully diffused costs."""
     face_count = len(motion.area)
-    labels = np.zeros(face_count, dtype=np.int64)
     seed_size = max(4, face_count // (6 * count))
     rounds = max(1, round(settings.smoothing * face_count**0.5))
-    costs = _diffuse(motion, motion.costs([motion.moments(np.arange(face_count))]), rounds)
+    labels = np.zeros(face_count, dtype=np.int64)
     for _ in range(1, count):
-        own = np.take_along_axis(costs, labels[:, None], axis=1)[:, 0]
-        labels = labels.copy()
+        labels, own = _assign(motion, labels, 1 + rounds // 4)
         labels[_ball(motion.topology, int(np.argmax(own)), seed_size)] = labels.max() + 1
-        for _ in range(4):
-            labels = np.unique(labels, return_inverse=True)[1].reshape(-1)  # some cluster may have died
-            found = [motion.moments(np.flatnonzero(labels == k)) for k in range(labels.max() + 1)]
-            costs = _diffuse(motion, motion.costs(found), rounds)
-            updated = np.argmin(costs, axis=1)
-            settled = np.mean(updated == labels) > 0.999
-            labels = updated
-            if settled:
-                break
+        labels, _ = _assign(motion, labels, 1 + rounds // 4)
+    for _ in range(4):
+        labels, _ = _assign(motion, labels, rounds)
     return labels
 
 
-def _diffuse(motion: _Motion, costs: Float, rounds: int) -> Float:
-    """Average costs over each face and its neighbours."""
-    adjacency = motion.topology.face_adjacency
-    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1, 1) + 1.0
+def _assign(motion: _Motion, labels: Labels, rounds: int) -> tuple[Labels, NDArray[np.float32]]:
+    """Give every face to the cluster of lowest cost; return the labels and that cost, both ``(F,)``.
+
+    Costs are averaged over neighbouring faces first, as many times as `rounds` tells.
+    """
+    clusters = [motion.moments(np.flatnonzero(labels == k)) for k in np.unique(labels)]
+    costs = motion.costs(clusters).astype(np.float32)  # half the memory to move, and all that labels need
     for _ in range(rounds):
-        costs = (costs + adjacency @ costs) / degree
-    return costs
+        costs = motion.averaging @ costs
+    updated = np.argmin(costs, axis=1).astype(np.int64)
+    return updated, np.take_along_axis(costs, updated[:, None], axis=1)[:, 0]
 
 
 def _ball(topology: Topology, face: int, size: int) -> NDArray[np.intp]:
@@ -198,10 +215,10 @@ def _patches(topology: Topology, labels: Labels) -> Labels:
     return patches
 
 
-def _borders(topology: Topology, patches: Labels) -> tuple[Labels, Labels]:
-    """Pairs ``(B, 2)`` of neighbouring patches, lower number first, and how many edges ``(B,)`` they share."""
+def _borders(topology: Topology, patches: Labels) -> Labels:
+    """Pairs ``(B, 2)`` of neighbouring patches, lower number first."""
     pairs = np.sort(patches[topology.hinge_faces], axis=1)
-    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0, return_counts=True)
+    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
 
 
 def _absorb_crumbs(motion: _Motion, patches: Labels, settings: MotionSettings) -> Labels:
@@ -216,7 +233,7 @@ def _absorb_crumbs(motion: _Motion, patches: Labels, settings: MotionSettings) -
         if not crumbs:
             return patches
         crumb = min(crumbs, key=lambda p: (sizes[p], p))
-        borders, _ = _borders(motion.topology, patches)
+        borders = _borders(motion.topology, patches)
         neighbours = borders[(borders == crumb).any(axis=1)].sum(axis=1) - crumb
         if not len(neighbours):
             kept.add(crumb)  # a component of its own
@@ -230,37 +247,37 @@ def _absorb_crumbs(motion: _Motion, patches: Labels, settings: MotionSettings) -
 
 
 def _merge(motion: _Motion, patches: Labels, parts: int | None, settings: MotionSettings) -> Labels:
-    """Merge neighbours, cheapest first, until `parts` are left or every boundary is worth its length."""
+    """Merge neighbours, the stiffest pair first, until `parts` are left or every boundary bends enough."""
     patches = patches.copy()
     cache = {int(p): motion.moments(np.flatnonzero(patches == p)) for p in np.unique(patches)}
-    errors = {p: m.error() for p, m in cache.items()}
-    negligible = settings.rigid**2 * float(motion.area.sum()) * motion.moved.shape[1]
-    unit = len(motion.rest) ** 0.5
-    growth: dict[tuple[int, int], float] = {}
+    turns = {p: m.motion()[0] for p, m in cache.items()}
+    bends: dict[tuple[int, int], float] = {}
     while parts is None or len(cache) > parts:
-        borders, lengths = _borders(motion.topology, patches)
-        pairs = [(int(i), int(j)) for i, j in borders]
-        growth = {
-            p: growth.get(p, (cache[p[0]] + cache[p[1]]).error() - errors[p[0]] - errors[p[1]]) for p in pairs
-        }
-        prices = [growth[pair] / (length / unit) for pair, length in zip(pairs, lengths, strict=True)]
-        if not prices:
+        pairs = [(int(i), int(j)) for i, j in _borders(motion.topology, patches)]
+        bends = {(i, j): bends.get((i, j), bend(turns[i], turns[j])) for i, j in pairs}
+        if not bends:
             break
-        cheapest = int(np.argmin(prices))
-        keep, drop = pairs[cheapest]
-        total = sum(errors.values())
-        if (
-            parts is None
-            and prices[cheapest] > settings.gain * total
-            and total + growth[keep, drop] > negligible
-        ):
+        narrow = _narrowness(motion.topology, patches)
+        worth = {
+            (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
+        }
+        keep, drop = min(worth, key=lambda pair: (worth[pair], pair))
+        if parts is None and worth[keep, drop] > settings.bend:
             break
         patches[patches == drop] = keep
         cache[keep] += cache.pop(drop)
-        errors[keep] = cache[keep].error()
-        del errors[drop]
-        growth = {pair: g for pair, g in growth.items() if keep not in pair and drop not in pair}
+        turns[keep] = cache[keep].motion()[0]
+        bends = {pair: b for pair, b in bends.items() if keep not in pair and drop not in pair}
     return patches
+
+
+def _narrowness(topology: Topology, patches: Labels) -> Float:
+    """Share of each patch's corners within two edges of its boundary: what joints would take from it."""
+    crossing = patches[topology.hinge_faces[:, 0]] != patches[topology.hinge_faces[:, 1]]
+    depth = np.zeros(topology.vertex_count, dtype=np.int64)
+    depth[topology.edges[topology.hinge_edges[crossing]]] = 2
+    near = (spread(topology, depth) > 0)[topology.faces].mean(axis=1)
+    return np.asarray(np.bincount(patches, near) / np.maximum(np.bincount(patches), 1), dtype=np.float64)
 
 
 def _by_area(labels: Labels, area: Float) -> Labels:

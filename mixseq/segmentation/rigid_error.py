@@ -12,7 +12,6 @@ at the vertices.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +50,14 @@ class Moments:
     cross: Float
 
     def __add__(self, other: Moments) -> Moments:
-        return Moments(*(a + b for a, b in zip(_sums(self), _sums(other), strict=True)))
+        return Moments(
+            weight=self.weight + other.weight,
+            rest=self.rest + other.rest,
+            moved=self.moved + other.moved,
+            rest_square=self.rest_square + other.rest_square,
+            moved_square=self.moved_square + other.moved_square,
+            cross=self.cross + other.cross,
+        )
 
     @property
     def covariance(self) -> Float:
@@ -76,17 +82,6 @@ class Moments:
 
 
 _TINY = np.finfo(np.float64).tiny
-
-
-def _sums(moments: Moments) -> Iterable[float | Float]:
-    return (
-        moments.weight,
-        moments.rest,
-        moments.moved,
-        moments.rest_square,
-        moments.moved_square,
-        moments.cross,
-    )
 
 
 def moments(rest: Float, moved: Float, weights: Float) -> Moments:

@@ -1,0 +1,134 @@
+"""What our HDF5 files have in common: checksums, safe writing, the header of a sequence.
+
+Every dataset has Fletcher-32 checksums, and the file's own structure has checksums too (the HDF5 1.10
+layout), so that damage is noticed where it happened.
+
+Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq.sequence import Polygons, SequenceHeader
+from mixseq_io.atomic import replacing
+from mixseq_io.reader import brief, reading
+
+CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 4}
+"""How every dataset is stored."""
+
+
+def reading_h5(path: Path) -> AbstractContextManager[None]:
+    """Turn what h5py raises on damaged files into `FormatError`."""
+    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
+
+
+def check_version(path: Path, file: h5py.File, known: int) -> None:
+    """Refuse a file that a newer mixseq wrote."""
+    version = int(file.attrs["version"])
+    if version > known:
+        raise FormatError(
+            f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
+            "upgrade with pip install --upgrade mixseq"
+        )
+
+
+def whole(path: Path, file: h5py.File, name: str) -> NDArray[Any]:
+    """Read a dataset, with an error that names it if it is damaged."""
+    try:
+        array: NDArray[Any] = file[name][...]
+    except OSError as error:
+        raise FormatError(f"{path}: {name} is damaged ({brief(error)}); restore the file") from error
+    return array
+
+
+def write_header(file: h5py.File, header: SequenceHeader) -> None:
+    """Store everything about a sequence but its times and points."""
+    file.attrs["name"] = header.name
+    file.attrs["fps"] = header.fps
+    file.attrs["up_axis"] = header.up_axis
+    file.attrs["metres_per_unit"] = header.metres_per_unit
+    file.create_dataset("polygons/counts", data=header.polygons.counts, chunks=True, **CHECKED)
+    file.create_dataset("polygons/indices", data=header.polygons.indices, chunks=True, **CHECKED)
+
+
+def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
+    """Read what `write_header` stored."""
+    return SequenceHeader(
+        polygons=Polygons(whole(path, file, "polygons/counts"), whole(path, file, "polygons/indices")),
+        vertex_count=vertex_count,
+        times=times,
+        fps=float(file.attrs["fps"]),
+        up_axis=str(file.attrs["up_axis"]),
+        metres_per_unit=float(file.attrs["metres_per_unit"]),
+        name=str(file.attrs["name"]),
+    )
+
+
+@contextmanager
+def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
+    """Yield a new HDF5 file that replaces `path` when it is complete, and the store that tells of failures."""
+    with replacing(path) as temporary, temporary.open("w+b", buffering=0) as raw:
+        store = Store(raw)
+        with h5py.File(store, "w", libver=("v110", "v110")) as file:
+            yield file, store
+        store.check()
+
+
+class Store:
+    """A file that takes what HDF5 gives it even if the disk does not, and tells afterwards.
+
+    HDF5 cannot close a file that it cannot write: it keeps it half open, and the process dies of a
+    segmentation fault later. So the first failure is kept for `check`, and nothing is written from there on.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._failure: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the failure, if there was one."""
+        if self._failure is not None:
+            raise self._failure
+
+    def write(self, data: memoryview) -> int:
+        """Write all of the data."""
+        rest = memoryview(data)
+        while rest and self._failure is None:
+            try:
+                rest = rest[self._file.write(rest) :]
+            except OSError as error:
+                self._failure = error
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        """Set the file's size."""
+        if self._failure is None:
+            try:
+                return self._file.truncate(size)
+            except OSError as error:
+                self._failure = error
+        return size
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a byte."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Return the current byte."""
+        return self._file.tell()
+
+    def read(self, size: int = -1) -> bytes:
+        """Read bytes."""
+        return self._file.read(size)
+
+    def flush(self) -> None:
+        """Do nothing: the file has no buffer, and is flushed to the disk before it gets its name."""

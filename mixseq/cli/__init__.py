@@ -1,0 +1,32 @@
+"""The command line: one file per subcommand, imported when it is needed.
+
+No module here imports numerical packages before a subcommand runs, so that ``mixseq --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import click
+
+import mixseq
+from mixseq.cli.group import LazyGroup
+from mixseq.cli.options import examples
+
+
+@click.command(
+    cls=LazyGroup,
+    package=__name__,
+    names=("demo", "info", "convert", "encode", "decode", "compare", "formats"),
+    epilog=examples(
+        "mixseq demo",
+        "mixseq encode walk.usdc walk.h5",
+        "mixseq decode walk.h5 walk48.usdc --fps 48",
+    ),
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(mixseq.__version__, message="mixseq %(version)s")
+@click.pass_context
+def main(context: click.Context) -> None:
+    """Resample, edit, transfer and compress deforming mesh sequences."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())

@@ -1,0 +1,87 @@
+"""What commands print: tables and finished files on stdout, progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mixseq.progress import Progress, silent
+
+
+def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = None) -> None:
+    """Print rows of text in columns: coloured on a terminal, aligned plain text elsewhere."""
+    lines = [list(row) for row in rows]
+    if sys.stdout.isatty():
+        _print_rich(lines, heading)
+        return
+    if heading:
+        lines.insert(0, list(heading))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        click.echo("  ".join(cells).rstrip())
+
+
+def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD if heading else None, show_header=bool(heading), pad_edge=False)
+    for number, name in enumerate(heading or rows[0]):
+        table.add_column(name, style="cyan" if number == 0 else None, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    # Names in files are data: their brackets and colons are no markup.
+    Console(markup=False, emoji=False, highlight=False).print(table)
+
+
+def print_json(data: dict[str, Any]) -> None:
+    """Print data as JSON."""
+    click.echo(json.dumps(data, indent=2, allow_nan=False))
+
+
+def announce(path: Path) -> None:
+    """Tell that a file is finished."""
+    size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
+    click.echo(f"wrote {click.format_filename(path)}{size}")
+
+
+def format_bytes(count: float) -> str:
+    """Write a size in the largest fitting unit.
+
+    Examples
+    --------
+    >>> format_bytes(999), format_bytes(1_234_567)
+    ('999 bytes', '1.23 MB')
+    """
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Progress]:
+    """Show how far work is, if anybody is watching stderr."""
+    if quiet or not sys.stderr.isatty():
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def tell(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield tell

@@ -1,0 +1,33 @@
+"""``mixseq convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, progress_bar
+from mixseq.cli.files import counted
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+
+
+@click.command(
+    "convert", epilog=examples("mixseq convert walk.usdc walk.h5", "mixseq convert walk.usdc walk_####.obj")
+)
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@reader_options
+@quiet_option
+def command(source: Path, target: Path, reading: dict[str, Any], quiet: bool) -> None:
+    """Write a sequence in another format.
+
+    The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames pass through one
+    block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
+    warning.
+    """
+    with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
+        blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
+        mixseq.write_blocks(target, reader.header, blocks)
+    announce(target)

@@ -1,0 +1,95 @@
+"""``mixseq encode``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
+from mixseq.cli.files import check_model_target, read_sequence
+from mixseq.cli.info import dimension_rows
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+
+if TYPE_CHECKING:
+    from mixseq.metrics import Comparison
+
+
+@click.command(
+    "encode",
+    epilog=examples("mixseq encode walk.usdc walk.h5", "mixseq encode walk.usdc walk.h5 --parts 12 --check"),
+)
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@click.option(
+    "--parts", type=click.IntRange(min=1), metavar="N", help="Number of parts.  [default: automatic]"
+)
+@click.option(
+    "--joint-width",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    metavar="N",
+    help="Largest width of joints, in strips of triangles on each side of a boundary.",
+)
+@click.option(
+    "--placement",
+    type=click.Choice(["anchored", "free"]),
+    default="anchored",
+    show_default=True,
+    help="How parts are placed: by a pose each, or by registration.",
+)
+@click.option(
+    "--check/--no-check",
+    default=False,
+    show_default=True,
+    help="Decode all frames of the finished model and compare them with SOURCE.",
+)
+@reader_options
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    parts: int | None,
+    joint_width: int,
+    placement: Literal["anchored", "free"],
+    check: bool,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Turn a sequence into a model.
+
+    SOURCE is a sequence in any format. The model in TARGET, an HDF5 file, reproduces all its frames and can be
+    decoded at any time in between.
+    """
+    check_model_target(target)
+    start = perf_counter()
+    error: Comparison | None = None
+    with progress_bar(quiet) as progress:
+        sequence = read_sequence(source, reading, progress)
+        model = mixseq.fit(
+            sequence,
+            exact=True,
+            placement=placement,
+            parts=parts,
+            joint_width=joint_width,
+            progress=progress,
+        )
+        mixseq.save(target, model)
+        seconds = perf_counter() - start
+        if check:
+            error = mixseq.compare(sequence, mixseq.load(target).sample(progress=progress))
+    if not quiet:
+        rows = [
+            *dimension_rows(model),
+            ("size", format_bytes(target.stat().st_size)),
+            ("time", f"{seconds:.1f} s"),
+        ]
+        if error is not None:
+            rows.append(("max error", f"{error.max_error:.2g} of the diagonal, in frame {error.worst_frame}"))
+            rows.append(("KG error", f"{error.kg_percent:.2g} %"))
+        print_table(rows)
+    announce(target)

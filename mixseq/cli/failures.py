@@ -1,0 +1,77 @@
+"""What users see when something goes wrong: one line on stderr and an exit code, never a traceback.
+
+====  ======================================================================
+0     all is well
+1     the reader of a pipe went away
+2     an error that the user can do something about
+130   interrupted by Ctrl-C
+====  ======================================================================
+
+Anything else is a bug in mixseq, and those do come with a traceback.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+import click
+
+from mixseq.errors import MixseqError, MixseqWarning
+
+
+def exit_code(run: Callable[[], object]) -> int:
+    """Run a command, report its errors and warnings, and return the exit code of the process."""
+    try:
+        with _warnings_in_one_line():
+            result = run()
+        return result if isinstance(result, int) else 0
+    except MixseqError as error:
+        _say(f"error: {error}")
+    except click.ClickException as error:
+        _say(f"error: {error.format_message()}{_hint(error)}")
+    except (click.Abort, KeyboardInterrupt):
+        _say("interrupted")
+        return 130
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _say(f"error: {where}{error.strerror or error}")
+    except MemoryError as error:
+        _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
+    return 2
+
+
+def _hint(error: click.ClickException) -> str:
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    return f" (see {context.command_path} --help)" if context else ""
+
+
+def _say(message: str) -> None:
+    """Print a message on one line of stderr; the lines of a list become an enumeration."""
+    head, *rest = (line.strip() for line in message.splitlines())
+    click.echo(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", MixseqWarning)
+        usual = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if issubclass(category, MixseqWarning):
+                _say(f"warning: {message}")
+            else:
+                usual(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield

@@ -1,0 +1,68 @@
+"""Reading with progress, and checks of files before long work starts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mixseq
+from mixseq.errors import FormatError, OutputError
+from mixseq.progress import Progress
+
+if TYPE_CHECKING:
+    from mixseq.sequence import FloatArray, MeshSequence
+
+MODEL_EXTENSIONS = (".h5", ".hdf5")
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file is a model; files that cannot be opened are left to their readers to complain about."""
+    if path.suffix.lower() not in MODEL_EXTENSIONS or not path.is_file():
+        return False
+    import h5py
+
+    from mixseq_io.h5 import reading_h5
+    from mixseq_io.sequence_h5 import MODEL_FORMAT
+
+    with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
+        return bool(file.attrs.get("format") == MODEL_FORMAT)
+    return False
+
+
+def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
+    """Read a sequence into memory, telling how far it is."""
+    from mixseq.sequence import collect
+
+    with mixseq.open_sequence(path, **reading) as reader:
+        frames = reader.header.frame_count
+        return collect(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
+
+
+def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Progress) -> Iterator[FloatArray]:
+    """Pass on blocks of frames, telling how many there were."""
+    done = 0
+    for block in blocks:
+        yield block
+        done += len(block)
+        progress(done, frames, what)
+
+
+def check_target(path: Path) -> None:
+    """Refuse a file that could not be written, before the work and not after it."""
+    folder = path.parent
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; give the name of a file")
+    if not folder.is_dir():
+        raise OutputError(f"{path}: the folder {folder} does not exist; make it first")
+    if not os.access(folder, os.W_OK):
+        raise OutputError(f"cannot write {path}: no permission; choose a folder that you may write to")
+
+
+def check_model_target(path: Path) -> None:
+    """Refuse what is no place for a model; a model named .usdc would only confuse."""
+    if path.suffix.lower() not in MODEL_EXTENSIONS:
+        raise OutputError(f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
+    check_target(path)

@@ -1,0 +1,135 @@
+"""``mixseq info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import format_bytes, print_json, print_table
+from mixseq.cli.files import is_model
+from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
+
+if TYPE_CHECKING:
+    from mixseq.sequence import SequenceHeader
+    from mixseq.signals import Model
+
+Rows = list[tuple[str, str]]
+
+
+@click.command("info", epilog=examples("mixseq info walk.usdc", "mixseq info walk.h5 --json"))
+@click.argument("path", metavar="FILE", type=FILE)
+@json_option
+@reader_options
+@quiet_option
+def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> None:
+    """Tell what is in a sequence or a model.
+
+    Of a sequence only the first frame is read.
+    """
+    facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size if path.is_file() else None}
+    if is_model(path):
+        model = mixseq.load(path)
+        facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
+    else:
+        with mixseq.open_sequence(path, **reading) as reader:
+            first = next(iter(reader.blocks(1)))[0]
+            from mixseq.sequence import bounding_diagonal
+
+            facts |= {"kind": "sequence", **_mesh(reader.header, bounding_diagonal(first))}
+    if as_json:
+        print_json(facts)
+    elif not quiet:
+        print_table(_rows(facts))
+
+
+def dimension_rows(model: Model) -> Rows:
+    """Rows of a table about the shape space of a model."""
+    return _dimension_rows(_dimensions(model))
+
+
+def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
+    topology = mixseq.Topology(header.faces, header.vertex_count)
+    return {
+        "name": header.name,
+        "vertices": header.vertex_count,
+        "polygons": len(header.polygons.counts),
+        "triangles": len(header.faces),
+        "frames": header.frame_count,
+        "first_time": float(header.times[0]),
+        "last_time": float(header.times[-1]),
+        "fps": header.fps,
+        "up_axis": header.up_axis,
+        "metres_per_unit": header.metres_per_unit,
+        "diagonal": diagonal,
+        "topology": topology.report(),
+    }
+
+
+def _dimensions(model: Model) -> dict[str, Any]:
+    """Count S_m, and the edge-based space S_e of the whole mesh: a length and an angle per edge, and a pose."""
+    edges = 2 * len(mixseq.Topology(model.header.faces, model.header.vertex_count).edges) + 6
+    decomposition = model.decomposition
+    return {
+        "placement": model.space.placement,
+        "part_vertices": [len(part) for part in decomposition.parts],
+        "joint_free_vertices": [int(joint.free.sum()) for joint in decomposition.joints],
+        "dim_mixed": model.space.dim,
+        "dim_mixed_paper": decomposition.paper_dimension,
+        "dim_edges": edges,
+        "edges_per_mixed": edges / model.space.dim,
+    }
+
+
+def _rows(facts: dict[str, Any]) -> Rows:
+    rows = [
+        (facts["kind"], facts["name"]),
+        ("vertices", f"{facts['vertices']:,}"),
+        ("polygons", f"{facts['polygons']:,}, {facts['triangles']:,} triangles"),
+        ("frames", f"{facts['frames']:,}"),
+        ("time", f"{facts['first_time']:g} to {facts['last_time']:g} s"),
+        ("rate", f"{facts['fps']:g} frames per second"),
+        ("up", facts["up_axis"]),
+        ("units", f"{facts['metres_per_unit']:g} m"),
+        ("diagonal", f"{facts['diagonal']:.6g}"),
+        *_topology_rows(facts["topology"]),
+    ]
+    if facts["kind"] == "model":
+        rows += _dimension_rows(facts)
+    if facts["bytes"] is not None:
+        rows.append(("size", format_bytes(facts["bytes"])))
+    return rows
+
+
+def _topology_rows(report: dict[str, Any]) -> Rows:
+    return [
+        ("closed", "yes" if report["closed"] else f"no, {report['boundary_edges']:,} boundary edges"),
+        ("components", f"{report['components']:,}"),
+        *(
+            (what, f"{report[key]:,}")
+            for what, key in (
+                ("non-manifold edges", "non_manifold_edges"),
+                ("inconsistent edges", "inconsistent_edges"),
+                ("unused vertices", "unused_vertices"),
+            )
+            if report[key]
+        ),
+    ]
+
+
+def _dimension_rows(facts: dict[str, Any]) -> Rows:
+    parts, joints = facts["part_vertices"], facts["joint_free_vertices"]
+    return [
+        ("placement", facts["placement"]),
+        ("parts", f"{len(parts)} with {_list(parts)} vertices"),
+        ("joints", f"{len(joints)} with {_list(joints)} free vertices" if joints else "none"),
+        ("dim S_m", f"{facts['dim_mixed']:,} ({facts['dim_mixed_paper']:,} as the paper counts)"),
+        ("dim S_e", f"{facts['dim_edges']:,}, {facts['edges_per_mixed']:.2f} times S_m"),
+    ]
+
+
+def _list(counts: list[int], longest: int = 20) -> str:
+    shown = ", ".join(map(str, counts[:longest]))
+    return shown if len(counts) <= longest else f"{shown}, ..."

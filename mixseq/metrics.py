@@ -1,0 +1,326 @@
+r"""How far one mesh sequence is from another: positions, lengths, angles, volume.
+
+With :math:`A, B` the points ``(T, V, 3)`` of the reference and of the other sequence, and d the diagonal of the
+bounding box of A's first frame:
+
+- *KG error* (Karni and Gotsman 2004): :math:`100\,\|A - B\|_F / \|A - \bar A\|_F` percent, where
+  :math:`\bar A` holds the centroid of every frame of A
+- *rms error* :math:`\|A - B\|_F / (d \sqrt{TV})` and *max error* :math:`\max_{tv} |A_{tv} - B_{tv}| / d`
+- *strain* of an edge: :math:`|\,l_B / l_A - 1\,|`
+- *dihedral error* of a hinge: the difference of its angles, by the shorter way around, in degrees
+- *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
+
+Frames are compared a few at a time, in float64. Percentiles are exact: they need only the largest thousandth of
+all values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+SAME_TIME = 1e-6
+"""Times that differ by less than this fraction of a frame are the same."""
+
+FLAT = 1e-6
+"""A face lower than this, relative to its longest side, has no normal to speak of."""
+
+_BLOCK = 50_000  # vertices compared at once, some 40 MB of temporaries
+_PERCENTILE = 0.999
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the values of one error are distributed over all elements and frames.
+
+    Attributes
+    ----------
+    rms, p999, max : float
+        Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
+    skipped : int
+        How many values are not defined and were left out, counted over all frames.
+    """
+
+    rms: float
+    p999: float
+    max: float
+    skipped: int
+
+
+@dataclass(frozen=True)
+class VolumeError:
+    """Relative error of the enclosed volume: mean and largest over the frames."""
+
+    mean: float
+    max: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` finds; formulas are at the head of this module.
+
+    Errors relative to zero, such as the KG error of a mesh whose vertices coincide, are 0 if nothing differs,
+    else infinite.
+
+    Attributes
+    ----------
+    frames, vertices : int
+        What was compared.
+    diagonal : float
+        Unit of `rms_error`, `max_error` and `per_frame_max`, in the units of the reference.
+    kg_percent : float
+        Karni-Gotsman error.
+    rms_error, max_error : float
+        Distance of vertices, in diagonals.
+    worst_frame : int
+        Frame of the largest distance, and ...
+    worst_time : float
+        ... its time in seconds.
+    edge_strain : Spread
+        Strain of the edges; edges of length zero in the reference are skipped.
+    dihedral_degrees : Spread
+        Dihedral error; hinges where a face has no area, in either sequence, are skipped.
+    volume : VolumeError or None
+        Only for closed, consistently oriented meshes with a volume.
+    per_frame_max : (T,) float64
+        Largest distance of a vertex in every frame, in diagonals.
+    """
+
+    frames: int
+    vertices: int
+    diagonal: float
+    kg_percent: float
+    rms_error: float
+    max_error: float
+    worst_frame: int
+    worst_time: float
+    edge_strain: Spread
+    dihedral_degrees: Spread
+    volume: VolumeError | None
+    per_frame_max: Float
+
+    def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
+        """Return plain numbers for JSON, with None for what is infinite; `per_frame_max` only if asked for."""
+        plain = asdict(self)
+        plain["per_frame_max"] = self.per_frame_max.tolist()
+        if not per_frame:
+            del plain["per_frame_max"]
+        finite: dict[str, Any] = _finite(plain)
+        return finite
+
+
+def compare(a: MeshSequence, b: MeshSequence) -> Comparison:
+    """Measure how far a sequence is from a reference.
+
+    Parameters
+    ----------
+    a : MeshSequence
+        The reference.
+    b : MeshSequence
+        The same mesh at the same times.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If vertices, faces, or times differ; the message says what.
+
+    Examples
+    --------
+    >>> points = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    >>> a = MeshSequence.from_arrays(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> error = compare(a, a.with_points(1.1 * points))
+    >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
+    (0.1, 0.331, 0.0)
+    """
+    _check_comparable(a, b)
+    topology = Topology(a.faces, a.vertex_count)
+    strains = _Gathered(a.frame_count * len(topology.edges))
+    angles = _Gathered(a.frame_count * len(topology.hinges))
+    closed = not any(
+        len(edges)
+        for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
+    )
+    squares = spread = 0.0
+    largest, volumes = [], []
+    for x, y in _blocks(a, b):
+        distances = np.einsum("tvi,tvi->tv", x - y, x - y)
+        squares += float(distances.sum())
+        spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+        largest.append(np.sqrt(distances.max(axis=1)))
+        _gather_strains(strains, topology, x, y)
+        _gather_angles(angles, topology, x, y)
+        if closed:
+            volumes.append(np.stack([_volumes(x, a.faces), _volumes(y, a.faces)]))
+
+    per_frame = np.concatenate(largest)
+    worst = int(per_frame.argmax())
+    count = a.frame_count * a.vertex_count
+    return Comparison(
+        frames=a.frame_count,
+        vertices=a.vertex_count,
+        diagonal=a.diagonal,
+        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+        rms_error=_ratio(np.sqrt(squares / count), a.diagonal),
+        max_error=_ratio(per_frame[worst], a.diagonal),
+        worst_frame=worst,
+        worst_time=float(a.times[worst]),
+        edge_strain=strains.result(),
+        dihedral_degrees=angles.result(),
+        volume=_volume_error(np.concatenate(volumes, axis=1), a.diagonal) if closed else None,
+        per_frame_max=np.array([_ratio(value, a.diagonal) for value in per_frame]),
+    )
+
+
+def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | None:
+    """Find the frames ``(T,)`` of b at the times of a, or None if b lacks one of them.
+
+    Examples
+    --------
+    >>> from mixseq.creature import walk_cycle
+    >>> walk = walk_cycle(frames=3)
+    >>> slow, fast = walk.header, walk.header.with_times(np.arange(5) / 48, fps=48)
+    >>> shared_frames(slow, fast).tolist(), shared_frames(fast, slow)
+    ([0, 2, 4], None)
+    """
+    after = np.clip(np.searchsorted(b.times, a.times), 1, max(b.frame_count - 1, 1))
+    before = after - 1
+    after = np.minimum(after, b.frame_count - 1)
+    nearer = np.abs(b.times[before] - a.times) <= np.abs(b.times[after] - a.times)
+    frames = np.where(nearer, before, after)
+    same = np.abs(b.times[frames] - a.times) <= SAME_TIME / a.fps
+    return frames if same.all() else None
+
+
+def _check_comparable(a: MeshSequence, b: MeshSequence) -> None:
+    for what, one, other in (
+        ("vertices", a.vertex_count, b.vertex_count),
+        ("triangles", len(a.faces), len(b.faces)),
+        ("frames", a.frame_count, b.frame_count),
+    ):
+        if one != other:
+            raise InvalidSequenceError(f"the reference has {one} {what}, the other sequence {other}")
+    if not np.array_equal(a.faces, b.faces):
+        face = int((a.faces != b.faces).any(axis=1).argmax())
+        raise InvalidSequenceError(
+            f"triangle {face} is {a.faces[face].tolist()} in the reference, {b.faces[face].tolist()} in the "
+            "other sequence; vertices and faces must be in the same order"
+        )
+    apart = np.abs(a.times - b.times) > SAME_TIME / a.fps
+    if apart.any():
+        frame = int(apart.argmax())
+        raise InvalidSequenceError(
+            f"frame {frame} is at {a.times[frame]:.9g} s in the reference, at {b.times[frame]:.9g} s in the "
+            "other sequence; sequences are compared at the same times"
+        )
+
+
+def _blocks(a: MeshSequence, b: MeshSequence) -> Iterator[tuple[Float, Float]]:
+    """Yield the points of both, a few frames at a time."""
+    size = max(1, _BLOCK // a.vertex_count)
+    for start in range(0, a.frame_count, size):
+        frames = slice(start, start + size)
+        yield a.points[frames].astype(np.float64), b.points[frames].astype(np.float64)
+
+
+def _gather_strains(strains: _Gathered, topology: Topology, x: Float, y: Float) -> None:
+    lengths = edge_lengths(x, topology.edges)
+    there = lengths > 0
+    strains.add(np.abs(edge_lengths(y, topology.edges)[there] / lengths[there] - 1))
+
+
+def _gather_angles(angles: _Gathered, topology: Topology, x: Float, y: Float) -> None:
+    flat = _flat(x, topology) | _flat(y, topology)
+    there = ~flat[:, topology.hinge_faces].any(axis=2)
+    turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])
+    angles.add(np.degrees(np.abs(turn)))
+
+
+def _flat(points: Float, topology: Topology) -> NDArray[np.bool_]:
+    """Mark the faces ``(B, F)`` without area."""
+    corners = points[:, topology.faces]
+    sides = np.roll(corners, -1, axis=2) - corners
+    longest = np.einsum("tfki,tfki->tfk", sides, sides).max(axis=2)
+    double_areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=2)
+    return np.asarray(double_areas <= FLAT * longest)
+
+
+def _volumes(points: Float, faces: NDArray[np.int32]) -> Float:
+    """Signed volume ``(B,)``: the tetrahedra between every face and the centroid."""
+    centred = points - points.mean(axis=1, keepdims=True)
+    p, q, r = (centred[:, faces[:, corner]] for corner in range(3))
+    return np.asarray(np.einsum("tfi,tfi->t", p, np.cross(q, r)) / 6)
+
+
+def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:
+    ours, theirs = volumes
+    if (np.abs(ours) <= 1e-12 * diagonal**3).any():
+        return None
+    errors = np.abs(theirs / ours - 1)
+    return VolumeError(mean=float(errors.mean()), max=float(errors.max()))
+
+
+class _Gathered:
+    """Collects values block by block, and keeps only what `Spread` needs: the sum of squares and the largest.
+
+    Parameters
+    ----------
+    total : int
+        How many values there would be if none were skipped.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._seen = 0
+        self._squares = 0.0
+        self._keep = total - int(_PERCENTILE * total) + 1
+        self._largest = np.zeros(0)
+
+    def add(self, values: Float) -> None:
+        """Take another block of values, none of them negative."""
+        self._seen += values.size
+        self._squares += float(np.square(values).sum())
+        if len(self._largest) == self._keep:
+            values = values[values > self._largest[0]]
+        largest = np.concatenate([self._largest, values])
+        if len(largest) > self._keep:
+            # Partitioned so that the smallest of those kept comes first.
+            largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
+        self._largest = largest
+
+    def result(self) -> Spread:
+        """Return the spread of all values; zeros if there were none."""
+        if not self._seen:
+            return Spread(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
+        above = self._seen - int(np.ceil(_PERCENTILE * self._seen))
+        return Spread(
+            rms=float(np.sqrt(self._squares / self._seen)),
+            p999=float(np.sort(self._largest)[-1 - above]),
+            max=float(self._largest.max()),
+            skipped=self._total - self._seen,
+        )
+
+
+def _ratio(value: float, unit: float) -> float:
+    if value == 0:
+        return 0.0
+    return float(value / unit) if unit > 0 else float("inf")
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,93 @@
+"""The camera: from which side a mesh is seen, and which rectangle of the screen it fills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.sequence import UP_AXES, FloatArray
+
+Array = NDArray[np.float64]
+Limits = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic camera that circles the mesh.
+
+    Parameters
+    ----------
+    azimuth : float
+        Degrees around the up axis. With Y up, 0 looks along -z at a mesh whose +x points right.
+    elevation : float
+        Degrees above the horizon.
+    """
+
+    azimuth: float = 30.0
+    elevation: float = 14.0
+
+    @property
+    def rows(self) -> Array:
+        """Rotation ``(3, 3)`` from a Y-up world to the screen: right, up, towards the camera."""
+        a, e = np.radians([self.azimuth, self.elevation])
+        around = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+        above = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
+        return np.asarray(above @ around)
+
+
+def broadside(points: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0) -> View:
+    """Return a three-quarter view: ``turn`` degrees away from seeing the longer horizontal side.
+
+    Parameters
+    ----------
+    points : (..., V, 3) float
+        One pose, or all poses of a sequence.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+    turn, elevation : float
+        Degrees.
+
+    Examples
+    --------
+    >>> broadside(np.array([[0.0, 0, 0], [0, 1, 5]]))
+    View(azimuth=60.0, elevation=14.0)
+    """
+    width, _, depth = np.ptp(y_up(points, up_axis).reshape(-1, 3), axis=0)
+    return View(turn if width >= depth else 90.0 - turn, elevation)
+
+
+def shared_limits(
+    points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
+) -> Limits:
+    """Return the screen rectangle that holds all poses and their shadows.
+
+    Parameters
+    ----------
+    points : (..., V, 3) float
+        One pose or many.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+    view : View, optional
+        The camera, by default `broadside`.
+    margin : float
+        Space around, as a share of the larger side.
+
+    Returns
+    -------
+    left, right, bottom, top : float
+        In units of the points.
+    """
+    world = y_up(points, up_axis).reshape(-1, 3)
+    shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
+    screen = np.concatenate([world, shadow]) @ (view or broadside(points, up_axis)).rows.T
+    low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
+    space = margin * (float((high - low).max()) or 1.0)  # a single point still gets a rectangle
+    return low[0] - space, high[0] + space, low[1] - space, high[1] + space
+
+
+def y_up(points: FloatArray, up_axis: str) -> Array:
+    """Rename the axes so that Y is up; right-handed stays right-handed."""
+    up = UP_AXES.index(up_axis)
+    return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)

@@ -1,0 +1,70 @@
+"""Colours: clay for meshes, cool hues for parts, and a red that means joints and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixseq.plots.camera import Array
+from mixseq.sequence import IntArray
+
+CLAY = (0.80, 0.77, 0.72)
+JOINT_RED = (0.85, 0.20, 0.13)
+INK = "#3a3a3a"
+
+FIRST_HUE, LAST_HUE = 90.0, 330.0
+"""Degrees on the OKLCH circle, from straw to mauve. The red of the joints, at 30, is as far from both."""
+
+SAGE = 0.3
+"""Where between those the first hue is."""
+
+GOLDEN = 0.61803
+"""Step from hue to hue, in rounds: the first n are well apart, whatever n."""
+
+OKLAB_TO_LMS = np.array(
+    [
+        [1, 0.3963377774, 0.2158037573],
+        [1, -0.1055613458, -0.0638541728],
+        [1, -0.0894841775, -1.2914855480],
+    ]
+)
+LMS_TO_RGB = np.array(
+    [
+        [4.0767416621, -3.3077115913, 0.2309699292],
+        [-1.2684380046, 2.6097574011, -0.3413193965],
+        [-0.0041960863, -0.7034186147, 1.7076147010],
+    ]
+)
+
+
+def part_colours(count: int) -> Array:
+    """Return muted, well-distinguishable colours ``(count, 3)``, none of them warm.
+
+    Hues advance by the golden angle and lightness takes turns, so that parts with near numbers look
+    different.
+    """
+    share = np.asarray((SAGE + GOLDEN * np.arange(count)) % 1.0, dtype=np.float64)
+    hue = FIRST_HUE + (LAST_HUE - FIRST_HUE) * share
+    lightness = np.resize([0.78, 0.68, 0.85], count)
+    return _oklch(lightness, 0.085, hue)
+
+
+def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Array:
+    """Return a colour ``(F, 3)`` for each face: its part's, or `JOINT_RED` where it bends.
+
+    Parameters
+    ----------
+    part_of_face : (F,) int
+        Rigid part of each face.
+    joint_of_face : (F,) int
+        Joint of each face; -1 where the face is rigid.
+    """
+    palette = part_colours(int(np.max(part_of_face)) + 1)
+    return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])
+
+
+def _oklch(lightness: Array, chroma: float, hue: Array) -> Array:
+    """Convert OKLCH (Ottosson 2020; hue in degrees) to sRGB ``(N, 3)``."""
+    a, b = chroma * np.cos(np.radians(hue)), chroma * np.sin(np.radians(hue))
+    lms = (np.stack([lightness, a, b], axis=-1) @ OKLAB_TO_LMS.T) ** 3
+    linear = np.clip(lms @ LMS_TO_RGB.T, 0, 1)
+    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))

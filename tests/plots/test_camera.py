@@ -1,0 +1,45 @@
+"""The camera: where it stands and what it frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.plots import View, broadside, shared_limits
+from mixseq.sequence import MeshSequence
+
+
+@pytest.mark.parametrize("view", [View(), View(120, 40), View(-30, 0)])
+def test_camera_is_a_rotation(view: View) -> None:
+    assert np.allclose(view.rows @ view.rows.T, np.eye(3))
+    assert np.linalg.det(view.rows) == pytest.approx(1)
+    assert view.rows[1, 1] > 0
+
+
+def test_camera_of_zero_degrees_looks_along_minus_z() -> None:
+    assert np.allclose(View(0, 0).rows, np.eye(3))
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
+def test_broadside_sees_the_longer_side(gem: MeshSequence, order: list[int]) -> None:
+    points = gem.points[0][:, order]
+    left, right, *_ = shared_limits(points, "Y", broadside(points))
+    assert right - left > 3
+
+
+@pytest.mark.parametrize(("up", "order"), [("X", [1, 2, 0]), ("Z", [2, 0, 1])])
+def test_up_axis_only_renames(up: str, order: list[int]) -> None:
+    points = np.random.default_rng(1).normal(size=(20, 3)) * [3, 2, 1]
+    assert np.allclose(shared_limits(points, "Y"), shared_limits(points[:, order], up))
+
+
+def test_shared_limits_hold_every_pose(gem: MeshSequence) -> None:
+    left, right, bottom, top = shared_limits(gem.points, view=View())
+    for pose in gem.points:
+        one = shared_limits(pose, view=View(), margin=0)
+        assert left <= one[0] and right >= one[1] and bottom <= one[2] and top >= one[3]
+
+
+def test_limits_of_a_single_point_are_not_empty() -> None:
+    left, right, bottom, top = shared_limits(np.zeros((3, 3)))
+    assert left < right and bottom < top
