@@ -12,6 +12,9 @@ from mixseq.reconstruction.unfold import unfold
 
 Float = NDArray[np.float64]
 
+SHORTEST = 1e-6
+"""Shortest length of an edge, relative to its typical length."""
+
 
 def rebuild(
     patch: Patch, lengths: Float, angles: Float, weights: Float, positions: Float, settings: ShellSettings
@@ -27,7 +30,7 @@ def rebuild(
     angles : (h',) float64
         Angles of `Patch.free_hinges`, radians.
     weights : (e',) float64
-        Weights of the lengths.
+        Weights of the lengths: one over the typical length of every edge.
     positions : (n, 3) float64
         Positions of the fixed vertices; the others are not looked at.
     settings : ShellSettings
@@ -43,6 +46,8 @@ def rebuild(
     The start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
     Gauss-Newton find the right fold: starting from another pose gets trapped.
     """
+    # A curve that swings past its keys can ask for lengths of zero or less.
+    lengths = np.maximum(lengths, SHORTEST / weights)
     all_lengths = edge_lengths(positions, patch.edges)
     all_lengths[patch.free_edges] = lengths
     all_angles = dihedral_angles(positions, patch.hinges)

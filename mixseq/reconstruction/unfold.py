@@ -57,9 +57,9 @@ def _flat_triangles(lengths: Float) -> Float:
 
     Interpolated lengths may break the triangle inequality; such a triangle is laid flat on a line.
     """
-    l01, l12, l20 = np.maximum(lengths, np.finfo(np.float64).tiny).T
-    x = (l01**2 + l20**2 - l12**2) / (2.0 * l01)
-    y = np.sqrt(np.maximum(l20**2 - x**2, 0.0))
+    l01, l12, l20 = np.maximum(lengths, 1e-12).T
+    x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
+    y = np.sqrt(l20**2 - x**2)
     zero = np.zeros_like(x)
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 

@@ -50,6 +50,10 @@ class MotionSettings:
     narrow : float
         ... and by up to this fraction more where a side is so narrow that its joints would take all of it:
         such patches are where skin bends, not parts.
+    soft, stiff : float
+        A patch softer than `soft` is no part: it joins a neighbour with which it is stiffer than `stiff`, if
+        there is one. Softness is the largest rigid error of a frame, root mean square, relative to the radius
+        of gyration.
     crumb : float
         Patches below this fraction of the faces join a neighbour.
     """
@@ -58,7 +62,9 @@ class MotionSettings:
     frames: int = 24
     smoothing: float = 0.1
     bend: float = 25.0
-    narrow: float = 2.0
+    narrow: float = 1.0
+    soft: float = 0.5
+    stiff: float = 0.35
     crumb: float = 0.003
 
 
@@ -156,7 +162,7 @@ class _Motion:
         """Matrix ``(F, F)`` that averages over each face and its neighbours."""
         weights = self.topology.face_adjacency + sparse.eye_array(len(self.area))
         mean = sparse.diags_array(1.0 / np.asarray(weights.sum(axis=1)).reshape(-1)) @ weights
-        return mean.tocsr().astype(np.float32)
+        return sparse.csr_array(mean.astype(np.float32))
 
     @cached_property
     def square(self) -> Float:
@@ -261,7 +267,11 @@ def _merge(motion: _Motion, patches: Labels, parts: int | None, settings: Motion
         worth = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
         }
-        keep, drop = min(worth, key=lambda pair: (worth[pair], pair))
+        soft = {p for p, m in cache.items() if m.softness > settings.soft}
+        for i, j in bends:
+            if (i in soft or j in soft) and (cache[i] + cache[j]).softness < settings.stiff:
+                worth[i, j] = 0.0
+        keep, drop = min(worth, key=lambda pair: (worth[pair], bends[pair], pair))
         if parts is None and worth[keep, drop] > settings.bend:
             break
         patches[patches == drop] = keep

@@ -64,15 +64,25 @@ class Moments:
         """Centred cross moments ``(T, 3, 3)``, the C_t above."""
         return self.cross - self.moved[:, :, None] * self.rest / max(self.weight, _TINY)
 
-    def error(self) -> float:
-        """Weighted squared error of the best rigid motion of every frame, summed over frames."""
+    def errors(self) -> Float:
+        """Weighted squared error ``(T,)`` of the best rigid motion of every frame."""
         weight = max(self.weight, _TINY)
         moved = self.moved_square - np.einsum("ti,ti->t", self.moved, self.moved) / weight
         rest = self.rest_square - float(self.rest @ self.rest) / weight
         covariance = self.covariance
         singular = np.linalg.svd(covariance, compute_uv=False)
         singular[:, 2] *= np.where(np.linalg.det(covariance) < 0, -1.0, 1.0)
-        return float(np.maximum(moved + rest - 2.0 * singular.sum(axis=1), 0.0).sum())
+        return np.asarray(np.maximum(moved + rest - 2.0 * singular.sum(axis=1), 0.0))
+
+    def error(self) -> float:
+        """Sum of `errors` over all frames."""
+        return float(self.errors().sum())
+
+    @property
+    def softness(self) -> float:
+        """Largest error of a frame, root mean square, relative to the radius of gyration at rest."""
+        rest = self.rest_square - float(self.rest @ self.rest) / max(self.weight, _TINY)
+        return float(np.sqrt(self.errors().max() / max(rest, _TINY)))
 
     def motion(self) -> tuple[Float, Float]:
         """Rotation ``(T, 3, 3)`` and translation ``(T, 3)`` of the best rigid motion."""

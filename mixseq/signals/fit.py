@@ -12,6 +12,7 @@ from mixseq.segmentation import MotionSettings, decompose, segment_by_labels, se
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed import PlacementName, mixed_space
+from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 
@@ -69,6 +70,19 @@ def fit(
     """
     if not exact:
         raise SettingsError("only exact models can be made; leave out exact=False")
+    with one_blas_thread():
+        return _fit(sequence, placement, parts, joint_width, motion, shell, progress)
+
+
+def _fit(
+    sequence: MeshSequence,
+    placement: PlacementName,
+    parts: int | ArrayLike | None,
+    joint_width: int,
+    motion: MotionSettings | None,
+    shell: ShellSettings | None,
+    progress: Progress,
+) -> Model:
     stages = 4
     progress(0, stages, "finding parts")
     topology = Topology(sequence.faces, sequence.vertex_count)
@@ -83,5 +97,5 @@ def fit(
     space = mixed_space(sequence.points, topology, decomposition, placement, shell)
     progress(3, stages, "encoding frames")
     vectors = space.encode(sequence.points)
-    progress(4, stages, "done")
+    progress(4, stages, "encoding frames")
     return Model(header=sequence.header, space=space, vectors=vectors)

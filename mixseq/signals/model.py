@@ -23,6 +23,7 @@ from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.spaces.mixed import MixedSpace
+from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 
@@ -71,11 +72,14 @@ class Model:
         SettingsError
             If the time is outside the sequence: models do not extrapolate.
         """
-        return self.space.decode(self.curve([time]))[0]
+        frame: Float = self.space.decode(self.curve([time]))[0]
+        return frame
 
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
-        return self._weights(self._inside(times)) @ self.vectors
+        with one_blas_thread():
+            vectors: Float = self._weights(self._inside(times)) @ self.vectors
+        return vectors
 
     def sample(
         self, times: ArrayLike | None = None, fps: float | None = None, progress: Progress = silent

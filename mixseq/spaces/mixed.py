@@ -34,6 +34,7 @@ from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray, bounding_diagonal
 from mixseq.spaces.base import ShapeSpace
+from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -122,7 +123,9 @@ class MixedSpace(ShapeSpace):
         lengths, angles, parts, rotations, translations = np.split(
             vectors, np.cumsum(self.sizes)[:-1], axis=1
         )
-        triples = (block.reshape(len(vectors), -1, 3) for block in (parts, rotations, translations))
+        triples = (
+            block.reshape(len(block), block.shape[1] // 3, 3) for block in (parts, rotations, translations)
+        )
         return MixedBlocks(lengths, angles, *triples)
 
     def join(self, blocks: MixedBlocks) -> Float:
@@ -170,18 +173,19 @@ class MixedSpace(ShapeSpace):
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
         reports = []
         weights = 1.0 / np.maximum(self.reference_lengths, np.finfo(np.float64).tiny)
-        for frame in range(len(vectors)):
-            points[frame], report = self.projection.assemble(
-                blocks.lengths[frame],
-                blocks.angles[frame],
-                weights,
-                blocks.parts[frame],
-                matrices(blocks.rotations[frame]),
-                blocks.translations[frame],
-                self.settings,
-            )
-            reports.append(report)
-            progress(frame + 1, len(vectors), "decoding frames")
+        with one_blas_thread():
+            for frame in range(len(vectors)):
+                points[frame], report = self.projection.assemble(
+                    blocks.lengths[frame],
+                    blocks.angles[frame],
+                    weights,
+                    blocks.parts[frame],
+                    matrices(blocks.rotations[frame]),
+                    blocks.translations[frame],
+                    self.settings,
+                )
+                reports.append(report)
+                progress(frame + 1, len(vectors), "decoding frames")
         return points * self.scale, reports
 
 

@@ -1,0 +1,63 @@
+"""Midpoints of two poses in S_m: how far lengths and angles are from the means of the two.
+
+Usage: scripts/bench midpoint [NAME FIRST SECOND]
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mixseq
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
+
+PAIRS = (("lion_poses", 2, 5), ("cat_poses", 1, 3), ("horse_poses", 1, 3), ("horse_gallop", 0, 12))
+
+
+def main() -> int:
+    data = Path(os.environ.get("MIXSEQ_DATA", ""), "npz")
+    pairs = PAIRS if len(sys.argv) < 4 else ((sys.argv[1], int(sys.argv[2]), int(sys.argv[3])),)
+    print("| sequence | method | s | converged | iterations | relative length 99 / 99.9 % / max | degrees 99 / 99.9 % / max |")
+    print("|---|---|---|---|---|---|---|")
+    for name, first, second in pairs:
+        measure(data / f"{name}.npz", first, second)
+    return 0
+
+
+def measure(path: Path, first: int, second: int) -> None:
+    sequence = mixseq.read(path)
+    ends = sequence.points[[first, second]].astype(np.float64)
+    topology = mixseq.Topology(sequence.faces, sequence.vertex_count)
+    lengths = edge_lengths(ends, topology.edges).mean(axis=0)
+    angles = unwrap_angles(dihedral_angles(ends, topology.hinges)).mean(axis=0)
+
+    def show(method: str, points: Any, seconds: float, reports: Any) -> None:
+        strain = np.abs(edge_lengths(points, topology.edges) / lengths - 1.0)
+        bend = np.abs(np.degrees(wrap(dihedral_angles(points, topology.hinges) - angles)))
+        print(
+            f"| {path.stem} {first}-{second} | {method} | {seconds:.2f} | "
+            f"{sum(r.converged for r in reports)}/{len(reports)} | {[r.iterations for r in reports]} | "
+            f"{envelope(strain)} | {envelope(bend)} |",
+            flush=True,
+        )
+
+    show("vertices", ends.mean(axis=0), 0.0, [])
+    for placement in ("free", "anchored"):
+        model = mixseq.fit(sequence, placement=placement)  # type: ignore[arg-type]
+        vector = model.space.encode(ends).mean(axis=0, keepdims=True)
+        start = time.perf_counter()
+        points, reports = model.space.decode_with_reports(vector)
+        show(f"S_m {placement}", points[0], time.perf_counter() - start, reports[0])
+
+
+def envelope(errors: Any) -> str:
+    return " / ".join(f"{value:.2g}" for value in (*np.quantile(errors, [0.99, 0.999]), errors.max()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
