@@ -1,4 +1,4 @@
-"""Resample, edit, transfer and compress deforming mesh sequences in the mixed shape space.
+"""Deforming mesh sequences in the mixed shape space: encode, store, resample, decode.
 
 ::
 

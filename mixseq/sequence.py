@@ -16,88 +16,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError
+from mixseq.polygons import FloatArray, IntArray, Polygons, frozen
 
-FloatArray = NDArray[np.floating[Any]]
-IntArray = NDArray[np.integer[Any]]
+__all__ = [
+    "FloatArray",
+    "IntArray",
+    "MeshSequence",
+    "Polygons",
+    "SequenceHeader",
+    "bounding_diagonal",
+    "check_block",
+    "collect",
+    "header_fields",
+]
 
 UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only view, so that a frozen dataclass is frozen all the way down."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-@dataclass(frozen=True, eq=False)
-class Polygons:
-    """The faces of a mesh as its author made them: triangles, quads and n-gons.
-
-    Parameters
-    ----------
-    counts : (P,) int
-        Number of corners of each polygon, at least 3.
-    indices : (sum(counts),) int
-        Vertex index of each corner, polygon by polygon.
-    """
-
-    counts: IntArray
-    indices: IntArray
-
-    def __post_init__(self) -> None:
-        counts = _as_indices(self.counts, "polygon corner counts").reshape(-1)
-        indices = _as_indices(self.indices, "polygon corners").reshape(-1)
-        if counts.size and counts.min() < 3:
-            bad = int(np.argmax(counts < 3))
-            raise InvalidSequenceError(
-                f"polygon {bad} has {counts[bad]} corners; a face needs at least 3 (remove points and lines)"
-            )
-        if int(counts.sum()) != indices.size:
-            raise InvalidSequenceError(
-                f"polygon corner counts add up to {int(counts.sum())} but {indices.size} corners are given"
-            )
-        object.__setattr__(self, "counts", _frozen(counts))
-        object.__setattr__(self, "indices", _frozen(indices))
-
-    @classmethod
-    def from_triangles(cls, faces: ArrayLike) -> Polygons:
-        """Make polygons of an ``(F, 3)`` array of triangles."""
-        triangles = _as_indices(faces, "faces")
-        if triangles.ndim != 2 or triangles.shape[1] != 3:
-            raise InvalidSequenceError(f"faces have shape {triangles.shape}; (F, 3) is expected")
-        return cls(np.full(len(triangles), 3, dtype=np.int32), triangles.reshape(-1))
-
-    @cached_property
-    def triangles(self) -> NDArray[np.int32]:
-        """Triangulation ``(F, 3)``: a fan about each polygon's first corner.
-
-        By index only, never by shape: a pose-dependent triangulation would give every frame another
-        connectivity.
-
-        Examples
-        --------
-        >>> Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4])).triangles.tolist()
-        [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
-        """
-        starts = np.cumsum(self.counts) - self.counts
-        per_polygon = self.counts - 2
-        first = np.repeat(starts, per_polygon)
-        step = np.arange(int(per_polygon.sum())) - np.repeat(
-            np.cumsum(per_polygon) - per_polygon, per_polygon
-        )
-        corners = np.stack([first, first + step + 1, first + step + 2], axis=1)
-        return np.asarray(_frozen(self.indices[corners]), dtype=np.int32)
-
-    @property
-    def only_triangles(self) -> bool:
-        """Whether every polygon has three corners."""
-        return bool(np.all(self.counts == 3))
-
-    def same_as(self, other: Polygons) -> bool:
-        """Whether both have the same polygons in the same order with the same first corners."""
-        return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,7 +72,7 @@ class SequenceHeader:
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)
-        object.__setattr__(self, "times", _frozen(times))
+        object.__setattr__(self, "times", frozen(times))
         object.__setattr__(self, "vertex_count", int(self.vertex_count))
         object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
@@ -193,7 +127,7 @@ class MeshSequence(SequenceHeader):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "points", _frozen(_as_points(self.points)))
+        object.__setattr__(self, "points", frozen(_as_points(self.points)))
         check_block(self, self.points, first_frame=0)
         if len(self.points) != self.frame_count:
             raise InvalidSequenceError(
@@ -368,12 +302,3 @@ def _as_points(points: ArrayLike) -> FloatArray:
     if array.ndim != 3 or array.shape[2] != 3:
         raise InvalidSequenceError(f"points have shape {array.shape}; (frames, vertices, 3) is expected")
     return np.ascontiguousarray(array)
-
-
-def _as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
-    array = np.asarray(values)
-    if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")
-    if array.size and (array.max() > np.iinfo(np.int32).max or array.min() < np.iinfo(np.int32).min):
-        raise InvalidSequenceError(f"{what} do not fit into 32 bits")
-    return np.ascontiguousarray(array, dtype=np.int32)

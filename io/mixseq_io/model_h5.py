@@ -29,7 +29,7 @@ import mixseq
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation.joints import Decomposition, make_joint
-from mixseq.sequence import IntArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed import PLACEMENTS, MixedBlocks, MixedSpace
 from mixseq.topology import Topology
@@ -139,76 +139,100 @@ def _write_signals(file: h5py.File, model: Model) -> None:
 
 
 def _read(path: Path, file: h5py.File) -> Model:
-    header = read_header(path, file, int(file.attrs["vertex_count"]), whole(path, file, "signals/time/times"))
+    times = _floats(path, file, "signals/time/times", (None,))
+    header = read_header(path, file, int(file.attrs["vertex_count"]), times)
     space = _read_space(path, file, header)
+    frames, (edges, hinges, parts, rotations, translations) = len(times), space.sizes
     blocks = MixedBlocks(
-        **{name: whole(path, file, f"signals/shape/{name}") for name in ("lengths", "angles", "parts")},
-        **{name: whole(path, file, f"signals/placement/{name}") for name in ("rotations", "translations")},
+        lengths=_floats(path, file, "signals/shape/lengths", (frames, edges)),
+        angles=_floats(path, file, "signals/shape/angles", (frames, hinges)),
+        parts=_floats(path, file, "signals/shape/parts", (frames, parts // 3, 3)),
+        rotations=_floats(path, file, "signals/placement/rotations", (frames, rotations // 3, 3)),
+        translations=_floats(path, file, "signals/placement/translations", (frames, translations // 3, 3)),
     )
-    sizes = tuple(int(np.prod(block.shape[1:])) for block in blocks)
-    frames = {len(block) for block in blocks}
-    if sizes != space.sizes or frames != {header.frame_count}:
-        raise FormatError(
-            f"{path}: signals have {sorted(frames)} frames of {sizes} numbers, "
-            f"{header.frame_count} frames of {space.sizes} are expected"
-        )
-    for name, block in zip(blocks._fields, blocks, strict=True):
-        if not np.isfinite(block).all():
-            frame = int(np.argwhere(~np.isfinite(block))[0, 0])
-            raise FormatError(f"{path}: frame {frame} of the signal {name} has values that are not finite")
     return Model(header=header, space=space, vectors=space.join(blocks))
 
 
 def _read_space(path: Path, file: h5py.File, header: SequenceHeader) -> MixedSpace:
     topology = Topology(header.faces, header.vertex_count)
-    placement = str(file["space"].attrs["placement"])
+    attributes = file["space"].attrs
+    placement, scale = str(attributes["placement"]), float(attributes["scale"])
     if placement not in PLACEMENTS:
         raise FormatError(f"{path}: the placement {placement!r} is not known")
-    settings = json.loads(str(file.attrs["settings"]))
+    if not (np.isfinite(scale) and scale > 0):
+        raise FormatError(f"{path}: the scale of the space is {scale}; a positive number is expected")
+    decomposition = _read_segmentation(path, file, topology)
+    shell = json.loads(str(file.attrs["settings"]))["shell"]
+    unknown = sorted(set(shell) - set(ShellSettings.__dataclass_fields__))
+    if unknown:
+        raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
     space = MixedSpace(
         topology=topology,
-        decomposition=_read_segmentation(path, file, topology),
+        decomposition=decomposition,
         placement=placement,
-        scale=float(file["space"].attrs["scale"]),
-        shapes=whole(path, file, "space/shapes"),
-        reference_lengths=whole(path, file, "space/reference_lengths"),
-        reference_angles=whole(path, file, "space/reference_angles"),
-        settings=ShellSettings(**settings["shell"]),
+        scale=scale,
+        shapes=_floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
+        reference_lengths=_floats(path, file, "space/reference_lengths", (None,)),
+        reference_angles=_floats(path, file, "space/reference_angles", (None,)),
+        settings=ShellSettings(**shell),
     )
-    expected = (sum(map(len, space.decomposition.parts)), 3)
-    found = space.shapes.shape, len(space.reference_lengths), len(space.reference_angles)
-    if found != (expected, space.sizes[0], space.sizes[1]):
+    if (len(space.reference_lengths), len(space.reference_angles)) != space.sizes[:2]:
         raise FormatError(f"{path}: the space does not fit the segmentation; it is damaged")
     return space
 
 
 def _read_segmentation(path: Path, file: h5py.File, topology: Topology) -> Decomposition:
-    part_of_face = whole(path, file, "segmentation/part_of_face").astype(np.int64)
-    if part_of_face.shape != (len(topology.faces),):
-        raise FormatError(
-            f"{path}: {len(part_of_face)} part labels for {len(topology.faces)} faces; it is damaged"
-        )
-    parts = _read_lists(path, file, "segmentation/parts", "vertices", topology.vertex_count)
-    held = np.zeros(topology.vertex_count, dtype=bool)
+    faces, vertices = len(topology.faces), topology.vertex_count
+    parts = _lists(path, file, "segmentation/parts", "vertices", vertices)
+    if not parts:
+        raise FormatError(f"{path}: the segmentation has no parts; it is damaged")
+    held = np.zeros(vertices, dtype=bool)
     held[np.concatenate(parts)] = True
     joints = []
-    for faces in _read_lists(path, file, "segmentation/joints", "faces", len(topology.faces)):
-        inside = np.zeros(len(topology.faces), dtype=bool)
-        inside[faces] = True
+    for joint_faces in _lists(path, file, "segmentation/joints", "faces", faces):
+        inside = np.zeros(faces, dtype=bool)
+        inside[joint_faces] = True
         joints.append(make_joint(topology, inside, held))
     return Decomposition(
-        part_of_face=part_of_face,
+        part_of_face=_integers(path, file, "segmentation/part_of_face", faces, 0, len(parts)),
         parts=tuple(parts),
         joints=tuple(joints),
-        widths=whole(path, file, "segmentation/widths").astype(np.int64),
+        widths=_integers(path, file, "segmentation/widths", len(parts), 1, None),
     )
 
 
-def _read_lists(path: Path, file: h5py.File, group: str, name: str, limit: int) -> list[NDArray[np.int64]]:
-    sizes: IntArray = whole(path, file, f"{group}/sizes")
-    items: IntArray = whole(path, file, f"{group}/{name}")
-    if int(sizes.sum()) != len(items) or (sizes < 1).any():
-        raise FormatError(f"{path}: {group}/sizes do not add up; it is damaged")
-    if ((items < 0) | (items >= limit)).any():
-        raise FormatError(f"{path}: {group}/{name} are not all from 0 to {limit - 1}; it is damaged")
-    return [piece.astype(np.int64) for piece in np.split(items, np.cumsum(sizes))[: len(sizes)]]
+def _lists(path: Path, file: h5py.File, group: str, name: str, limit: int) -> list[NDArray[np.int64]]:
+    """Read lists of indices below `limit` that `_write_lists` stored."""
+    sizes = _integers(path, file, f"{group}/sizes", None, 1, None)
+    items = _integers(path, file, f"{group}/{name}", int(sizes.sum()), 0, limit)
+    return np.split(items, np.cumsum(sizes))[: len(sizes)]
+
+
+def _integers(
+    path: Path, file: h5py.File, name: str, count: int | None, low: int, limit: int | None
+) -> NDArray[np.int64]:
+    """Read whole numbers from `low` to below `limit`."""
+    array = whole(path, file, name)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer) or count not in (None, len(array)):
+        raise FormatError(
+            f"{path}: {name} is {array.dtype} of shape {array.shape}, not {count or 'some'} integers"
+        )
+    if array.size and (array.min() < low or (limit is not None and array.max() >= limit)):
+        raise FormatError(f"{path}: {name} has values out of range; it is damaged")
+    return array.astype(np.int64)
+
+
+def _floats(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Read finite numbers of a shape; None stands for any length."""
+    array = whole(path, file, name)
+    fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or not np.issubdtype(array.dtype, np.floating):
+        expected = tuple("any" if n is None else n for n in shape)
+        raise FormatError(
+            f"{path}: {name} is {array.dtype} of shape {array.shape}, not floats of shape {expected}"
+        )
+    if not np.isfinite(array).all():
+        first = int(np.argwhere(~np.isfinite(array))[0, 0])
+        where = f"frame {first}" if name.startswith("signals") else f"row {first}"
+        raise FormatError(f"{path}: {name} is not finite in {where}")
+    return array.astype(np.float64)

@@ -27,6 +27,6 @@ from mixseq.cli.options import examples
 @click.version_option(mixseq.__version__, message="mixseq %(version)s")
 @click.pass_context
 def main(context: click.Context) -> None:
-    """Resample, edit, transfer and compress deforming mesh sequences."""
+    """Take deforming mesh sequences into the mixed shape space and back."""
     if context.invoked_subcommand is None:
         click.echo(context.get_help())

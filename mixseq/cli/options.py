@@ -18,7 +18,7 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON i
 
 
 def examples(*lines: str) -> str:
-    """Make the end of a help text, which click is not to reflow (hence the ``\\b``)."""
+    """Make the end of a help text, marked so that click does not reflow it."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 

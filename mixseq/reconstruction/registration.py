@@ -72,7 +72,7 @@ class Overlaps:
         for k, l in np.unique(pieces, axis=0):  # noqa: E741
             shared = points[pairs[(pieces == (k, l)).all(axis=1), 0]]
             spread = np.linalg.svd(shared - shared.mean(axis=0), compute_uv=False)
-            if len(spread) > 1 and spread[1] > 1e-3 * spread[0] > 0:
+            if len(spread) > 1 and spread[1] > 1e-6 * spread[0] > 0:
                 strength[k, l] = len(shared)
         group, tree, order = _forest(strength)
         return cls(sizes, pieces, pairs, group, tree, order)

@@ -32,6 +32,9 @@ from mixseq.reconstruction.solvers import factorise
 
 Float = NDArray[np.float64]
 
+STUCK = 1e12
+"""With this damping no step is worth taking: the energy is not smooth here, or not finite."""
+
 
 @dataclass(frozen=True)
 class ShellSettings:
@@ -159,6 +162,8 @@ def fit_shell(
             new_energy = float(new_residuals @ new_residuals)
             if new_energy < energy:
                 break
+            if not damping < STUCK:
+                return points, ShellReport(energy, iteration, False)
             damping *= 10.0
         gain = (energy - new_energy) / promised
         damping = max(damping / 10.0, 1e-10) if gain > 0.25 else damping * 2.0

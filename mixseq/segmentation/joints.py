@@ -14,7 +14,7 @@ on a coarse mesh full strips would eat whole parts and all joints would run into
 largest width that leaves it a core of a third of its vertices. Width 1 takes nothing from a part.
 
 Three things cannot be solved for from lengths and angles and are given back to the parts: faces without area,
-vertices where a joint hangs together by a point only, and patches of a joint that no part holds.
+vertices where a joint hangs together by a point only, and patches of a joint without a face that one part holds.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.geometry.rigid import bend, kabsch, mean_shape
@@ -155,6 +157,7 @@ def decompose(
         loose = np.zeros(topology.vertex_count, dtype=bool)
         loose[topology.unused_vertices] = True
         kept.append(loose)
+        widths = np.append(widths, 1)
     held = np.any(kept, axis=0)
     return Decomposition(
         part_of_face=np.asarray(part_of_face, dtype=np.int64),
@@ -229,10 +232,10 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
     keep(~in_joint & (~np.any(kept, axis=0))[topology.faces].any(axis=1))
     patches = face_patches(topology, in_joint)
     keep(in_joint, _points_of_contact(topology, patches))
-    held = np.any(kept, axis=0)
+    firm = np.any([inside[topology.faces].all(axis=1) for inside in kept], axis=0)
     for number in range(int(patches.max(initial=-1)) + 1):
         faces = patches == number
-        if not held[topology.faces[faces]].all(axis=1).any():
+        if not firm[faces].any():
             keep(faces)
             patches[faces] = -1
     return patches
@@ -240,15 +243,20 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
 
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:
     """Mark the vertices whose joint faces do not form one fan across hinges."""
-    corners = topology.faces.reshape(-1).astype(np.int64)
-    face_of_corner = np.repeat(np.arange(len(topology.faces)), 3)
-    # A fan of k faces around a vertex has k - 1 hinges at that vertex, or k where it is closed.
-    inside = patches[face_of_corner] >= 0
-    faces_at = np.bincount(corners[inside], minlength=topology.vertex_count)
+    corner_count = 3 * len(topology.faces)
     joined = (patches[topology.hinge_faces] >= 0).all(axis=1)
-    ends = topology.edges[topology.hinge_edges[joined]].reshape(-1)
-    hinges_at = np.bincount(ends, minlength=topology.vertex_count)
-    return np.asarray((faces_at > 0) & (hinges_at < faces_at - 1))
+    sides = topology.hinge_faces[joined]
+    links = []
+    for end in topology.edges[topology.hinge_edges[joined]].T:
+        at_end = topology.faces[sides] == end[:, None, None]
+        links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
+    i, j = np.concatenate(links).T
+    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(corner_count, corner_count))
+    fan = csgraph.connected_components(graph, directed=False)[1]
+    inside = np.repeat(patches >= 0, 3)
+    corners = np.stack([topology.faces.reshape(-1)[inside], fan[inside]], axis=1)
+    vertex_of_fan = np.unique(corners, axis=0)[:, 0]
+    return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
 
 
 def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:

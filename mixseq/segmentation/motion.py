@@ -282,7 +282,7 @@ def _merge(motion: _Motion, patches: Labels, parts: int | None, settings: Motion
 
 
 def _narrowness(topology: Topology, patches: Labels) -> Float:
-    """Share of each patch's corners within two edges of its boundary: what joints would take from it."""
+    """Share of each patch's corners on its boundary or one edge away: what joints would take from it."""
     crossing = patches[topology.hinge_faces[:, 0]] != patches[topology.hinge_faces[:, 1]]
     depth = np.zeros(topology.vertex_count, dtype=np.int64)
     depth[topology.edges[topology.hinge_edges[crossing]]] = 2

@@ -11,8 +11,9 @@ anchored (default, ours)
     The pose is six numbers for every part, a rotation vector and a centre. Joints are boundary value problems
     between parts that are already in place, and only lengths and angles at free vertices are stored.
 free (the paper's)
-    The pose is six numbers for every connected component, those of its largest part. Joints are rebuilt on
-    their own, all pieces are registered through the vertices they share, and stitched.
+    The pose is six numbers for every connected component, those of its first part (the largest, where parts were
+    found by motion). Joints are rebuilt on their own, all pieces are registered through the vertices they share,
+    and stitched.
 """
 
 from __future__ import annotations

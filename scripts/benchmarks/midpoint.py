@@ -22,7 +22,9 @@ PAIRS = (("lion_poses", 2, 5), ("cat_poses", 1, 3), ("horse_poses", 1, 3), ("hor
 def main() -> int:
     data = Path(os.environ.get("MIXSEQ_DATA", ""), "npz")
     pairs = PAIRS if len(sys.argv) < 4 else ((sys.argv[1], int(sys.argv[2]), int(sys.argv[3])),)
-    print("| sequence | method | s | converged | iterations | relative length 99 / 99.9 % / max | degrees 99 / 99.9 % / max |")
+    print(
+        "| sequence | method | s | converged | iterations | relative length 99 / 99.9 % / max | degrees 99 / 99.9 % / max |"
+    )
     print("|---|---|---|---|---|---|---|")
     for name, first, second in pairs:
         measure(data / f"{name}.npz", first, second)
@@ -48,7 +50,7 @@ def measure(path: Path, first: int, second: int) -> None:
 
     show("vertices", ends.mean(axis=0), 0.0, [])
     for placement in ("free", "anchored"):
-        model = mixseq.fit(sequence, placement=placement)  # type: ignore[arg-type]
+        model = mixseq.fit(sequence, placement=placement)
         vector = model.space.encode(ends).mean(axis=0, keepdims=True)
         start = time.perf_counter()
         points, reports = model.space.decode_with_reports(vector)

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.errors import SegmentationError, SettingsError
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.segmentation import MotionSettings, segment_by_labels
+from mixseq.sequence import MeshSequence
+from mixseq.signals import fit
+from mixseq.topology import Topology
+from tests.meshes import bar
+
+SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"placement": "loose"}, r"placement is 'loose'; 'anchored' or 'free' is expected"),
+        ({"parts": 0}, r"parts is 0; a number from 1 to 150"),
+        ({"parts": 151}, r"parts is 151; a number from 1 to 150"),
+        ({"joint_width": 0}, r"joint_width is 0; at least 1"),
+        ({"exact": False}, r"only exact models"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        fit(SMALL, **settings)
+
+
+@pytest.mark.parametrize("labels", [np.zeros(149, dtype=int), np.zeros((150, 1), dtype=int), np.zeros(150)])
+def test_labels_are_checked(labels: Any) -> None:
+    with pytest.raises(SegmentationError, match="one whole number for each of the 150 triangles"):
+        fit(SMALL, parts=labels)
+
+
+def test_labels_are_used() -> None:
+    labels = np.arange(150) % 3
+    model = fit(SMALL, parts=labels)
+    expected = segment_by_labels(labels, Topology(SMALL.faces, SMALL.vertex_count))
+    np.testing.assert_array_equal(model.decomposition.part_of_face, expected)
+    np.testing.assert_allclose(model.sample().points, SMALL.points, atol=1e-9)
+
+
+@pytest.mark.parametrize("parts", [1, 3, np.int64(4)])
+def test_the_number_of_parts_is_used(parts: int) -> None:
+    assert len(fit(SMALL, parts=parts).decomposition.parts) == parts
+
+
+def test_placement_and_details_are_used() -> None:
+    shell = ShellSettings(bending=0.7, iterations=9)
+    model = fit(SMALL, placement="free", joint_width=2, shell=shell, motion=MotionSettings(bend=200.0))
+    assert model.space.placement == "free"
+    assert model.space.settings == shell
+    assert len(model.decomposition.parts) == 1
+    assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
+
+
+def test_fitting_twice_gives_the_same_model() -> None:
+    first, second = fit(SMALL), fit(SMALL)
+    np.testing.assert_array_equal(first.vectors, second.vectors)
+    np.testing.assert_array_equal(first.space.shapes, second.space.shapes)
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int, str]] = []
+    fit(SMALL, progress=lambda *step: told.append(step))
+    assert told[-1][0] == told[-1][1]
+    assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+    assert "finding parts" in {what for _, _, what in told}

@@ -1,0 +1,160 @@
+"""Models: exact at the frames, smooth between them, silent outside."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from mixseq.errors import SettingsError
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Model, fit
+from mixseq.spaces.mixed import PLACEMENTS, PlacementName
+from tests.meshes import bar, rotation, tube
+
+UNEVEN = [-0.5, 0.0, 0.1, 0.75, 2.0]
+
+
+def small(frames: int = 5, times: list[float] | None = None) -> MeshSequence:
+    sequence = bar(sides=5, rings=15, frames=frames)
+    return MeshSequence.from_arrays(
+        sequence.points, sequence.polygons, times, fps=10, up_axis="Z", metres_per_unit=0.01, name="small"
+    )
+
+
+@cache
+def model_of(placement: PlacementName = "anchored", frames: int = 5, uneven: bool = False) -> Model:
+    return fit(small(frames, UNEVEN if uneven else None), placement=placement)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("uneven", [False, True])
+def test_the_frames_are_the_frames(placement: PlacementName, uneven: bool) -> None:
+    model = model_of(placement, uneven=uneven)
+    sequence = small(5, UNEVEN if uneven else None)
+    sampled = model.sample()
+    np.testing.assert_array_equal(sampled.times, sequence.times)
+    np.testing.assert_allclose(sampled.points, sequence.points, atol=1e-9)
+    assert sampled.polygons.same_as(sequence.polygons)
+    assert (sampled.fps, sampled.up_axis, sampled.metres_per_unit, sampled.name) == (10, "Z", 0.01, "small")
+    np.testing.assert_array_equal(model.curve(sequence.times), model.vectors)
+    np.testing.assert_array_equal(model(float(sequence.times[2])), sampled.points[2])
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_few_frames(frames: int) -> None:
+    model = model_of(frames=frames)
+    np.testing.assert_allclose(model.sample().points, small(frames).points, atol=1e-9)
+    twice = model.sample(fps=20)
+    assert twice.frame_count == 2 * frames - 1
+    np.testing.assert_allclose(twice.points[::2], small(frames).points, atol=1e-9)
+
+
+def test_between_two_frames_vectors_go_straight() -> None:
+    model = model_of(frames=2)
+    quarter = model.curve([0.025])[0]
+    np.testing.assert_allclose(quarter, 0.75 * model.vectors[0] + 0.25 * model.vectors[1], atol=1e-14)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_between_frames_vectors_follow_the_cubic_spline(uneven: bool) -> None:
+    model = model_of(uneven=uneven)
+    times = np.linspace(model.times[0], model.times[-1], 23)
+    expected = CubicSpline(model.times, model.vectors, bc_type="not-a-knot")(times)
+    np.testing.assert_allclose(model.curve(times), expected, atol=1e-11)
+
+
+def test_a_turning_body_turns_evenly() -> None:
+    """Key shapes of a rigid body at 0, 40, ..., 720 degrees; between them it stands at the angles between."""
+    mesh = tube(5, 4)
+    centred = mesh[0] - mesh[0].mean(axis=0)
+    axis = np.array([2.0, 1, -2]) / 3
+    turns = np.radians(np.arange(0, 721, 40.0))
+    points = np.stack([centred @ rotation(axis * turn).T for turn in turns])
+    sampled = fit(MeshSequence.from_arrays(points, mesh[1], fps=10)).sample(fps=20)
+    assert sampled.frame_count == 2 * len(turns) - 1
+    for frame, turn in enumerate(np.radians(np.arange(0, 721, 20.0))):
+        np.testing.assert_allclose(sampled.points[frame], centred @ rotation(axis * turn).T, atol=1e-9)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_twice_the_rate_contains_the_originals(placement: PlacementName) -> None:
+    model = model_of(placement)
+    twice = model.sample(fps=20)
+    assert twice.frame_count == 9
+    assert twice.fps == 20
+    np.testing.assert_allclose(twice.times, np.arange(9) / 20)
+    np.testing.assert_allclose(twice.points[::2], small().points, atol=1e-9)
+    step = np.abs(np.diff(twice.points, axis=0)).max()
+    assert step < 0.8 * np.abs(np.diff(small().points, axis=0)).max()
+
+
+def test_header_at_is_the_header_of_the_sample() -> None:
+    model = model_of(uneven=True)
+    for times, fps in ((None, None), (None, 4.0), ([0.0, 0.2, 1.0], None), ([0.5], 30.0)):
+        header, sampled = model.header_at(times, fps), model.sample(times, fps)
+        np.testing.assert_array_equal(header.times, sampled.times)
+        assert header.fps == sampled.fps == (fps or 10)
+        assert header.frame_count == len(sampled.points)
+    np.testing.assert_allclose(model.header_at(fps=4).times, -0.5 + np.arange(11) / 4)
+    np.testing.assert_allclose(model.header_at(fps=0.7).times, [-0.5, -0.5 + 1 / 0.7])
+
+
+@settings(max_examples=50, deadline=None)
+@given(fps=st.floats(0.05, 5000.0), frames=st.sampled_from([2, 3, 5]))
+def test_every_rate_covers_the_sequence(fps: float, frames: int) -> None:
+    model = model_of(frames=frames)
+    times = model.header_at(fps=fps).times
+    last = model.times[-1]
+    assert times[0] == model.times[0]
+    assert times[-1] <= last
+    assert last - times[-1] < 1 / fps * (1 + 1e-5)
+    np.testing.assert_allclose(np.diff(times), 1 / fps, rtol=1e-4)
+
+
+@pytest.mark.parametrize("time", [-0.01, 0.41, np.nan, np.inf, -np.inf])
+def test_models_do_not_extrapolate(time: float) -> None:
+    model = model_of()
+    for ask in (
+        lambda: model(time),
+        lambda: model.curve([0.1, time]),
+        lambda: model.sample([0.1, time]),
+        lambda: next(model.blocks([time])),
+    ):
+        with pytest.raises(SettingsError, match=rf"time {time:g} s is outside the sequence, 0 to 0.4 s"):
+            ask()
+
+
+def test_rounding_at_the_ends_is_forgiven() -> None:
+    model = model_of()
+    np.testing.assert_array_equal(model.curve([0.4 + 1e-12]), model.vectors[-1:])
+    np.testing.assert_array_equal(model.curve([-1e-12]), model.vectors[:1])
+
+
+@pytest.mark.parametrize("fps", [0.0, -24.0, np.nan, np.inf])
+def test_the_rate_is_checked(fps: float) -> None:
+    with pytest.raises(SettingsError, match=r"fps is .*; a positive number is expected"):
+        model_of().sample(fps=fps)
+
+
+@pytest.mark.parametrize("size", [1, 2, 100])
+def test_blocks_are_the_sample(size: int) -> None:
+    model = model_of()
+    times = np.linspace(0, 0.4, 5)
+    told: list[int] = []
+    blocks = list(model.blocks(times, size, lambda done, total, what: told.append(done)))
+    assert max(map(len, blocks)) <= size
+    np.testing.assert_allclose(np.concatenate(blocks), model.sample(times).points, atol=1e-12)
+    assert told[-1] == 5
+    assert len(told) == len(blocks)
+
+
+def test_repr_tells_what_it_is() -> None:
+    model = model_of("free")
+    assert repr(model) == (
+        f"Model('small': 5 key shapes, 2 parts, 1 joints, free placement, dim {model.space.dim})"
+    )

@@ -1,0 +1,230 @@
+"""The documentation says what is true: its code runs, its links lead somewhere, its tables are complete."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import mixseq
+from mixseq.cli import main
+from mixseq.creature import walk_cycle
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.segmentation import MotionSettings
+from mixseq_io import FORMATS
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+COMMANDS = main.list_commands(click.Context(main))
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def blocks(name: str, *languages: str) -> list[tuple[str, str]]:
+    """Return the language and text of the fenced blocks of a page."""
+    return [(language, text) for language, text in FENCE.findall(page(name)) if language in languages]
+
+
+def prose(name: str) -> str:
+    return FENCE.sub("", page(name))
+
+
+def section(name: str, heading: str) -> str:
+    """Return a page from a heading to the next one."""
+    _, found, rest = page(name).partition(f"\n## {heading}\n")
+    assert found, f"{name} has no heading {heading!r}"
+    return rest.partition("\n## ")[0]
+
+
+def rows(name: str) -> Iterator[list[str]]:
+    """Yield the cells of all table rows of a page."""
+    for line in prose(name).splitlines():
+        if line.startswith("|"):
+            yield [cell.strip() for cell in line.strip("|").split("|")]
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_code_and_commands_run_from_top_to_bottom(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    found = blocks(name, "python", "console")
+    assert {language for language, _ in found} == {"python", "console"}
+    for number, (language, text) in enumerate(found):
+        if language == "python":
+            exec(compile(text, f"{name}, block {number}", "exec"), names)
+        else:
+            run_console(text)
+
+
+def run_console(text: str) -> None:
+    """Run the ``$ mixseq ...`` lines of a block; what the page shows of their output must be there.
+
+    Shown lines are told apart by what stands before the first two blanks, as their numbers may differ a little
+    elsewhere. Warnings must be shown.
+    """
+    commands = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
+    assert commands, f"no command in\n{text}"
+    for command in commands:
+        line, _, shown = command.partition("\n")
+        program, *arguments = shlex.split(line)
+        assert program == "mixseq", line
+        result = CliRunner().invoke(main, arguments, catch_exceptions=False)
+        assert result.exit_code == 0, f"{line}\n{result.output}"
+        for expected in shown.splitlines():
+            label = expected.split("  ")[0]
+            assert any(each.startswith(label) for each in result.output.splitlines()), f"{line}: {expected}"
+        assert result.stderr.splitlines() == [each for each in shown.splitlines() if "warning: " in each], (
+            line
+        )
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_and_pictures_exist(path: Path) -> None:
+    for target in LINK.findall(prose(str(path.relative_to(ROOT)))):
+        if target.startswith(("http://", "https://")):
+            continue
+        file, _, anchor = target.partition("#")
+        linked = (path.parent / file) if file else path
+        assert linked.exists(), f"{path.name}: {target}"
+        if anchor:
+            assert anchor in anchors(linked), f"{path.name}: {target}"
+
+
+@cache
+def anchors(path: Path) -> frozenset[str]:
+    """Return the anchors that GitHub makes of a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", path.read_text(encoding="utf-8")), re.MULTILINE)
+    return frozenset(re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings)
+
+
+def test_every_page_is_linked_from_the_overview() -> None:
+    linked = set(LINK.findall(page("docs/index.md")))
+    assert {path.name for path in (ROOT / "docs").glob("*.md")} - linked == {"index.md"}
+
+
+def test_pages_name_no_folder_of_some_machine() -> None:
+    for path in PAGES:
+        assert not re.search(r"(?<![\w.])/(work|home|Users|tmp|root)/", path.read_text(encoding="utf-8")), (
+            path
+        )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_reference_has_every_option(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    described = section("docs/cli.md", f"mixseq {name}")
+    options = {
+        option
+        for parameter in command.params
+        if isinstance(parameter, click.Option)
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }
+    named = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", described))
+    assert named == {option for option in options if option.startswith("--")}
+    for short in options - named:
+        assert f"`{short}`" in page("docs/cli.md")
+
+
+def test_reference_has_every_command() -> None:
+    assert re.findall(r"^## mixseq (\w+)$", page("docs/cli.md"), re.MULTILINE) == COMMANDS
+
+
+def test_formats_are_complete() -> None:
+    for form in FORMATS:
+        for word in (*form.extensions, *form.read_options, *form.write_options):
+            assert f"`{word}`" in page("docs/formats.md"), f"{form.name}: {word}"
+        for extension in form.extensions:
+            assert extension in page("README.md"), f"{form.name}: {extension}"
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("docs/segmentation.md", MotionSettings()), ("docs/reconstruction.md", ShellSettings())],
+    ids=["motion", "shell"],
+)
+def test_defaults_are_those_of_the_code(name: str, settings: MotionSettings | ShellSettings) -> None:
+    table = {row[0]: row[1] for row in rows(name)}
+    for field in fields(settings):
+        assert float(table[f"`{field.name}`"]) == getattr(settings, field.name), field.name
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a sequence and models in both placements."""
+    path = tmp_path_factory.mktemp("docs")
+    walk = walk_cycle(frames=3)
+    mixseq.write(path / "sequence.h5", walk)
+    mixseq.save(path / "walk.h5", mixseq.fit(walk))
+    mixseq.save(path / "free.h5", mixseq.fit(walk, placement="free"))
+    return path
+
+
+@pytest.mark.parametrize("name", ["sequence.h5", "walk.h5", "free.h5"])
+def test_specification_has_every_dataset_and_attribute(name: str, folder: Path) -> None:
+    table = {row[0].strip("`"): row for row in rows("docs/file-format.md") if row[0].startswith("`")}
+    with h5py.File(folder / name) as file:
+        attributes, datasets = contents(file)
+        assert set(attributes) | set(datasets) <= set(table)
+        for key, value in attributes.items():
+            stated = {"string": str, "int64": np.int64, "float64": np.float64}[table[key][1]]
+            assert isinstance(value, stated), key
+        for key, dataset in datasets.items():
+            shape, dtype = table[key][1:3]
+            assert shape.count(",") + (not shape.endswith(",)")) == dataset.ndim, key
+            assert str(dataset.dtype) in dtype.split(" or "), key
+            if dataset.size:
+                filters = dataset.fletcher32, dataset.shuffle, dataset.compression, dataset.compression_opts
+                assert filters == (True, True, "gzip", 4), key
+
+
+def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
+    attributes, datasets = dict(file.attrs), {}
+
+    def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        attributes.update(item.attrs)
+        if isinstance(item, h5py.Dataset):
+            datasets[name] = item
+
+    file.visititems(visit)
+    return attributes, datasets
+
+
+def test_specification_has_nothing_else(folder: Path) -> None:
+    known: set[str] = {"mixseq-sequence", "mixseq-model"}
+    for name in ("sequence.h5", "walk.h5"):
+        with h5py.File(folder / name) as file:
+            for each in contents(file):
+                known |= set(each)
+    assert {row[0].strip("`") for row in rows("docs/file-format.md") if row[0].startswith("`")} == known
+
+
+def test_specification_is_enough_to_read_the_parts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    names: dict[str, Any] = {}
+    (_, text), *others = blocks("docs/file-format.md", "py")
+    assert not others
+    exec(text, names)
+    first = walk_cycle(frames=3).points[0]
+    solved = np.isnan(names["points"]).any(axis=1)
+    model = mixseq.load("walk.h5")
+    free = np.concatenate([joint.vertices[joint.free] for joint in model.decomposition.joints])
+    assert sorted(free) == np.flatnonzero(solved).tolist()
+    np.testing.assert_allclose(names["points"][~solved], first[~solved], atol=1e-12)

@@ -1,0 +1,71 @@
+"""Animations made by others come back exactly, and what lies between their frames is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.spaces.mixed import PLACEMENTS, PlacementName
+
+pytestmark = pytest.mark.realdata
+
+
+class Case(NamedTuple):
+    """A file and how many of its frames are looked at."""
+
+    name: str
+    frames: int
+
+
+CASES = (
+    Case("fox_run", 6),
+    Case("q_wolf_gallop", 6),
+    Case("q_man_run", 6),
+    Case("horse_gallop", 3),
+    Case("lion_poses", 3),
+    Case("camel_poses", 2),
+    Case("robotexpressive_dance", 5),
+)
+
+
+def some_frames(folder: Path, case: Case) -> MeshSequence:
+    """Frames spread over a sequence."""
+    whole = mixseq.read(folder / "npz" / f"{case.name}.npz")
+    chosen = np.linspace(0, whole.frame_count - 1, case.frames).round().astype(int)
+    return MeshSequence.from_header(whole.header.with_times(whole.times[chosen]), whole.points[chosen])
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> None:
+    sequence = some_frames(data, case)
+    model = mixseq.fit(sequence, placement=placement)
+    error = np.linalg.norm(model.sample().points - sequence.points, axis=2).max() / sequence.diagonal
+    assert error < 1e-6
+
+
+def test_half_way_between_two_lions(data: Path) -> None:
+    """The paper's Figure 9: the free placement finds a whole lion between two poses."""
+    whole = mixseq.read(data / "npz" / "lion_poses.npz")
+    pair = MeshSequence.from_header(whole.header.with_times([0.0, 1.0]), whole.points[[2, 5]])
+    model = mixseq.fit(pair, placement="free")
+    points, (reports,) = model.space.decode_with_reports(model.curve([0.5]))
+    assert np.isfinite(points).all()
+    assert reports
+    assert all(report.converged for report in reports)
+    # Edges are nearly as long as on average; halves of vertices would be far shorter where the lion turns.
+    edges = model.space.topology.edges
+
+    def lengths(x: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(x[edges[:, 1]].astype(float) - x[edges[:, 0]], axis=1))
+
+    wanted = (lengths(pair.points[0]) + lengths(pair.points[1])) / 2
+    strain = np.abs(lengths(points[0]) / np.maximum(wanted, 1e-12) - 1)
+    averaged = np.abs(lengths(pair.points.mean(axis=0)) / np.maximum(wanted, 1e-12) - 1)
+    assert np.mean(strain) < 0.5 * np.mean(averaged)
+    assert np.quantile(strain, 0.99) < 0.7 * np.quantile(averaged, 0.99)
