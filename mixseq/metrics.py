@@ -293,7 +293,7 @@ class _Gathered:
         if len(self._largest) == self._keep:
             values = values[values > self._largest[0]]
         largest = np.concatenate([self._largest, values])
-        if len(largest) > self._keep:
+        if len(largest) >= self._keep:
             # Partitioned so that the smallest of those kept comes first.
             largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
         self._largest = largest

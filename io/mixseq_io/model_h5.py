@@ -8,7 +8,7 @@
     /segmentation/             part_of_face, widths
     /segmentation/parts/       vertices, sizes
     /segmentation/joints/      faces, sizes
-    /space/                    shapes, reference_lengths, reference_angles; placement, scale
+    /space/                    shapes, reference_lengths, reference; placement, scale
     /signals/time/             times
     /signals/shape/            lengths, angles, parts
     /signals/placement/        rotations, translations
@@ -125,7 +125,7 @@ def _write_space(file: h5py.File, space: MixedSpace) -> None:
     group = file.require_group("space")
     group.attrs["placement"] = space.placement
     group.attrs["scale"] = space.scale
-    for name in ("shapes", "reference_lengths", "reference_angles"):
+    for name in ("shapes", "reference_lengths", "reference"):
         _put(file, f"space/{name}", getattr(space, name))
 
 
@@ -173,10 +173,10 @@ def _read_space(path: Path, file: h5py.File, header: SequenceHeader) -> MixedSpa
         scale=scale,
         shapes=_floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
         reference_lengths=_floats(path, file, "space/reference_lengths", (None,)),
-        reference_angles=_floats(path, file, "space/reference_angles", (None,)),
+        reference=_floats(path, file, "space/reference", (header.vertex_count, 3)),
         settings=ShellSettings(**shell),
     )
-    if (len(space.reference_lengths), len(space.reference_angles)) != space.sizes[:2]:
+    if len(space.reference_lengths) != space.sizes[0]:
         raise FormatError(f"{path}: the space does not fit the segmentation; it is damaged")
     return space
 

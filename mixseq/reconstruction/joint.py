@@ -17,7 +17,13 @@ SHORTEST = 1e-6
 
 
 def rebuild(
-    patch: Patch, lengths: Float, angles: Float, weights: Float, positions: Float, settings: ShellSettings
+    patch: Patch,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    positions: Float,
+    settings: ShellSettings,
+    guess: Float | None = None,
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
 
@@ -35,6 +41,8 @@ def rebuild(
         Positions of the fixed vertices; the others are not looked at.
     settings : ShellSettings
         Weight of the angles, and when to stop.
+    guess : (f, 3) float64, optional
+        Another start for the free vertices.
 
     Returns
     -------
@@ -43,8 +51,9 @@ def rebuild(
 
     Notes
     -----
-    The start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
-    Gauss-Newton find the right fold: starting from another pose gets trapped.
+    The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
+    Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
+    start of lower energy is taken.
     """
     # A curve that swings past its keys can ask for lengths of zero or less.
     lengths = np.maximum(lengths, SHORTEST / weights)
@@ -52,6 +61,10 @@ def rebuild(
     all_lengths[patch.free_edges] = lengths
     all_angles = dihedral_angles(positions, patch.hinges)
     all_angles[patch.free_hinges] = angles
-    start = unfold(patch, all_lengths, all_angles, positions)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending)
+    start = unfold(patch, all_lengths, all_angles, positions)
+    if guess is not None:
+        guessed = start.copy()
+        guessed[patch.free] = guess
+        start = min(start, guessed, key=problem.energy)
     return fit_shell(problem, start, settings)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.rigid import transform
+from mixseq.geometry.rigid import kabsch, transform
+from mixseq.reconstruction.blend import Blend
 from mixseq.reconstruction.joint import rebuild
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.registration import Overlaps, register
@@ -100,10 +101,20 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class AnchoredPlacement:
-    """Parts go where their poses say; joints are boundary value problems between them."""
+    """Parts go where their poses say; joints are boundary value problems between them.
+
+    Attributes
+    ----------
+    shapes : (N, 3) float64
+        Mean shapes of the parts.
+    reference : (V, 3) float64
+        A frame of the sequence, from which guesses of the joints are blended.
+    """
 
     topology: Topology
     decomposition: Decomposition
+    shapes: Float
+    reference: Float
 
     @cached_property
     def _rows(self) -> _Rows:
@@ -136,6 +147,26 @@ class AnchoredPlacement:
         copies = np.bincount(vertex, minlength=self.topology.vertex_count)
         return part, vertex, np.maximum(copies, 1).astype(np.float64)
 
+    @cached_property
+    def _reference_poses(self) -> tuple[Float, Float]:
+        """Rotations ``(p, 3, 3)`` and centres ``(p, 3)`` of the parts in the reference frame."""
+        sizes = [len(vertices) for vertices in self.decomposition.parts]
+        shapes = np.split(self.shapes, np.cumsum(sizes)[:-1])
+        targets = [self.reference[vertices] for vertices in self.decomposition.parts]
+        poses = [kabsch(shape, target) for shape, target in zip(shapes, targets, strict=True)]
+        return np.stack([rotation for rotation, _ in poses]), np.stack([centre for _, centre in poses])
+
+    @cached_property
+    def _blends(self) -> tuple[Blend, ...]:
+        owner = np.full(self.topology.vertex_count, -1, dtype=np.int64)
+        for number, vertices in reversed(list(enumerate(self.decomposition.parts))):
+            owner[vertices] = number
+        rows = self._rows
+        return tuple(
+            Blend.of(patch, owner[joint.vertices], self.reference[joint.vertices])
+            for joint, patch in zip(rows.joints, rows.patches, strict=True)
+        )
+
     def assemble(
         self,
         lengths: Float,
@@ -151,13 +182,22 @@ class AnchoredPlacement:
         placed = np.einsum("nij,nj->ni", rotations[part], parts) + translations[part]
         sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
         points = np.stack(sums, axis=1) / copies[:, None]
+        turns, centres = self._reference_poses
+        moves = rotations @ np.swapaxes(turns, 1, 2)  # from the reference frame to this one
+        shifts = translations - np.einsum("pij,pj->pi", moves, centres)
         reports = []
         rows = self._rows
-        for joint, patch, edges, hinges in zip(
-            rows.joints, rows.patches, rows.edge_slices, rows.hinge_slices, strict=True
+        for joint, patch, edges, hinges, blend in zip(
+            rows.joints, rows.patches, rows.edge_slices, rows.hinge_slices, self._blends, strict=True
         ):
             solved, report = rebuild(
-                patch, lengths[edges], angles[hinges], weights[edges], points[joint.vertices], settings
+                patch,
+                lengths[edges],
+                angles[hinges],
+                weights[edges],
+                points[joint.vertices],
+                settings,
+                guess=blend.place(moves, shifts),
             )
             points[joint.vertices[patch.free]] = solved[patch.free]
             reports.append(report)

@@ -93,6 +93,11 @@ class ShellProblem:
         bend = wrap(dihedral_angles(points, self.hinges) - self.angles)
         return np.concatenate([self.length_weights * stretch, self.bending * bend])
 
+    def energy(self, points: Float) -> float:
+        """Sum of the squared residuals."""
+        residuals = self.residuals(points)
+        return float(residuals @ residuals)
+
     def jacobian(self, points: Float) -> sparse.csr_array:
         """Derivatives ``(e' + h', 3 free)`` of the residuals by the free vertices."""
         length = length_gradients(points, self.edges) * self.length_weights[:, None]

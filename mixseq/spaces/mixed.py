@@ -85,8 +85,9 @@ class MixedSpace(ShapeSpace):
         Mean shapes of all parts, each centred, part by part, in the space's unit.
     reference_lengths : (E',) float64
         Mean edge lengths; their inverses weigh lengths in joint solves.
-    reference_angles : (H',) float64
-        Hinge angles that the first frame of an encoded sequence stays near.
+    reference : (V, 3) float64
+        The first frame, in the space's unit: the first frame of an encoded sequence stays near its angles, and
+        guesses of the joints are blended from it.
     settings : ShellSettings
         Settings of the joint solves.
     """
@@ -97,13 +98,18 @@ class MixedSpace(ShapeSpace):
     scale: float
     shapes: Float
     reference_lengths: Float
-    reference_angles: Float
+    reference: Float
     settings: ShellSettings
 
     @cached_property
     def projection(self) -> Placement:
         """What puts decoded parts and joints together."""
-        return _projection(self.topology, self.decomposition, self.placement, self.shapes)
+        return _projection(self.topology, self.decomposition, self.placement, self.shapes, self.reference)
+
+    @cached_property
+    def reference_angles(self) -> Float:
+        """Hinge angles ``(H',)`` of the reference frame."""
+        return dihedral_angles(self.reference, self.topology.hinges[self.projection.hinge_ids])
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
@@ -191,10 +197,14 @@ class MixedSpace(ShapeSpace):
 
 
 def _projection(
-    topology: Topology, decomposition: Decomposition, placement: PlacementName, shapes: Float
+    topology: Topology,
+    decomposition: Decomposition,
+    placement: PlacementName,
+    shapes: Float,
+    reference: Float,
 ) -> Placement:
     if placement == "anchored":
-        return AnchoredPlacement(topology, decomposition)
+        return AnchoredPlacement(topology, decomposition, shapes, reference)
     return FreePlacement(topology, decomposition, shapes)
 
 
@@ -229,10 +239,10 @@ def mixed_space(
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     scale = bounding_diagonal(points[0]) or 1.0
     shapes = np.concatenate([mean_shape(points[:, part] / scale) for part in decomposition.parts])
-    projection = _projection(topology, decomposition, placement, shapes)
+    reference = points[0].astype(np.float64) / scale
+    projection = _projection(topology, decomposition, placement, shapes, reference)
     edges = topology.edges[projection.edge_ids]
     lengths = np.mean([edge_lengths(frame.astype(np.float64), edges) for frame in points], axis=0)
-    first = points[0].astype(np.float64)
     return MixedSpace(
         topology=topology,
         decomposition=decomposition,
@@ -240,6 +250,6 @@ def mixed_space(
         scale=scale,
         shapes=shapes,
         reference_lengths=lengths / scale,
-        reference_angles=dihedral_angles(first, topology.hinges[projection.hinge_ids]),
+        reference=reference,
         settings=settings or ShellSettings(),
     )

@@ -37,7 +37,7 @@ DATASETS = {
     "segmentation/joints/sizes",
     "space/shapes",
     "space/reference_lengths",
-    "space/reference_angles",
+    "space/reference",
     "signals/time/times",
     "signals/shape/lengths",
     "signals/shape/angles",
@@ -87,7 +87,7 @@ def assert_equal(first: Model, second: Model) -> None:
     for name in ("vertex_count", "fps", "up_axis", "metres_per_unit", "name"):
         assert getattr(first.header, name) == getattr(second.header, name)
     a, b = first.space, second.space
-    for name in ("shapes", "reference_lengths", "reference_angles"):
+    for name in ("shapes", "reference_lengths", "reference"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
         assert getattr(a, name).dtype == getattr(b, name).dtype
     assert (a.placement, a.scale, a.settings, a.sizes) == (b.placement, b.scale, b.settings, b.sizes)
@@ -332,7 +332,7 @@ def test_numbers_out_of_range_are_refused(copy: Path, name: str, value: int) -> 
         mixseq.load(copy)
 
 
-@pytest.mark.parametrize("name", ["space/shapes", "space/reference_lengths", "space/reference_angles"])
+@pytest.mark.parametrize("name", ["space/shapes", "space/reference_lengths", "space/reference"])
 def test_a_space_that_is_not_finite_is_refused(copy: Path, name: str) -> None:
     replace(copy, name, with_nan(0))
     with pytest.raises(FormatError, match=r"bar\.h5"):
@@ -366,6 +366,13 @@ def test_a_newer_version_asks_for_an_upgrade(copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
         file.attrs["version"] = 2
     with pytest.raises(FormatError, match=r"has version 2, .* reads up to 1; .*upgrade"):
+        mixseq.load(copy)
+
+
+def test_a_setting_of_a_newer_version_asks_for_an_upgrade(copy: Path) -> None:
+    with h5py.File(copy, "r+") as file:
+        file.attrs["settings"] = json.dumps({"shell": {"bending": 0.3, "glue": 1}})
+    with pytest.raises(FormatError, match=r"bar\.h5: .*'glue'; upgrade"):
         mixseq.load(copy)
 
 

@@ -1,0 +1,68 @@
+"""A folder with files of every kind, and the command line as the console script runs it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+import mixseq
+from mixseq.cli import main
+from mixseq.sequence import MeshSequence, Polygons
+from mixseq.signals import Model
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="session")
+def pantry(tmp_path_factory: pytest.TempPathFactory, bent_bar: MeshSequence, bar_model: Model) -> Path:
+    """What `folder` is a copy of."""
+    place = tmp_path_factory.mktemp("pantry")
+    for name in ("bar.npz", "bar.usdc", "bar_sequence.h5"):
+        mixseq.write(place / name, bent_bar)
+    mixseq.save(place / "model.h5", bar_model)
+    mixseq.save(place / "model.hdf5", bar_model)
+    quad = Polygons.from_triangles([[0, 1, 2], [0, 2, 3]])
+    mixseq.write(place / "other.npz", MeshSequence.from_arrays(bent_bar.points[:, :4], quad, fps=10))
+    for name in ("bar.npz", "bar.usdc", "bar_sequence.h5", "model.h5"):
+        whole = (place / name).read_bytes()
+        (place / f"cut_{name}").write_bytes(whole[: len(whole) // 2])
+    (place / "notes.txt").write_text("no mesh")
+    (place / "notes.npz").write_text("no mesh")
+    (place / "empty.h5").write_bytes(b"")
+    for name in ("old.npz", "old.usdc", "old.h5"):
+        (place / name).write_bytes(b"somebody's work")
+    (place / "folder.h5").mkdir()
+    (place / "folder.usdc").mkdir()
+    return place
+
+
+@pytest.fixture
+def folder(pantry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with files of every kind."""
+    place = tmp_path / "work"
+    shutil.copytree(pantry, place)
+    monkeypatch.chdir(place)
+    return place
+
+
+@pytest.fixture
+def run(folder: Path) -> Run:
+    """Run ``mixseq`` in the folder; what is no error of the user's is raised."""
+
+    def run_it(*arguments: str) -> Result:
+        return CliRunner().invoke(main, list(arguments), prog_name="mixseq", catch_exceptions=False)
+
+    return run_it
+
+
+@pytest.fixture
+def contents(folder: Path) -> Callable[[], dict[str, bytes | None]]:
+    """Return the names and contents of everything in the folder."""
+    return lambda: {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }

@@ -1,0 +1,264 @@
+"""What commands do when all is well."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.cli import main
+from mixseq.sequence import MeshSequence
+
+Run = Callable[..., Result]
+
+COMMANDS = main.list_commands(click.Context(main))
+
+
+def succeed(result: Result) -> str:
+    """The output; without a terminal there is no progress bar, so stderr is empty."""
+    assert (result.exit_code, result.stderr) == (0, "")
+    return result.stdout
+
+
+def rows(text: str) -> dict[str, str]:
+    """The lines of a table by their first column."""
+    return dict(line.split("  ", 1) for line in text.splitlines() if "  " in line)
+
+
+# Help -----------------------------------------------------------------------------------------------------
+
+
+def test_without_arguments_there_is_help(run: Run) -> None:
+    text = succeed(run())
+    assert text == succeed(run("--help")) == succeed(run("-h"))
+    for name in COMMANDS:
+        assert f"\n  {name} " in text
+
+
+def test_version(run: Run) -> None:
+    assert succeed(run("--version")) == f"mixseq {mixseq.__version__}\n"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_has_examples_that_parse(run: Run, name: str) -> None:
+    text = succeed(run(name, "--help"))
+    assert succeed(run(name, "-h")) == text
+    lines = [line.strip() for line in text.split("Examples:")[1].splitlines() if line.strip()]
+    assert lines
+    for line in lines:
+        program, command_name, *arguments = shlex.split(line)
+        assert (program, command_name) == ("mixseq", name)
+        command = main.get_command(click.Context(main), name)
+        assert command is not None
+        command.make_context(name, arguments)
+
+
+# info -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
+def test_info_of_a_sequence(run: Run, name: str, bent_bar: MeshSequence) -> None:
+    table = rows(succeed(run("info", name)))
+    assert table["vertices"].strip() == "77"
+    assert table["time"].strip() == "0 to 0.3 s"
+    assert "parts" not in table
+    facts = json.loads(succeed(run("info", name, "--json")))
+    assert facts["kind"] == "sequence"
+    assert (facts["vertices"], facts["triangles"], facts["frames"], facts["fps"]) == (77, 150, 4, 10)
+    assert facts["diagonal"] == pytest.approx(bent_bar.diagonal)
+    assert facts["bytes"] == Path(name).stat().st_size
+    assert facts["topology"]["closed"] is True
+
+
+def test_info_of_a_model(run: Run) -> None:
+    table = rows(succeed(run("info", "model.h5")))
+    assert table["model"].strip() == "bar"
+    assert table["parts"].strip() == "2 with 31, 31 vertices"
+    facts = json.loads(succeed(run("info", "model.h5", "--json")))
+    assert facts["kind"] == "model"
+    assert facts["placement"] == "anchored"
+    assert len(facts["part_vertices"]) == 2
+    assert facts["edges_per_mixed"] == pytest.approx(facts["dim_edges"] / facts["dim_mixed"])
+    assert succeed(run("info", "model.hdf5", "--json")).splitlines()[2:] == (
+        succeed(run("info", "model.h5", "--json")).splitlines()[2:]
+    )
+
+
+def test_info_of_numbered_files(run: Run, folder: Path) -> None:
+    (folder / "obj").mkdir()
+    succeed_with_warning(run("convert", "bar.npz", "obj/bar_####.obj"))
+    for name in ("obj", "obj/bar_####.obj", "obj/bar_*.obj"):
+        facts = json.loads(succeed(run("info", name, "--json", "--input-fps", "10")))
+        assert (facts["frames"], facts["fps"], facts["bytes"]) == (4, 10, None)
+
+
+def test_quiet_info(run: Run) -> None:
+    assert succeed(run("info", "bar.npz", "--quiet")) == ""
+
+
+# convert --------------------------------------------------------------------------------------------------
+
+
+def succeed_with_warning(result: Result) -> str:
+    """As `succeed`, but for one warning on one line."""
+    assert result.exit_code == 0
+    assert result.stderr.startswith("mixseq: warning: ")
+    assert result.stderr.count("\n") == 1
+    return result.stdout
+
+
+@pytest.mark.parametrize("name", ["new.npz", "new.h5", "old.npz", "old.h5"])
+def test_convert_without_loss(run: Run, name: str, bent_bar: MeshSequence) -> None:
+    assert succeed(run("convert", "bar.npz", name)).startswith(f"wrote {name} (")
+    back = mixseq.read(name)
+    assert np.array_equal(back.points, bent_bar.points)
+    assert np.array_equal(back.times, bent_bar.times)
+    assert back.name == "bar"
+
+
+def test_convert_to_usd(run: Run, bent_bar: MeshSequence) -> None:
+    result = run("convert", "bar.npz", "new.usdc")
+    assert result.exit_code == 0
+    assert result.stdout.startswith("wrote new.usdc (")
+    assert np.array_equal(mixseq.read("new.usdc").points, bent_bar.points.astype(np.float32))
+
+
+def test_convert_to_obj_and_back(run: Run, bent_bar: MeshSequence, folder: Path) -> None:
+    (folder / "obj").mkdir()
+    text = succeed_with_warning(run("convert", "bar.npz", "obj/bar_####.obj"))
+    assert text == f"wrote {Path('obj/bar_####.obj')}\n"
+    assert sorted(path.name for path in Path("obj").iterdir()) == [
+        f"bar_{number:04d}.obj" for number in range(1, 5)
+    ]
+    succeed(run("convert", "obj", "back.npz", "--input-fps", "10"))
+    back = mixseq.read("back.npz")
+    assert np.array_equal(back.points, bent_bar.points)
+    assert back.fps == 10
+    Path("obj/bar_0002.obj").unlink()
+    assert run("convert", "obj", "gaps.npz").exit_code == 2
+    succeed(run("convert", "obj", "gaps.npz", "--allow-gaps", "--input-fps", "10"))
+    assert mixseq.read("gaps.npz").times == pytest.approx([0, 0.2, 0.3])
+
+
+# encode and decode ----------------------------------------------------------------------------------------
+
+
+def test_encode(run: Run, bent_bar: MeshSequence) -> None:
+    text = succeed(run("encode", "bar.npz", "new.h5", "--check"))
+    table = rows(text)
+    assert table["placement"].strip() == "anchored"
+    assert float(table["max error"].split()[0]) < 1e-12
+    assert "KG error" in table
+    assert text.splitlines()[-1].startswith("wrote new.h5 (")
+    assert mixseq.compare(bent_bar, mixseq.load("new.h5").sample()).max_error < 1e-12
+
+
+def test_encode_with_settings(run: Run) -> None:
+    arguments = ("--parts", "3", "--placement", "free", "--joint-width", "1")
+    table = rows(succeed(run("encode", "bar.usdc", "old.h5", *arguments)))
+    assert table["placement"].strip() == "free"
+    assert table["parts"].strip().startswith("3 with ")
+    assert "max error" not in table
+    model = mixseq.load("old.h5")
+    assert model.space.placement == "free"
+    assert len(model.decomposition.parts) == 3
+
+
+def test_quiet_encode(run: Run) -> None:
+    text = succeed(run("encode", "bar.npz", "new.HDF5", "-q", "--check"))
+    assert text.startswith("wrote new.HDF5 (")
+    assert text.count("\n") == 1
+
+
+def test_decode_the_original_frames(run: Run, bent_bar: MeshSequence) -> None:
+    table = rows(succeed(run("decode", "model.h5", "new.npz")))
+    assert table["frames"].strip() == "4"
+    assert table["time"].strip() == "0 to 0.3 s at 10 frames per second"
+    assert mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("options", "times", "fps"),
+    [
+        (["--fps", "20"], np.arange(7) / 20, 20),
+        (["--fps", "4"], [0, 0.25], 4),
+        (["--times", "0,0.125,0.3"], [0, 0.125, 0.3], 10),
+        (["--times", "0.07"], [0.07], 10),
+        (["--times", "0.1,0.2", "--fps", "30"], [0.1, 0.2], 30),
+        (["--start", "0.1"], [0.1, 0.2, 0.3], 10),
+        (["--end", "0.15"], [0, 0.1], 10),
+        (["--start", "0.1", "--end", "0.2"], [0.1, 0.2], 10),
+        (["--start", "0.05", "--end", "0.25", "--fps", "20"], [0.05, 0.1, 0.15, 0.2, 0.25], 20),
+        (["--start", "0.2", "--end", "0.2", "--fps", "50"], [0.2], 50),
+    ],
+)
+def test_decode_some_times(run: Run, options: list[str], times: list[float], fps: float) -> None:
+    succeed(run("decode", "model.h5", "new.h5", *options))
+    new = mixseq.read("new.h5")
+    assert new.times == pytest.approx(np.asarray(times))
+    assert new.fps == fps
+    expected = mixseq.load("model.h5").sample(new.times).points
+    assert new.points == pytest.approx(expected, abs=1e-9)
+
+
+def test_quiet_decode(run: Run) -> None:
+    assert succeed(run("decode", "model.h5", "new.npz", "--quiet")).count("\n") == 1
+
+
+# compare --------------------------------------------------------------------------------------------------
+
+
+def test_compare(run: Run) -> None:
+    table = rows(succeed(run("compare", "bar.npz", "model.h5")))
+    assert table["compared"].strip() == "4 frames of 77 vertices"
+    assert float(table["max error"].split()[0]) < 1e-12
+    assert {"KG error", "rms error", "worst frame", "edge strain", "dihedral error", "volume error"} <= set(
+        table
+    )
+    facts = json.loads(succeed(run("compare", "bar.npz", "bar.usdc", "--json")))
+    assert (facts["reference"], facts["other"], facts["left_out"]) == ("bar.npz", "bar.usdc", 0)
+    assert 0 < facts["max_error"] < 1e-6
+    assert succeed(run("compare", "bar.npz", "bar.usdc", "--quiet")) == ""
+
+
+def test_compare_at_shared_times(run: Run) -> None:
+    succeed(run("decode", "model.h5", "new.npz", "--fps", "20"))
+    text = succeed(run("compare", "bar.npz", "new.npz"))
+    assert text.startswith("compared at the 4 times that new.npz shares, out of 7\n")
+    assert float(rows(text)["max error"].split()[0]) < 1e-12
+    facts = json.loads(succeed(run("compare", "bar.npz", "new.npz", "--json")))
+    assert (facts["frames"], facts["left_out"]) == (4, 3)
+
+
+def test_reader_options_go_to_the_file_that_knows_them(run: Run) -> None:
+    mesh = json.loads(succeed(run("compare", "bar.npz", "bar.usdc", "--prim", "/bar", "--json")))
+    assert mesh["frames"] == 4
+
+
+# formats and demo -----------------------------------------------------------------------------------------
+
+
+def test_formats(run: Run) -> None:
+    text = succeed(run("formats"))
+    assert text.split()[:3] == ["format", "extensions", "holds"]
+    for word in (".usdc", ".usdz (only read)", ".h5", ".npz", ".obj"):
+        assert word in text
+
+
+def test_demo(run: Run, folder: Path) -> None:
+    table = rows(succeed(run("demo", "--frames", "2", "--out", "demo/fox")))
+    place = folder / "demo" / "fox"
+    names = ["contact_sheet.png", "creature.usdc", "decoded.usdc", "model.h5"]
+    assert sorted(path.name for path in place.iterdir()) == names
+    assert (place / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
+    assert table["frames"].strip() == "2 encoded, 3 decoded"
+    assert float(table["max error"].split()[0]) < 1e-12
+    assert mixseq.load(place / "model.h5").header.frame_count == 2
+    assert mixseq.read(place / "decoded.usdc").frame_count == 3

@@ -1,0 +1,231 @@
+"""What commands say when something is wrong: one line, exit code 2, and every file as it was."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import click
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.cli.failures import exit_code
+from mixseq.errors import MissingExtraError, MixseqError
+
+Run = Callable[..., Result]
+Contents = Callable[[], dict[str, bytes | None]]
+
+FAILURES: list[tuple[str, str]] = [
+    # No such file.
+    ("info none.npz", "none.npz.* does not exist"),
+    ("info none.h5", "none.h5 does not exist"),
+    ("info none.usdc", "none.usdc.* does not exist"),
+    ("info none", "none does not exist"),
+    ("convert none.usdc old.npz", "none.usdc.* does not exist"),
+    ("encode none.npz old.h5", "none.npz.* does not exist"),
+    ("decode none.h5 old.npz", "none.h5 does not exist"),
+    ("compare none.npz bar.npz", "none.npz.* does not exist"),
+    ("compare bar.npz none.npz", "none.npz.* does not exist"),
+    # Something else than its name says.
+    ("info notes.txt", "'.txt' is not known"),
+    ("info notes.npz", "notes.npz"),
+    ("info empty.h5", "empty.h5"),
+    ("info folder.h5", "folder.h5"),
+    ("convert notes.npz old.usdc", "notes.npz"),
+    ("encode notes.txt old.h5", "notes.txt"),
+    ("decode bar.npz old.npz", "bar.npz"),
+    ("decode bar_sequence.h5 old.npz", "bar_sequence.h5"),
+    ("decode notes.txt old.npz", "notes.txt"),
+    ("compare bar.npz notes.npz", "notes.npz"),
+    # Half a file.
+    ("info cut_bar.npz", "cut_bar.npz"),
+    ("info cut_bar.usdc", "cut_bar.usdc"),
+    ("info cut_bar_sequence.h5", "cut_bar_sequence.h5"),
+    ("info cut_model.h5", "cut_model.h5"),
+    ("convert cut_bar.npz old.usdc", "cut_bar.npz"),
+    ("convert cut_bar.usdc old.npz", "cut_bar.usdc"),
+    ("convert cut_bar_sequence.h5 old.npz", "cut_bar_sequence.h5"),
+    ("encode cut_bar.npz old.h5", "cut_bar.npz"),
+    ("decode cut_model.h5 old.npz", "cut_model.h5"),
+    ("compare bar.npz cut_bar.usdc", "cut_bar.usdc"),
+    # No place to write to.
+    ("convert bar.npz nowhere/new.usdc", "nowhere does not exist; make it first"),
+    ("convert bar.npz nowhere/new_####.obj", "nowhere does not exist; make it first"),
+    ("encode bar.npz nowhere/new.h5", "nowhere does not exist; make it first"),
+    ("decode model.h5 nowhere/new.usdc", "nowhere does not exist; make it first"),
+    ("convert bar.npz folder.usdc", "folder.usdc is a folder"),
+    ("convert bar.npz folder.h5", "folder.h5 is a folder"),
+    ("encode bar.npz folder.h5", "folder.h5 is a folder"),
+    ("decode model.h5 folder.usdc", "folder.usdc is a folder"),
+    ("demo --frames 2 --out notes.txt", "notes.txt"),
+    ("demo --frames 2 --out notes.txt/fox", "notes.txt"),
+    ("convert bar.npz new.stl", "'.stl' is not known; write one of"),
+    ("convert bar.npz new.usdz", ".usdz files are only read"),
+    ("encode bar.npz old.usdc", "models are HDF5 files; end the name in .h5 or .hdf5"),
+    ("decode model.h5 new.stl", "'.stl' is not known; write one of"),
+    ("convert bar.npz one.obj", "one.obj"),
+    # Options.
+    ("bogus", "No such command 'bogus'.*see mixseq --help"),
+    ("--bogus", "No such option.*--bogus.*see mixseq --help"),
+    ("encode bar.npz", "Missing argument 'TARGET'.*see mixseq encode --help"),
+    ("info", "Missing argument 'FILE'"),
+    ("info bar.npz bar.usdc", "unexpected extra argument"),
+    ("encode bar.npz old.h5 --parts 0", "--parts.*0 is not in the range"),
+    ("encode bar.npz old.h5 --parts many", "--parts.*'many' is not a valid integer"),
+    ("encode bar.npz old.h5 --parts 1000", "parts is 1000; a number from 1 to 150"),
+    ("encode bar.npz old.h5 --joint-width 0", "--joint-width.*0 is not in the range"),
+    ("encode bar.npz old.h5 --placement loose", "--placement.*'loose' is not one of"),
+    ("encode bar.usdc old.h5 --prim /none", "/none"),
+    ("encode bar.npz old.h5 --prim /bar", "npz has no option 'prim'"),
+    ("convert bar.usdc old.npz --input-fps 10", "USD has no option 'fps'"),
+    ("convert bar.usdc old.npz --allow-gaps", "USD has no option 'allow_gaps'"),
+    ("compare bar.npz bar.npz --prim /bar", "neither bar.npz nor bar.npz is read with an option 'prim'"),
+    ("demo --frames 1", "--frames.*1 is not in the range"),
+    ("decode model.h5 old.npz --fps 0", "--fps.*0.* is not in the range"),
+    ("decode model.h5 old.npz --fps fast", "--fps.*'fast' is not a valid float"),
+    ("decode model.h5 old.npz --fps nan", "fps is nan"),
+    ("decode model.h5 old.npz --fps nan --start 0", "fps is nan"),
+    ("decode model.h5 old.npz --times 0;1", "--times.*'0;1' is not a list of seconds such as 0,0.5,1.25"),
+    ("decode model.h5 old.npz --times 0,", "--times.*'0,' is not a list of seconds"),
+    ("decode model.h5 old.npz --times 0 --start 0", "leave out --start and --end"),
+    ("decode model.h5 old.npz --times 0 --end 0", "leave out --start and --end"),
+    # Times.
+    ("decode model.h5 old.npz --times 9", "time 9 s is outside the sequence, 0 to 0.3 s"),
+    ("decode model.h5 old.npz --times -0.1,0", "time -0.1 s is outside the sequence"),
+    ("decode model.h5 old.npz --times nan", "time nan s is outside the sequence"),
+    ("decode model.h5 old.npz --times 0.2,0.1", "times must increase"),
+    ("decode model.h5 old.npz --times 0.1,0.1", "times must increase"),
+    ("decode model.h5 old.npz --start -1 --fps 10", "time -1 s is outside the sequence"),
+    ("decode model.h5 old.npz --end 2 --fps 10", "outside the sequence"),
+    ("decode model.h5 old.npz --start 0.2 --end 0.1", "no time between the start, 0.2 s, and the end, 0.1 s"),
+    ("decode model.h5 old.npz --start nan", "no time between"),
+    ("decode model.h5 old.npz --end inf --fps 10", "no time between"),
+    ("decode model.h5 old.npz --start 0.12 --end 0.18", "no frame from 0.12 to 0.18 s; give --fps"),
+    # Meshes that do not match.
+    ("compare bar.npz other.npz", "the reference has 77 vertices, the other sequence 4"),
+]
+
+
+def check_message(result: Result, message: str) -> None:
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("mixseq: error: ")
+    assert result.stderr.endswith("\n")
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert "Traceback" not in result.stderr
+    assert re.search(message, result.stderr), result.stderr
+
+
+@pytest.mark.parametrize(("line", "message"), FAILURES, ids=[line for line, _ in FAILURES])
+def test_failure(run: Run, contents: Contents, line: str, message: str) -> None:
+    before = contents()
+    check_message(run(*line.split()), message)
+    assert contents() == before
+
+
+def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> NoReturn:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mixseq_io.atomic._flush", full)
+    before = contents()
+    for line in (
+        "convert bar.npz old.usdc",
+        "convert bar.npz old.h5",
+        "decode model.h5 old.npz",
+        "encode bar.npz old.h5 --parts 2",
+    ):
+        check_message(run(*line.split()), "cannot write .*No space left on device; free some space")
+        assert contents() == before
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, click.Abort])
+@pytest.mark.parametrize(
+    ("line", "where"),
+    [
+        ("encode bar.npz old.h5", "fit"),
+        ("encode bar.npz new.h5", "save"),
+        ("decode model.h5 old.npz", "write_blocks"),
+        ("convert bar.npz new.npz", "write_blocks"),
+    ],
+)
+def test_interrupt(
+    run: Run,
+    contents: Contents,
+    monkeypatch: pytest.MonkeyPatch,
+    line: str,
+    where: str,
+    error: type[BaseException],
+) -> None:
+    def stop(*_: object, **__: object) -> NoReturn:
+        raise error
+
+    monkeypatch.setattr(mixseq, where, stop)
+    if where == "save":
+        monkeypatch.setattr(mixseq, "fit", lambda *_, **__: mixseq.load("model.h5"))
+    before = contents()
+    result = run(*line.split())
+    assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "mixseq: interrupted")
+    assert contents() == before
+
+
+def test_interrupt_in_the_middle_of_a_file(
+    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+
+    def stop(file: Path) -> NoReturn:
+        calls.append(file.name)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mixseq_io.atomic._flush", stop)
+    before = contents()
+    assert run("encode", "bar.npz", "old.h5", "--parts", "2").exit_code == 130
+    assert run("decode", "model.h5", "old.usdc").exit_code == 130
+    assert run("decode", "model.h5", "new.npz").exit_code == 130
+    assert len(calls) == 3
+    assert contents() == before
+
+
+def test_bugs_are_not_hidden(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def bug(*_: object, **__: object) -> NoReturn:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(mixseq, "open_sequence", bug)
+    with pytest.raises(ZeroDivisionError):
+        run("info", "bar.npz")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (MixseqError("head:\n  one\n  two"), "mixseq: error: head: one, two"),
+        (MissingExtraError("pip install it"), "mixseq: error: pip install it"),
+        (OSError(13, "Permission denied", "a.npz"), "mixseq: error: a.npz: Permission denied"),
+        (OSError("strange"), "mixseq: error: strange"),
+        (MemoryError(), "mixseq: error: there is not enough memory"),
+        (MemoryError("9 TB"), "mixseq: error: there is not enough memory (9 TB)"),
+        (click.ClickException("plain"), "mixseq: error: plain"),
+    ],
+)
+def test_messages(error: Exception, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail() -> NoReturn:
+        raise error
+
+    assert exit_code(fail) == 2
+    assert capsys.readouterr() == ("", f"{line}\n")
+
+
+def test_exit_codes_of_what_succeeds() -> None:
+    assert [exit_code(lambda: None), exit_code(lambda: 0), exit_code(lambda: 3)] == [0, 0, 3]
+
+
+def test_other_warnings_are_left_alone() -> None:
+    import warnings
+
+    with pytest.warns(DeprecationWarning, match="old") as caught:
+        assert exit_code(lambda: warnings.warn("old", DeprecationWarning, stacklevel=2)) == 0
+    assert len(caught) == 1
