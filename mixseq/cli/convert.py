@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import counted
+from mixseq.cli.files import check_target, counted
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 
 
@@ -27,6 +27,7 @@ def command(source: Path, target: Path, reading: dict[str, Any], quiet: bool) ->
     block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
     warning.
     """
+    check_target(target)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
         mixseq.write_blocks(target, reader.header, blocks)

@@ -97,6 +97,8 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     if start is None and end is None:
         return model.header_at(fps=fps)
     if fps is not None:
+        for time in (first, last):
+            model.header_at([time], fps)  # refuses what could not be counted
         steps = np.arange(int((last - first + slack) * fps) + 1)
         return model.header_at(np.minimum(first + steps / fps, last), fps)
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]

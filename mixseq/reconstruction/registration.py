@@ -116,7 +116,7 @@ def register(
     sweeps : int
         At most this many rounds.
     tolerance : float
-        Stop when a round changes no entry of a rotation by more than this.
+        Stop when a round changes no entry of a rotation by more than this, or no longer lowers the energy.
 
     Returns
     -------
@@ -131,8 +131,11 @@ def register(
     stacked = np.swapaxes(rotation, 1, 2).reshape(
         -1, 3
     )  # R_k^T below each other: rows are points' coordinates
+    # Below this the energy is rounding: a hopelessly thin overlap may turn for ever without lowering it.
+    rounding = 1e-15 * float(np.trace(matrix))
+    energy = np.inf
     for _ in range(sweeps):
-        change = 0.0
+        change, before = 0.0, energy
         for k in range(len(overlaps.sizes)):
             own = slice(3 * k, 3 * k + 3)
             pull = matrix[own, own] @ stacked[own] - matrix[own] @ stacked
@@ -141,7 +144,8 @@ def register(
             best = nearest_rotations(pull)
             change = max(change, float(np.abs(best - stacked[own]).max()))
             stacked[own] = best
-        if change <= tolerance:
+        energy = float(np.einsum("ij,ij->", stacked, matrix @ stacked))
+        if change <= tolerance or before - energy <= rounding:
             break
     shift = -overlaps.translation_solver @ (projected @ stacked)
     return _rooted(overlaps, np.swapaxes(stacked.reshape(-1, 3, 3), 1, 2), shift)

@@ -123,7 +123,7 @@ def decompose(
         Largest width of the joints in strips of triangles on each side of a boundary, at least 1.
     points : (T, V, 3) float, optional
         The sequence: joints are as wide as it bends, and faces must have area in every frame. Without it all
-        joints have full width.
+        joints have full width, and faces that collapse in some frame cannot be kept out of them.
 
     Returns
     -------

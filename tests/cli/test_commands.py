@@ -86,8 +86,9 @@ def test_info_of_a_model(run: Run) -> None:
     assert facts["placement"] == "anchored"
     assert len(facts["part_vertices"]) == 2
     assert facts["edges_per_mixed"] == pytest.approx(facts["dim_edges"] / facts["dim_mixed"])
-    assert succeed(run("info", "model.hdf5", "--json")).splitlines()[2:] == (
-        succeed(run("info", "model.h5", "--json")).splitlines()[2:]
+    assert (
+        succeed(run("info", "model.hdf5", "--json")).splitlines()[2:]
+        == (succeed(run("info", "model.h5", "--json")).splitlines()[2:])
     )
 
 

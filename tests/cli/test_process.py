@@ -1,0 +1,198 @@
+"""The command line as a process of its own: interrupts, pipes, terminals, imports."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import mixseq
+from mixseq.cli.console import progress_bar
+from mixseq.progress import silent
+from tests.meshes import bar
+
+MIXSEQ = str(Path(sysconfig.get_path("scripts")) / "mixseq")
+PATIENCE = 30.0  # seconds until we give up
+
+
+@pytest.fixture(scope="module")
+def big(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sequence that takes seconds to encode, and about as long to write as text."""
+    file = tmp_path_factory.mktemp("big") / "big.npz"
+    mixseq.write(file, bar(sides=40, rings=200, frames=60))
+    return file
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Let processes that we start heed Ctrl-C, even if we run in the background of a shell and do not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    """Wait for a sign that a process is at work."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert process.poll() is None, "it ended before it could be interrupted"
+        assert time.monotonic() < end, "it did not start to work"
+        time.sleep(0.005)
+
+
+class Terminal:
+    """A terminal for the stderr of a process, and what appeared on it."""
+
+    def __init__(self) -> None:
+        self._ours, self.theirs = os.openpty()
+        os.set_blocking(self._ours, False)
+        self._shown = b""
+
+    def shown(self) -> str:
+        """Return all text so far, without colours and movements of the cursor."""
+        try:
+            while more := os.read(self._ours, 1 << 16):
+                self._shown += more
+        except OSError:  # nothing more for now, or nobody at the other end
+            pass
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self._shown.decode(errors="replace"))
+
+    def close(self) -> None:
+        os.close(self._ours)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    made = Terminal()
+    yield made
+    made.close()
+
+
+def start(terminal: Terminal, folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
+    process = subprocess.Popen(
+        [MIXSEQ, *arguments], cwd=folder, stdout=subprocess.PIPE, stderr=terminal.theirs, env=environment
+    )
+    os.close(terminal.theirs)
+    return process
+
+
+def interrupt(process: subprocess.Popen[bytes]) -> tuple[int, bytes]:
+    """Press Ctrl-C; return the exit code and stdout."""
+    process.send_signal(signal.SIGINT)
+    stdout, _ = process.communicate(timeout=PATIENCE)
+    return process.returncode, stdout
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("exists", [False, True])
+def test_interrupt_while_encoding(big: Path, tmp_path: Path, terminal: Terminal, exists: bool) -> None:
+    target = tmp_path / "big.h5"
+    if exists:
+        target.write_bytes(b"somebody's work")
+    with start(terminal, tmp_path, "encode", str(big), "big.h5") as process:
+        try:
+            wait_until(lambda: "finding parts" in terminal.shown(), process)
+            assert interrupt(process) == (130, b"")
+        finally:
+            process.kill()
+    assert terminal.shown().rstrip().endswith("mixseq: interrupted")
+    assert "Traceback" not in terminal.shown()
+    assert [path.name for path in tmp_path.iterdir()] == (["big.h5"] if exists else [])
+    assert not exists or target.read_bytes() == b"somebody's work"
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("name", ["big_####.obj", "big.h5"])
+def test_interrupt_while_writing(big: Path, tmp_path: Path, terminal: Terminal, name: str) -> None:
+    with start(terminal, tmp_path, "convert", str(big), name) as process:
+        try:
+            wait_until(lambda: any(tmp_path.iterdir()), process)
+            assert [path.name[0] for path in tmp_path.iterdir()] == ["."]
+            assert interrupt(process) == (130, b"")
+        finally:
+            process.kill()
+    assert terminal.shown().rstrip().endswith("mixseq: interrupted")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_on_a_terminal_only(folder: Path, terminal: Terminal) -> None:
+    with start(terminal, folder, "encode", "bar.npz", "new.h5") as process:
+        process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    assert "encoding frames" in terminal.shown()
+    quiet = subprocess.run(
+        [MIXSEQ, "encode", "bar.npz", "new.h5"], cwd=folder, capture_output=True, timeout=PATIENCE
+    )
+    assert (quiet.returncode, quiet.stderr) == (0, b"")
+
+
+def test_quiet_on_a_terminal(folder: Path, terminal: Terminal) -> None:
+    with start(terminal, folder, "encode", "bar.npz", "new.h5", "--quiet") as process:
+        process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    assert terminal.shown() == ""
+
+
+def test_progress_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    with progress_bar(quiet=False) as progress:
+        assert progress is silent
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with progress_bar(quiet=True) as progress:
+        assert progress is silent
+
+
+@pytest.mark.parametrize(
+    "line", ["--help", "encode --help", "formats", "info bar.npz", "info bar.npz --json"]
+)
+def test_a_broken_pipe_is_quiet(folder: Path, line: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        result = subprocess.run(
+            [MIXSEQ, *line.split()], cwd=folder, stdout=writer, stderr=subprocess.PIPE, timeout=PATIENCE
+        )
+    finally:
+        os.close(writer)
+    assert (result.returncode, result.stderr) == (1, b"")
+
+
+def test_a_mistake_in_a_process(folder: Path) -> None:
+    result = subprocess.run(
+        [MIXSEQ, "info", "none.npz"], cwd=folder, capture_output=True, timeout=PATIENCE, text=True
+    )
+    assert (result.returncode, result.stdout) == (2, "")
+    assert re.fullmatch(r"mixseq: error: .*none\.npz.*\n", result.stderr)
+
+
+HELP = """
+import sys
+from mixseq.cli import main
+for name in [None, *main.list_commands(None)]:
+    try:
+        main([*([name] if name else []), "--help"])
+    except SystemExit as exit:
+        assert not exit.code
+heavy = {"h5py", "matplotlib", "mixseq_io", "numpy", "pxr", "rich", "scipy", "trimesh"}
+print("loaded:", sorted(heavy & set(sys.modules)))
+"""
+
+
+def test_help_imports_no_numerical_packages() -> None:
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", HELP],
+        capture_output=True,
+        timeout=PATIENCE,
+        text=True,
+        check=True,
+    )
+    assert result.stdout.endswith("loaded: []\n")
+    assert result.stderr == ""
