@@ -79,8 +79,8 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     with _explaining(target):
         _check_target(target)
         temporary = folder / f".mixseq.{secrets.token_hex(4)}"
-        temporary.mkdir()
         try:
+            temporary.mkdir()
             yield temporary
             files = sorted(temporary.iterdir())
             for file in files:

@@ -41,7 +41,7 @@ def _as_seconds(
 @click.argument("target", type=FILE)
 @click.option(
     "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1e6),
+    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
     metavar="N",
     help="Frames per second.  [default: the original frames]",
 )

@@ -5,6 +5,7 @@
 1     the reader of a pipe went away
 2     an error that the user can do something about
 130   interrupted by Ctrl-C
+143   terminated by a signal
 ====  ======================================================================
 
 Anything else is a bug in mixseq, and those do come with a traceback.
@@ -12,10 +13,12 @@ Anything else is a bug in mixseq, and those do come with a traceback.
 
 from __future__ import annotations
 
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import NoReturn, TextIO
 
 import click
 
@@ -25,7 +28,7 @@ from mixseq.errors import MixseqError, MixseqWarning
 def exit_code(run: Callable[[], object]) -> int:
     """Run a command, report its errors and warnings, and return the exit code of the process."""
     try:
-        with _warnings_in_one_line():
+        with _warnings_in_one_line(), _unwinding_when_terminated():
             result = run()
         return result if isinstance(result, int) else 0
     except MixseqError as error:
@@ -75,3 +78,20 @@ def _warnings_in_one_line() -> Iterator[None]:
 
         warnings.showwarning = show
         yield
+
+
+@contextmanager
+def _unwinding_when_terminated() -> Iterator[None]:
+    """Let SIGTERM end the process as Ctrl-C does, by an exception, so that no half-written file stays behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+
+    def leave(number: int, frame: object) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -87,7 +87,8 @@ def _rows(facts: dict[str, Any]) -> Rows:
     rows = [
         (facts["kind"], facts["name"]),
         ("vertices", f"{facts['vertices']:,}"),
-        ("polygons", f"{facts['polygons']:,}, {facts['triangles']:,} triangles"),
+        ("polygons", f"{facts['polygons']:,}"),
+        ("triangles", f"{facts['triangles']:,}"),
         ("frames", f"{facts['frames']:,}"),
         ("time", f"{facts['first_time']:g} to {facts['last_time']:g} s"),
         ("rate", f"{facts['fps']:g} frames per second"),
