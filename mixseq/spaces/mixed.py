@@ -30,7 +30,9 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap
 from mixseq.geometry.rigid import kabsch, mean_shape
 from mixseq.geometry.rotations import continuous_vectors, matrices
 from mixseq.progress import Progress, silent
-from mixseq.reconstruction.placement import AnchoredPlacement, FreePlacement, Placement
+from mixseq.reconstruction.anchored import AnchoredPlacement
+from mixseq.reconstruction.free import FreePlacement
+from mixseq.reconstruction.placement import MixedFrame, Placement
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray, bounding_diagonal
@@ -182,15 +184,15 @@ class MixedSpace(ShapeSpace):
         weights = 1.0 / np.maximum(self.reference_lengths, np.finfo(np.float64).tiny)
         with one_blas_thread():
             for frame in range(len(vectors)):
-                points[frame], report = self.projection.assemble(
-                    blocks.lengths[frame],
-                    blocks.angles[frame],
-                    weights,
-                    blocks.parts[frame],
-                    matrices(blocks.rotations[frame]),
-                    blocks.translations[frame],
-                    self.settings,
+                mixed = MixedFrame(
+                    lengths=blocks.lengths[frame],
+                    angles=blocks.angles[frame],
+                    weights=weights,
+                    parts=blocks.parts[frame],
+                    rotations=matrices(blocks.rotations[frame]),
+                    translations=blocks.translations[frame],
                 )
+                points[frame], report = self.projection.assemble(mixed, self.settings)
                 reports.append(report)
                 progress(frame + 1, len(vectors), "decoding frames")
         return points * self.scale, reports

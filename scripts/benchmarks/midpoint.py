@@ -22,10 +22,8 @@ PAIRS = (("lion_poses", 2, 5), ("cat_poses", 1, 3), ("horse_poses", 1, 3), ("hor
 def main() -> int:
     data = Path(os.environ.get("MIXSEQ_DATA", ""), "npz")
     pairs = PAIRS if len(sys.argv) < 4 else ((sys.argv[1], int(sys.argv[2]), int(sys.argv[3])),)
-    print(
-        "| sequence | method | s | converged | iterations | relative length 99 / 99.9 % / max | degrees 99 / 99.9 % / max |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    columns = ("sequence", "method", "s", "converged", "iterations", "relative length", "degrees")
+    print("Errors at 99 % / 99.9 % / max.\n\n| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
     for name, first, second in pairs:
         measure(data / f"{name}.npz", first, second)
     return 0
