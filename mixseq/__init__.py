@@ -18,6 +18,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mixseq.version import __version__
+
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison, compare
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from mixseq.topology import Topology
     from mixseq_io import open_sequence, read, write, write_blocks
     from mixseq_io.model_h5 import load, save
-
-__version__ = "0.1.0"
 
 _HOME = {
     "Comparison": "mixseq.metrics",

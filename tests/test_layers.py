@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 LAYERS = (
-    ("errors", "progress", "threads"),
+    ("errors", "progress", "threads", "version"),
     ("polygons",),
     ("sequence",),
     ("topology", "geometry"),

@@ -22,6 +22,9 @@ from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.reader import brief, reading
 
+MODEL_FORMAT = "mixseq-model"
+"""The root attribute `format` of a model."""
+
 CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 4}
 """How every dataset is stored."""
 

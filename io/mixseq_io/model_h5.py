@@ -25,7 +25,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-import mixseq
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation.joints import Decomposition, make_joint
@@ -33,9 +32,18 @@ from mixseq.sequence import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed import PLACEMENTS, MixedBlocks, MixedSpace
 from mixseq.topology import Topology
-from mixseq_io.h5 import CHECKED, check_version, creating_h5, read_header, reading_h5, whole, write_header
+from mixseq.version import __version__
+from mixseq_io.h5 import (
+    CHECKED,
+    MODEL_FORMAT,
+    check_version,
+    creating_h5,
+    read_header,
+    reading_h5,
+    whole,
+    write_header,
+)
 from mixseq_io.registry import PathLike
-from mixseq_io.sequence_h5 import MODEL_FORMAT
 
 VERSION = 1
 
@@ -60,7 +68,7 @@ def save(path: PathLike, model: Model) -> None:
     with creating_h5(Path(path)) as (file, store):
         file.attrs["format"] = MODEL_FORMAT
         file.attrs["version"] = VERSION
-        file.attrs["created_by"] = f"mixseq {mixseq.__version__}"
+        file.attrs["created_by"] = f"mixseq {__version__}"
         file.attrs["settings"] = json.dumps({"shell": asdict(model.space.settings)}, sort_keys=True)
         file.attrs["vertex_count"] = model.header.vertex_count
         write_header(file, model.header)

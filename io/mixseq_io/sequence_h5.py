@@ -26,6 +26,7 @@ from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from mixseq_io.blocks import checked
 from mixseq_io.h5 import (
     CHECKED,
+    MODEL_FORMAT,
     Store,
     check_version,
     creating_h5,
@@ -37,7 +38,6 @@ from mixseq_io.h5 import (
 from mixseq_io.reader import MemoryReader, SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
-MODEL_FORMAT = "mixseq-model"
 VERSION = 1
 
 # A chunk is compressed and read as a whole; HDF5 keeps 1 MiB of them by default.

@@ -25,7 +25,7 @@ def is_model(path: Path) -> bool:
     import h5py
 
     from mixseq_io.h5 import reading_h5
-    from mixseq_io.sequence_h5 import MODEL_FORMAT
+    from mixseq_io.h5 import MODEL_FORMAT
 
     with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
         return bool(file.attrs.get("format") == MODEL_FORMAT)
