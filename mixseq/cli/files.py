@@ -24,8 +24,7 @@ def is_model(path: Path) -> bool:
         return False
     import h5py
 
-    from mixseq_io.h5 import reading_h5
-    from mixseq_io.h5 import MODEL_FORMAT
+    from mixseq_io.h5 import MODEL_FORMAT, reading_h5
 
     with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
         return bool(file.attrs.get("format") == MODEL_FORMAT)
