@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.errors import FormatError, InvalidSequenceError, OutputError
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
@@ -47,6 +47,8 @@ from mixseq_io.registry import PathLike
 
 VERSION = 1
 
+SUFFIXES = (".h5", ".hdf5")
+
 _CHUNK_ELEMENTS = 1 << 17
 
 
@@ -63,9 +65,12 @@ def save(path: PathLike, model: Model) -> None:
     Raises
     ------
     OutputError
-        If the file cannot be written.
+        If the file cannot be written, or its name does not end in .h5 or .hdf5.
     """
-    with creating_h5(Path(path)) as (file, store):
+    target = Path(path)
+    if target.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{target}: models are HDF5 files; end the name in {' or '.join(SUFFIXES)}")
+    with creating_h5(target) as (file, store):
         file.attrs["format"] = MODEL_FORMAT
         file.attrs["version"] = VERSION
         file.attrs["created_by"] = f"mixseq {__version__}"
@@ -96,6 +101,8 @@ def load(path: PathLike) -> Model:
         If the file is missing, damaged, not a model, or written by a newer mixseq.
     """
     source = Path(path)
+    if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
+        raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
     with reading_h5(source), h5py.File(source, "r") as file:
         kind = file.attrs.get("format")
         if kind != MODEL_FORMAT:

@@ -27,7 +27,7 @@ def command(source: Path, target: Path, reading: dict[str, Any], quiet: bool) ->
     block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
     warning.
     """
-    check_target(target)
+    check_target(target, source)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
         mixseq.write_blocks(target, reader.header, blocks)

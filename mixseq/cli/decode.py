@@ -64,7 +64,7 @@ def command(
 
     TARGET's format follows from its extension, see "mixseq formats". It is written while frames are decoded.
     """
-    check_target(target)
+    check_target(target, source)
     model = mixseq.load(source)
     if times is None:
         header = _range(model, fps, start, end)

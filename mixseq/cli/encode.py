@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option(
-    "--parts", type=click.IntRange(min=1), metavar="N", help="Number of parts.  [default: automatic]"
+    "--parts",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Number of parts; every connected component has at least one.  [default: automatic]",
 )
 @click.option(
     "--joint-width",
@@ -65,7 +68,7 @@ def command(
     SOURCE is a sequence in any format. The model in TARGET, an HDF5 file, reproduces all its frames and can be
     decoded at any time in between.
     """
-    check_model_target(target)
+    check_model_target(target, source)
     start = perf_counter()
     error: Comparison | None = None
     with progress_bar(quiet) as progress:

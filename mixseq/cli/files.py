@@ -49,9 +49,11 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
         progress(done, frames, what)
 
 
-def check_target(path: Path) -> None:
-    """Refuse a file that could not be written, before the work and not after it."""
+def check_target(path: Path, source: Path) -> None:
+    """Refuse a file that could not be written or would replace the source, before the work and not after it."""
     folder = path.parent
+    if path.exists() and source.exists() and path.samefile(source):
+        raise OutputError(f"{path} is the source itself and would be lost; give another name")
     if path.is_dir():
         raise OutputError(f"{path} is a folder; give the name of a file")
     if not folder.is_dir():
@@ -60,8 +62,8 @@ def check_target(path: Path) -> None:
         raise OutputError(f"cannot write {path}: no permission; choose a folder that you may write to")
 
 
-def check_model_target(path: Path) -> None:
+def check_model_target(path: Path, source: Path) -> None:
     """Refuse what is no place for a model; a model named .usdc would only confuse."""
     if path.suffix.lower() not in MODEL_EXTENSIONS:
         raise OutputError(f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
-    check_target(path)
+    check_target(path, source)

@@ -143,7 +143,7 @@ class Model:
     def _inside(self, times: ArrayLike) -> Float:
         wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
         first, last = self.times[0], self.times[-1]
-        slack = 1e-9 * max(1.0, abs(first), abs(last))
+        slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
         outside = ~((wanted >= first - slack) & (wanted <= last + slack))
         if outside.any():
             raise SettingsError(
