@@ -124,6 +124,22 @@ def test_interrupt_while_writing(big: Path, tmp_path: Path, terminal: Terminal, 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_termination_while_writing(big: Path, tmp_path: Path, terminal: Terminal) -> None:
+    target = tmp_path / "big.h5"
+    target.write_bytes(b"somebody's work")
+    with start(terminal, tmp_path, "convert", str(big), "big.h5") as process:
+        try:
+            wait_until(lambda: len(list(tmp_path.iterdir())) > 1, process)
+            process.terminate()
+            stdout, _ = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert (process.returncode, stdout) == (128 + signal.SIGTERM, b"")
+    assert "Traceback" not in terminal.shown()
+    assert list(tmp_path.iterdir()) == [target]
+    assert target.read_bytes() == b"somebody's work"
+
+
 def test_progress_on_a_terminal_only(folder: Path, terminal: Terminal) -> None:
     with start(terminal, folder, "encode", "bar.npz", "new.h5") as process:
         process.communicate(timeout=PATIENCE)
