@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.topology import Topology
 
@@ -240,19 +240,10 @@ def _gather_strains(strains: _Gathered, topology: Topology, x: Float, y: Float) 
 
 
 def _gather_angles(angles: _Gathered, topology: Topology, x: Float, y: Float) -> None:
-    flat = _flat(x, topology) | _flat(y, topology)
+    flat = flat_faces(x, topology.faces, FLAT) | flat_faces(y, topology.faces, FLAT)
     there = ~flat[:, topology.hinge_faces].any(axis=2)
     turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])
     angles.add(np.degrees(np.abs(turn)))
-
-
-def _flat(points: Float, topology: Topology) -> NDArray[np.bool_]:
-    """Mark the faces ``(B, F)`` without area."""
-    corners = points[:, topology.faces]
-    sides = np.roll(corners, -1, axis=2) - corners
-    longest = np.einsum("tfki,tfki->tfk", sides, sides).max(axis=2)
-    double_areas = np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=2)
-    return np.asarray(double_areas <= FLAT * longest)
 
 
 def _volumes(points: Float, faces: NDArray[np.int32]) -> Float:

@@ -180,11 +180,6 @@ class Topology:
         }
 
 
-def incident_faces(topology: Topology, vertices: Mask) -> Mask:
-    """Mark the faces ``(F,)`` that have a corner among the marked vertices ``(V,)``."""
-    return np.asarray(vertices[topology.faces].any(axis=1))
-
-
 def vertices_of(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
     marked = np.zeros(topology.vertex_count, dtype=bool)
@@ -204,6 +199,18 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
             topology.face_adjacency[chosen][:, chosen], directed=False
         )[1]
     return patch
+
+
+def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
+    """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
+    patches = np.full(len(labels), -1, dtype=np.int64)
+    count = 0
+    for label in np.unique(labels):
+        inside = labels == label
+        numbers = face_patches(topology, inside)
+        patches[inside] = numbers[inside] + count
+        count += int(numbers.max()) + 1
+    return patches
 
 
 def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:

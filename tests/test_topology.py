@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.topology import Topology, face_patches, incident_faces, spread, vertices_of
+from mixseq.topology import Topology, face_patches, spread, vertices_of
 from tests.meshes import flipped, grid, joined, pages, seeds, tetrahedron, topology_of, torus, tube
 
 
@@ -167,8 +167,6 @@ def test_face_patches() -> None:
 
 def test_marks() -> None:
     strip = topology_of(grid(1, 3))  # vertices 0 to 3 below, 4 to 7 above
-    only_0 = np.arange(8) == 0
-    assert np.flatnonzero(incident_faces(strip, only_0)).tolist() == [0, 1]
     assert np.flatnonzero(vertices_of(strip, np.arange(6) == 0)).tolist() == [0, 1, 5]
 
 

@@ -58,6 +58,21 @@ def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:
     return np.asarray(np.arctan2(sine, cosine * length), dtype=np.float64)
 
 
+def flat_faces(points: FloatArray, faces: IntArray, height: float) -> NDArray[np.bool_]:
+    """Mark the faces ``(..., F)`` that are lower than `height` times their longest side.
+
+    Examples
+    --------
+    >>> flat_faces(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 1, 3]]), 1e-6)
+    array([ True, False])
+    """
+    corners = points[..., faces, :]
+    sides = np.roll(corners, -1, axis=-2) - corners
+    longest = np.einsum("...ki,...ki->...k", sides, sides).max(axis=-1)
+    double_area = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
+    return np.asarray(double_area <= height * longest)
+
+
 def length_gradients(points: FloatArray, edges: IntArray) -> Float:
     """Return the derivative ``(E, 3)`` of each length by its second vertex (by its first: the negative)."""
     difference = points[edges[:, 1]] - points[edges[:, 0]]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SegmentationError
-from mixseq.topology import Topology, face_patches
+from mixseq.topology import Topology, split_labels
 
 
 def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64]:
@@ -41,11 +41,4 @@ def segment_by_labels(labels: ArrayLike, topology: Topology) -> NDArray[np.int64
             f"labels have shape {given.shape} and type {given.dtype}; "
             f"one whole number for each of the {len(topology.faces)} triangles is expected"
         )
-    result = np.empty(len(given), dtype=np.int64)
-    count = 0
-    for label in np.unique(given):
-        inside = given == label
-        patches = face_patches(topology, inside)
-        result[inside] = patches[inside] + count
-        count += int(patches.max()) + 1
-    return result
+    return split_labels(topology, given)

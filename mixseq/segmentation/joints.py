@@ -27,6 +27,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SegmentationError, SettingsError
+from mixseq.geometry.lengths_angles import flat_faces
 from mixseq.geometry.rigid import bend, kabsch, mean_shape
 from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, face_patches, spread, vertices_of
@@ -149,8 +150,8 @@ def decompose(
     widths = np.array([_width(depths, inside) for inside in members], dtype=np.int64)
 
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
-    touching = [(depth[topology.faces] >= 1).any(axis=1) for depth in depths]
-    in_joint = np.choose(widths[part_of_face], touching) & ~_flat_faces(topology, points)
+    touching = np.stack([(depth[topology.faces] >= 1).any(axis=1) for depth in depths])
+    in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))] & ~_flat_faces(topology, points)
 
     patches = _give_back(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
@@ -213,11 +214,7 @@ def _flat_faces(topology: Topology, points: FloatArray | None) -> Mask:
     """Mark the faces that have no area in some frame."""
     flat = np.zeros(len(topology.faces), dtype=bool)
     for frame in points if points is not None else ():
-        x = frame.astype(np.float64)[topology.faces]
-        sides = np.roll(x, -1, axis=1) - x
-        longest = np.einsum("fki,fki->fk", sides, sides).max(axis=1)
-        double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        flat |= double_area <= FLAT * longest
+        flat |= flat_faces(frame.astype(np.float64), topology.faces, FLAT)
     return flat
 
 

@@ -25,7 +25,7 @@ from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.rigid_error import Moments, moments
 from mixseq.sequence import FloatArray
-from mixseq.topology import Topology, face_patches, spread
+from mixseq.topology import Topology, split_labels, spread
 
 Float = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -105,7 +105,7 @@ def segment_by_motion(
     motion = _Motion.of(points, topology, settings.frames)
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(motion, min(clusters, face_count), settings)
-    patches = _absorb_crumbs(motion, _patches(topology, labels), settings)
+    patches = _absorb_crumbs(motion, split_labels(topology, labels), settings)
     return _by_area(_merge(motion, patches, parts, settings), motion.area)
 
 
@@ -207,18 +207,6 @@ def _ball(topology: Topology, face: int, size: int) -> NDArray[np.intp]:
         if grown.sum() >= size or grown.sum() == inside.sum():
             return np.flatnonzero(grown)
         inside = grown
-
-
-def _patches(topology: Topology, labels: Labels) -> Labels:
-    """Split every label into hinge-connected patches."""
-    patches = np.full(len(labels), -1, dtype=np.int64)
-    count = 0
-    for label in np.unique(labels):
-        inside = labels == label
-        numbers = face_patches(topology, inside)
-        patches[inside] = numbers[inside] + count
-        count += int(numbers.max()) + 1
-    return patches
 
 
 def _borders(topology: Topology, patches: Labels) -> Labels:

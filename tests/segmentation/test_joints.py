@@ -269,6 +269,15 @@ def test_unused_vertices_are_a_part_of_their_own() -> None:
     assert_sound(topology, decomposition)
 
 
+def test_a_width_beyond_the_mesh_is_that_of_the_widest_joint() -> None:
+    mesh = tube(6, 13, length=12.0)
+    topology = topology_of(mesh)
+    labels = segment_by_labels(halves(mesh, 6.0, 2), topology)
+    wide, wider = decompose(topology, labels, 20), decompose(topology, labels, 100)
+    np.testing.assert_array_equal(wide.joint_of_face, wider.joint_of_face)
+    assert_sound(topology, wider)
+
+
 @pytest.mark.parametrize("width", [0, -1])
 def test_the_width_is_checked(width: int) -> None:
     with pytest.raises(SettingsError, match=f"joint_width is {width}; at least 1 strip is needed"):
