@@ -226,16 +226,21 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
             corners = vertices_of(topology, faces & (part_of_face == part))
             inside |= corners if vertices is None else corners & vertices
 
-    keep(~in_joint & (~np.any(kept, axis=0))[topology.faces].any(axis=1))
+    keep(~in_joint & ~_firm(topology, kept))
     patches = face_patches(topology, in_joint)
     keep(in_joint, _points_of_contact(topology, patches))
-    firm = np.any([inside[topology.faces].all(axis=1) for inside in kept], axis=0)
+    firm = _firm(topology, kept)
     for number in range(int(patches.max(initial=-1)) + 1):
         faces = patches == number
         if not firm[faces].any():
             keep(faces)
             patches[faces] = -1
     return patches
+
+
+def _firm(topology: Topology, kept: list[Mask]) -> Mask:
+    """Mark the faces that one part holds with all their corners."""
+    return np.asarray(np.any([inside[topology.faces].all(axis=1) for inside in kept], axis=0))
 
 
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:

@@ -58,10 +58,10 @@ class MotionSettings:
         Patches below this fraction of the faces join a neighbour.
     """
 
-    clusters: int = 20
+    clusters: int = 23
     frames: int = 24
     smoothing: float = 0.1
-    bend: float = 25.0
+    bend: float = 20.0
     narrow: float = 1.0
     soft: float = 0.5
     stiff: float = 0.35

@@ -10,7 +10,7 @@ from mixseq.errors import SettingsError
 from mixseq.segmentation import MotionSettings, segment_by_motion
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology, face_patches
-from tests.meshes import SEQUENCES, Float, bar, grid, joined, rotation, tube
+from tests.meshes import SEQUENCES, Float, bar, bending, grid, joined, rotation, tube
 
 Labels = NDArray[np.int64]
 
@@ -28,7 +28,8 @@ def assert_sound(topology: Topology, labels: Labels) -> None:
 
 
 def test_a_bar_of_two_bones_has_two_parts() -> None:
-    sequence = bar()
+    mesh = tube(8, 25)
+    sequence = MeshSequence.from_arrays(bending(mesh, angle=1.2), mesh[1])
     topology, labels = segmented(sequence)
     assert_sound(topology, labels)
     assert labels.max() == 1
