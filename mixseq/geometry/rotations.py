@@ -20,7 +20,7 @@ _TURN = 2.0 * np.pi
 
 def matrices(vectors: FloatArray) -> Float:
     """Return the rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` (exponential map)."""
-    flat = Rotation.from_rotvec(np.asarray(vectors, dtype=np.float64).reshape(-1, 3)).as_matrix()
+    flat = Rotation.from_rotvec(np.array(vectors, dtype=np.float64).reshape(-1, 3)).as_matrix()
     return np.asarray(flat.reshape(*vectors.shape[:-1], 3, 3), dtype=np.float64)
 
 

@@ -13,7 +13,8 @@ from mixseq.reconstruction.blend import Blend
 from mixseq.reconstruction.joint import rebuild
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.placement import JointRows, MixedFrame, concatenate
-from mixseq.reconstruction.shells import ShellReport, ShellSettings
+from mixseq.reconstruction.shells import NO_PULL, Pull, ShellReport, ShellSettings
+from mixseq.reconstruction.velocity import JointRates, joint_velocity
 from mixseq.segmentation.joints import Decomposition
 from mixseq.topology import Topology
 
@@ -39,7 +40,8 @@ class AnchoredPlacement:
     reference: Float
 
     @cached_property
-    def _rows(self) -> JointRows:
+    def rows(self) -> JointRows:
+        """The joints that are solved, and which of their edges and hinges are stored."""
         joints = tuple(joint for joint in self.decomposition.joints if joint.free.any())
         patches = tuple(Patch.of_joint(self.topology, joint, ~joint.free) for joint in joints)
         return JointRows(
@@ -49,12 +51,12 @@ class AnchoredPlacement:
     @property
     def edge_ids(self) -> Index:
         """Edges at free vertices."""
-        return self._rows.edge_ids
+        return self.rows.edge_ids
 
     @property
     def hinge_ids(self) -> Index:
         """Hinges with a free vertex."""
-        return self._rows.hinge_ids
+        return self.rows.hinge_ids
 
     @cached_property
     def posed(self) -> Index:
@@ -83,7 +85,7 @@ class AnchoredPlacement:
         owner = np.full(self.topology.vertex_count, -1, dtype=np.int64)
         for number, vertices in reversed(list(enumerate(self.decomposition.parts))):
             owner[vertices] = number
-        rows = self._rows
+        rows = self.rows
         return tuple(
             Blend.of(patch, owner[joint.vertices], self.reference[joint.vertices])
             for joint, patch in zip(rows.joints, rows.patches, strict=True)
@@ -91,18 +93,23 @@ class AnchoredPlacement:
 
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `Placement.assemble`; a vertex that several parts share is where they put it on average."""
-        part, vertex, copies = self._copies
-        placed = np.einsum("nij,nj->ni", frame.rotations[part], frame.parts) + frame.translations[part]
-        sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
-        points = np.stack(sums, axis=1) / copies[:, None]
-        turns, centres = self._reference_poses
-        moves = frame.rotations @ np.swapaxes(turns, 1, 2)  # from the reference frame to this one
-        shifts = frame.translations - np.einsum("pij,pj->pi", moves, centres)
+        points = self._on_average(self._turned(frame.rotations, frame.parts), frame.translations)
+        moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []
-        rows = self._rows
-        for joint, patch, edges, hinges, blend in zip(
-            rows.joints, rows.patches, rows.edge_slices, rows.hinge_slices, self._blends, strict=True
+        rows = self.rows
+        for joint, patch, edges, hinges, free, blend in zip(
+            rows.joints,
+            rows.patches,
+            rows.edge_slices,
+            rows.hinge_slices,
+            rows.free_slices,
+            self._blends,
+            strict=True,
         ):
+            guess, pull = blend.place(moves, shifts), NO_PULL
+            if frame.holds.size:
+                guess = guess + _turned(frame.rotations[blend.nearest], frame.offsets[free])
+                pull = Pull(guess, frame.holds[free])
             solved, report = rebuild(
                 patch,
                 frame.lengths[edges],
@@ -110,8 +117,97 @@ class AnchoredPlacement:
                 frame.weights[edges],
                 points[joint.vertices],
                 settings,
-                guess=blend.place(moves, shifts),
+                guess,
+                pull,
             )
             points[joint.vertices[patch.free]] = solved[patch.free]
             reports.append(report)
         return points, reports
+
+    def offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
+        """Return the offsets ``(F, 3)`` of a frame's free vertices from where the parts carry them.
+
+        They are blended with harmonic weights from the reference frame (`Blend`); the offset is seen from the part
+        that a vertex follows most, so it turns with the body.
+        """
+        moves, shifts = self._moves(rotations, translations)
+        offsets = np.zeros((len(self.rows.free), 3))
+        for free, blend in zip(self.rows.free_slices, self._blends, strict=True):
+            away = points[self.rows.free[free]] - blend.place(moves, shifts)
+            offsets[free] = _turned(np.swapaxes(rotations[blend.nearest], 1, 2), away)
+        return offsets
+
+    def velocities(
+        self, frame: MixedFrame, rates: MixedFrame, points: Float, settings: ShellSettings
+    ) -> Float:
+        """Return the velocities ``(V, 3)`` of an assembled frame.
+
+        Parameters
+        ----------
+        frame : MixedFrame
+            What `assemble` was given.
+        rates : MixedFrame
+            Its derivative by time; weights and holds are not looked at.
+        points : (V, 3) float64
+            What it returned.
+        settings : ShellSettings
+            Settings of the joint solves.
+        """
+        turning = self._turned(rates.rotations, frame.parts) + self._turned(frame.rotations, rates.parts)
+        velocities = self._on_average(turning, rates.translations)
+        moves, shifts = self._moves(frame.rotations, frame.translations)
+        move_rates, shift_rates = self._moves(rates.rotations, rates.translations)
+        rows = self.rows
+        for joint, patch, edges, hinges, free, blend in zip(
+            rows.joints,
+            rows.patches,
+            rows.edge_slices,
+            rows.hinge_slices,
+            rows.free_slices,
+            self._blends,
+            strict=True,
+        ):
+            pull, places = NO_PULL, np.zeros((0, 3))
+            if frame.holds.size:
+                near = blend.nearest
+                at = blend.place(moves, shifts) + _turned(frame.rotations[near], frame.offsets[free])
+                pull = Pull(at, frame.holds[free])
+                places = blend.place(move_rates, shift_rates)
+                places = places + _turned(rates.rotations[near], frame.offsets[free])
+                places = places + _turned(frame.rotations[near], rates.offsets[free])
+            moving = JointRates(
+                rates.lengths[edges], rates.angles[hinges], velocities[joint.vertices], places
+            )
+            found, _ = joint_velocity(
+                patch,
+                frame.lengths[edges],
+                frame.angles[hinges],
+                frame.weights[edges],
+                points[joint.vertices],
+                moving,
+                settings,
+                pull=pull,
+            )
+            velocities[joint.vertices[patch.free]] = found[patch.free]
+        return velocities
+
+    def _turned(self, rotations: Float, parts: Float) -> Float:
+        """Part vertices ``(N, 3)``, each multiplied by the matrix of its part."""
+        return _turned(rotations[self._copies[0]], parts)
+
+    def _on_average(self, turned: Float, translations: Float) -> Float:
+        """Mean over the copies of each vertex ``(V, 3)``; zero for those that no part holds."""
+        part, vertex, copies = self._copies
+        placed = turned + translations[part]
+        sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
+        return np.stack(sums, axis=1) / copies[:, None]
+
+    def _moves(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
+        """Motions ``x -> M x + s`` of the parts from the reference frame; linear in both."""
+        turns, centres = self._reference_poses
+        moves = rotations @ np.swapaxes(turns, 1, 2)
+        return moves, translations - _turned(moves, centres)
+
+
+def _turned(matrices: Float, vectors: Float) -> Float:
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

@@ -8,6 +8,7 @@ to the reference this is a start without folds, where lengths and angles between
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,3 +59,8 @@ class Blend:
         """Move the free vertices ``(f, 3)`` with motions ``x -> R x + t`` of all parts from the reference frame."""
         moved = np.einsum("kij,fj->fki", rotations[self.parts], self.rest) + translations[self.parts]
         return np.asarray(np.einsum("fk,fki->fi", self.weights, moved))
+
+    @cached_property
+    def nearest(self) -> Index:
+        """Part ``(f,)`` that every free vertex follows most."""
+        return np.asarray(self.parts[self.weights.argmax(axis=1)])

@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.reconstruction.patch import Patch
-from mixseq.reconstruction.shells import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.reconstruction.shells import NO_PULL, Pull, ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.reconstruction.unfold import unfold
 
 Float = NDArray[np.float64]
+
+NEAR = 0.5
+"""A guess without a larger weighted residual is near the answer."""
 
 SHORTEST = 1e-6
 """Shortest length of an edge, relative to its typical length."""
@@ -24,6 +27,7 @@ def rebuild(
     positions: Float,
     settings: ShellSettings,
     guess: Float | None = None,
+    pull: Pull = NO_PULL,
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
 
@@ -43,6 +47,8 @@ def rebuild(
         Weight of the angles, and when to stop.
     guess : (f, 3) float64, optional
         Another start for the free vertices.
+    pull : Pull, optional
+        Where the free vertices are expected.
 
     Returns
     -------
@@ -53,7 +59,7 @@ def rebuild(
     -----
     The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
     Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
-    start of lower energy is taken.
+    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`.
     """
     # A curve that swings past its keys can ask for lengths of zero or less.
     lengths = np.maximum(lengths, SHORTEST / weights)
@@ -61,10 +67,11 @@ def rebuild(
     all_lengths[patch.free_edges] = lengths
     all_angles = dihedral_angles(positions, patch.hinges)
     all_angles[patch.free_hinges] = angles
-    problem = ShellProblem(patch, lengths, angles, weights, settings.bending)
-    start = unfold(patch, all_lengths, all_angles, positions)
-    if guess is not None:
-        guessed = start.copy()
-        guessed[patch.free] = guess
-        start = min(start, guessed, key=problem.energy)
+    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
+    if guess is None:
+        return fit_shell(problem, unfold(patch, all_lengths, all_angles, positions), settings)
+    start = np.array(positions, dtype=np.float64)
+    start[patch.free] = guess
+    if np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
+        start = min(unfold(patch, all_lengths, all_angles, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)

@@ -29,6 +29,10 @@ class MixedFrame(NamedTuple):
         Aligned vertices of all parts.
     rotations, translations : (g, 3, 3), (g, 3) float64
         Poses.
+    offsets : (F, 3) float64
+        Offsets of the free vertices from where the parts carry them; none if empty.
+    holds : (F,) float64
+        Weights of the offsets.
     """
 
     lengths: Float
@@ -37,6 +41,8 @@ class MixedFrame(NamedTuple):
     parts: Float
     rotations: Float
     translations: Float
+    offsets: Float
+    holds: Float
 
 
 class Placement(Protocol):
@@ -78,6 +84,36 @@ class JointRows:
         """Global numbers ``(H',)`` of the stored hinges, joint by joint."""
         ids = [joint.hinge_ids[stored] for joint, stored in zip(self.joints, self.stored_hinges, strict=True)]
         return concatenate(ids)
+
+    @cached_property
+    def free(self) -> Index:
+        """Global free vertices ``(F,)``, joint by joint."""
+        return concatenate([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
+
+    def spacing(self, lengths: Float) -> Float:
+        """Mean length ``(F,)`` of the edges at every free vertex, from those of the stored edges ``(E',)``."""
+        sums, counts = np.zeros((2, len(self.free)))
+        for patch, edges, free in zip(self.patches, self.edge_slices, self.free_slices, strict=True):
+            ends = patch.free_number[patch.edges[patch.free_edges]]
+            for end in ends.T:
+                inside = end >= 0
+                np.add.at(sums[free], end[inside], lengths[edges][inside])
+                np.add.at(counts[free], end[inside], 1.0)
+        return np.asarray(sums / counts)
+
+    def across_edges(self, values: Float) -> Float:
+        """Differences ``(T, E', c)`` along the stored edges of values ``(T, F, c)`` at free vertices, else zero."""
+        differences = []
+        for patch, free in zip(self.patches, self.free_slices, strict=True):
+            padded = np.pad(values[:, free], ((0, 0), (0, 1), (0, 0)))  # fixed vertices have number -1
+            ends = patch.free_number[patch.edges[patch.free_edges]]
+            differences.append(padded[:, ends[:, 1]] - padded[:, ends[:, 0]])
+        return np.concatenate(differences, axis=1)
+
+    @cached_property
+    def free_slices(self) -> list[slice]:
+        """Where the free vertices of every joint are."""
+        return _slices([len(patch.free) for patch in self.patches])
 
     @cached_property
     def edge_slices(self) -> list[slice]:

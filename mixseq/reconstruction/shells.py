@@ -2,18 +2,22 @@ r"""Gauss-Newton on edge lengths and dihedral angles: the discrete shell that fi
 
 Minimises, over the free vertices of a patch,
 
-.. math:: E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
+.. math::
 
-(Froehlich and Botsch 2011) with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both
-terms count relative changes. Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried
-again with ten times the damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn
-would pull the wrong way round.
+    E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
+         + \sum_v w_v^2 |x_v - x_v^*|^2
+
+with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
+(Froehlich and Botsch 2011). The last term is ours, and optional: a pull towards places where vertices are expected.
+Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried again with ten times the
+damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +40,10 @@ STUCK = 1e12
 """With this damping no step is worth taking: the energy is not smooth here, or not finite."""
 
 
+HELD = 1e-2
+"""Above this damping steps are short because they are held back, which says nothing about convergence."""
+
+
 @dataclass(frozen=True)
 class ShellSettings:
     """Settings of `fit_shell`.
@@ -54,7 +62,7 @@ class ShellSettings:
 
     bending: float = 0.3
     iterations: int = 100
-    tolerance: float = 1e-6
+    tolerance: float = 1e-4
     exact: float = 1e-10
 
 
@@ -67,15 +75,37 @@ class ShellReport:
     converged: bool
 
 
+class Pull(NamedTuple):
+    """Where free vertices are expected.
+
+    Attributes
+    ----------
+    places : (f, 3) float64
+        The places.
+    weights : (f,) float64
+        Weights of the distances from them; empty for no pull at all.
+    """
+
+    places: Float
+    weights: Float
+
+
+NO_PULL = Pull(np.zeros((0, 3)), np.zeros(0))
+
+
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
-    """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both."""
+    """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both.
+
+    A *pull* is optional: places for the free vertices, which add the residuals ``weight * (x - place)``.
+    """
 
     patch: Patch
     lengths: Float
     angles: Float
     length_weights: Float
     bending: float
+    pull: Pull = NO_PULL
 
     @cached_property
     def edges(self) -> NDArray[np.int64]:
@@ -88,10 +118,14 @@ class ShellProblem:
         return self.patch.hinges[self.patch.free_hinges]
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``."""
+        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``; with a pull ``3 free`` more."""
         stretch = edge_lengths(points, self.edges) - self.lengths
         bend = wrap(dihedral_angles(points, self.hinges) - self.angles)
-        return np.concatenate([self.length_weights * stretch, self.bending * bend])
+        rows = [self.length_weights * stretch, self.bending * bend]
+        if self.pull.weights.size:
+            away = points[self.patch.free] - self.pull.places
+            rows.append((self.pull.weights[:, None] * away).reshape(-1))
+        return np.concatenate(rows)
 
     def energy(self, points: Float) -> float:
         """Sum of the squared residuals."""
@@ -99,7 +133,7 @@ class ShellProblem:
         return float(residuals @ residuals)
 
     def jacobian(self, points: Float) -> sparse.csr_array:
-        """Derivatives ``(e' + h', 3 free)`` of the residuals by the free vertices."""
+        """Derivatives ``(residuals, 3 free)`` of the residuals by the free vertices."""
         length = length_gradients(points, self.edges) * self.length_weights[:, None]
         stretch = np.stack([-length, length], axis=1)
         bend = self.bending * dihedral_gradients(points, self.hinges)
@@ -113,8 +147,13 @@ class ShellProblem:
         column = (3 * place[:, None] + np.arange(3)).reshape(-1)
         value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
         inside = np.repeat(place >= 0, 3)
-        size = (len(self.edges) + len(self.hinges), 3 * len(self.patch.free))
-        return sparse.coo_array((value[inside], (row[inside], column[inside])), shape=size).tocsr()
+        held = np.repeat(self.pull.weights, 3)
+        value = np.concatenate([value[inside], held])
+        first = len(self.edges) + len(self.hinges)
+        row = np.concatenate([row[inside], first + np.arange(len(held))])
+        column = np.concatenate([column[inside], np.arange(len(held))])
+        size = (first + len(held), 3 * len(self.patch.free))
+        return sparse.coo_array((value, (row, column)), shape=size).tocsr()
 
 
 def fit_shell(
@@ -160,7 +199,7 @@ def fit_shell(
             step = -factorise(normal + shift).solve(gradient)
             promised = -float(gradient @ step)  # twice what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
-                return points, ShellReport(energy, iteration, True)
+                return points, ShellReport(energy, iteration, damping <= HELD)
             candidate = points.copy()
             candidate[problem.patch.free] += step.reshape(-1, 3)
             new_residuals = problem.residuals(candidate)
@@ -171,6 +210,6 @@ def fit_shell(
                 return points, ShellReport(energy, iteration, False)
             damping *= 10.0
         gain = (energy - new_energy) / promised
-        damping = max(damping / 10.0, 1e-10) if gain > 0.25 else damping * 2.0
+        damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
         points, residuals, energy = candidate, new_residuals, new_energy
     return points, ShellReport(energy, settings.iterations, False)

@@ -8,8 +8,10 @@ combine by plain weighted sums.
 Two placements tell where the parts of a decoded frame go:
 
 anchored (default, ours)
-    The pose is six numbers for every part, a rotation vector and a centre. Joints are boundary value problems
-    between parts that are already in place, and only lengths and angles at free vertices are stored.
+    The pose is six numbers for every part, a rotation vector and a centre, and six for every pair of neighbouring
+    parts, which say again how the two stand to each other (`mixseq.reconstruction.links`). At frames they agree;
+    elsewhere the poses that agree best with all of them are taken. Joints are boundary value problems between
+    parts that are already in place, and only lengths and angles at free vertices are stored.
 free (the paper's)
     The pose is six numbers for every connected component, those of its first part (the largest, where parts were
     found by motion). Joints are rebuilt on their own, all pieces are registered through the vertices they share,
@@ -20,23 +22,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
-from mixseq.geometry.rigid import kabsch, mean_shape
-from mixseq.geometry.rotations import continuous_vectors, matrices
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import continuous_vectors
 from mixseq.progress import Progress, silent
+from mixseq.reconstruction.agreement import cross_matrices, solve, velocities
 from mixseq.reconstruction.anchored import AnchoredPlacement
 from mixseq.reconstruction.free import FreePlacement
+from mixseq.reconstruction.links import Links, complete
 from mixseq.reconstruction.placement import MixedFrame, Placement
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray, bounding_diagonal
+from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.blocks import MixedBlocks
+from mixseq.spaces.registered import radii_of_gyration, registered
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
@@ -44,29 +50,11 @@ Float = NDArray[np.float64]
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = ("anchored", "free")
 
+ANGLE = 0.3
+"""Weight of a radian against the length of its hinge's edge, in the metric of the space."""
 
-class MixedBlocks(NamedTuple):
-    """The blocks of T vectors of S_m: p parts with N vertices in all, g poses.
-
-    Attributes
-    ----------
-    lengths : (T, E')
-        Edge lengths, joint by joint.
-    angles : (T, H')
-        Hinge angles in radians, joint by joint, unwrapped.
-    parts : (T, N, 3)
-        Vertices of the parts, aligned to their mean shapes, part by part.
-    rotations : (T, g, 3)
-        Rotation vectors from the mean shape to the frame, unwrapped.
-    translations : (T, g, 3)
-        Where the centre of the mean shape goes.
-    """
-
-    lengths: Float
-    angles: Float
-    parts: Float
-    rotations: Float
-    translations: Float
+BESIDE_OFFSETS = 0.3
+"""Weight of lengths and angles in the metric, where offsets, which weigh 1, tell of the same vertices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +78,11 @@ class MixedSpace(ShapeSpace):
     reference : (V, 3) float64
         The first frame, in the space's unit: the first frame of an encoded sequence stays near its angles, and
         guesses of the joints are blended from it.
+    links : Links
+        Links between neighbouring parts; none in the free placement.
+    trust : (q,) float64
+        For every joint that is solved, how far between frames the offsets of its free vertices are to be trusted,
+        relative to its lengths; none in the free placement.
     settings : ShellSettings
         Settings of the joint solves.
     """
@@ -101,12 +94,15 @@ class MixedSpace(ShapeSpace):
     shapes: Float
     reference_lengths: Float
     reference: Float
+    links: Links
+    trust: Float
     settings: ShellSettings
+    name = "mixed"
 
     @cached_property
     def projection(self) -> Placement:
         """What puts decoded parts and joints together."""
-        return _projection(self.topology, self.decomposition, self.placement, self.shapes, self.reference)
+        return projection_of(self.topology, self.decomposition, self.placement, self.shapes, self.reference)
 
     @cached_property
     def reference_angles(self) -> Float:
@@ -118,23 +114,67 @@ class MixedSpace(ShapeSpace):
         """Lengths of the blocks of a vector, in order."""
         groups = len(self.projection.posed)
         edges, hinges = len(self.projection.edge_ids), len(self.projection.hinge_ids)
-        return (edges, hinges, 3 * len(self.shapes), 3 * groups, 3 * groups)
+        poses = (3 * groups, 3 * groups, 3 * len(self.links), 3 * len(self.links))
+        return (edges, hinges, 3 * len(self.shapes), *poses)
 
     @property
     def dim(self) -> int:
         """Length D of a vector."""
         return sum(self.sizes)
 
+    @property
+    def stored_placement_dim(self) -> int:
+        """How many numbers of a vector say where parts are: rotations and translations."""
+        return sum(self.sizes[3:5])
+
+    @property
+    def placement_dim(self) -> int:
+        """How many numbers at the end of a vector say where parts are, and say it again: turns and gaps."""
+        return sum(self.sizes[3:])
+
+    def complete_placement(self, own: Float) -> Float:
+        """Return the ends ``(N, placement_dim)`` of the vectors of consecutive frames from their own poses.
+
+        Parameters
+        ----------
+        own : (N, stored_placement_dim) float64
+            Rotations and translations.
+        """
+        if own.ndim != 2 or own.shape[1] != self.stored_placement_dim:
+            raise SettingsError(
+                f"placements have shape {own.shape}; (N, {self.stored_placement_dim}) is expected"
+            )
+        rotations, translations = np.moveaxis(own.reshape(len(own), 2, own.shape[1] // 6, 3), 1, 0)
+        poses = complete(self.links, rotations, translations)
+        return np.concatenate([block.reshape(len(own), -1) for block in poses], axis=1)
+
+    @cached_property
+    def radii(self) -> Float:
+        """Radii of gyration ``(p,)`` of the parts, a small number for a part that has none."""
+        return radii_of_gyration(self.shapes, self.decomposition)
+
+    @property
+    def weights(self) -> Float:
+        """The metric ``(D,)``: by how many diagonals vertices move when a number of a vector changes by one.
+
+        1 for lengths, vertices, translations and gaps; for an angle `ANGLE` times the length of its edge in the
+        reference; for a rotation vector the radius of gyration of the part, for a turn that of the smaller part.
+        Where offsets tell of the joints too, lengths and angles count `BESIDE_OFFSETS` as much.
+        """
+        told = BESIDE_OFFSETS if self.offset_dim else 1.0
+        edges = self.topology.hinge_edges[self.projection.hinge_ids]
+        angles = ANGLE * edge_lengths(self.reference, self.topology.edges[edges])
+        rotations = np.repeat(self.radii[self.projection.posed], 3)
+        turns = np.repeat(self.radii[self.links.parts].min(axis=1), 3)
+        lengths, _, parts, _, translations, _, gaps = (np.ones(size) for size in self.sizes)
+        return np.concatenate([told * lengths, told * angles, parts, rotations, translations, turns, gaps])
+
     def split(self, vectors: Float) -> MixedBlocks:
         """Return the blocks of vectors ``(T, D)``, as views where possible."""
         if vectors.ndim != 2 or vectors.shape[1] != self.dim:
             raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
-        lengths, angles, parts, rotations, translations = np.split(
-            vectors, np.cumsum(self.sizes)[:-1], axis=1
-        )
-        triples = (
-            block.reshape(len(block), block.shape[1] // 3, 3) for block in (parts, rotations, translations)
-        )
+        lengths, angles, *others = np.split(vectors, np.cumsum(self.sizes)[:-1], axis=1)
+        triples = (block.reshape(len(block), block.shape[1] // 3, 3) for block in others)
         return MixedBlocks(lengths, angles, *triples)
 
     def join(self, blocks: MixedBlocks) -> Float:
@@ -154,104 +194,146 @@ class MixedSpace(ShapeSpace):
             dihedral_angles(x, self.topology.hinges[projection.hinge_ids]),
             before.angles[0] if before else self.reference_angles,
         )
-        aligned, rotations, centres = [], [], []
-        start = 0
-        for vertices in self.decomposition.parts:
-            shape = self.shapes[start : start + len(vertices)]
-            rotation, centre = kabsch(shape, x[:, vertices])
-            aligned.append((x[:, vertices] - centre[:, None]) @ rotation)
-            rotations.append(rotation)
-            centres.append(centre)
-            start += len(vertices)
-        posed = projection.posed
-        turns = continuous_vectors(
-            np.stack(rotations, axis=1)[:, posed], before.rotations[0] if before else None
-        )
-        translations = np.stack(centres, axis=1)[:, posed]
-        return self.join(MixedBlocks(lengths, angles, np.concatenate(aligned, axis=1), turns, translations))
+        aligned, turned, centres = registered(self.shapes, self.decomposition, x)
+        posed = self.projection.posed
+        rotations = continuous_vectors(turned[:, posed], before.rotations[0] if before else None)
+        poses = complete(self.links, rotations, centres[:, posed], before.turns[0] if before else None)
+        return self.join(MixedBlocks(lengths, angles, aligned, *poses))
 
-    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`.
+
+        Parts keep their poses, so that vertices that did not move stay where they are: what vertices of a part moved
+        by is turned back by its rotation, not registered anew.
+        """
+        x = np.stack([before, after]) / self.scale
+        lengths = np.diff(edge_lengths(x, self.topology.edges[self.projection.edge_ids]), axis=0)
+        angles = np.diff(dihedral_angles(x, self.topology.hinges[self.projection.hinge_ids]), axis=0)
+        rotations = self._rotations(vector, x[0])
+        parts = self.decomposition.parts
+        moved = [
+            (x[1, part] - x[0, part]) @ rotation for part, rotation in zip(parts, rotations, strict=True)
+        ]
+        return np.concatenate([lengths[0], wrap(angles[0]), np.concatenate(moved).reshape(-1)])
+
+    def _rotations(self, vector: Float, x: Float) -> Float:
+        """Rotations ``(p, 3, 3)`` of all parts in a frame ``(V, 3)`` that was decoded from a vector, in diagonals."""
+        blocks = self.split(vector[None])
+        if self.placement == "anchored":
+            rotations, _ = solve(self.links, blocks.poses)
+            return np.asarray(rotations[0])
+        ends = np.cumsum([len(part) for part in self.decomposition.parts])[:-1]
+        shapes = np.split(blocks.parts[0], ends)
+        pairs = zip(shapes, self.decomposition.parts, strict=True)
+        return np.stack([kabsch(shape, x[part])[0] for shape, part in pairs])
+
+    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
         """Turn vectors ``(T, D)`` into positions ``(T, V, 3)``: the projection P_m, frame by frame."""
-        return self.decode_with_reports(vectors, progress)[0]
+        return self.decode_with_reports(vectors, progress, offsets)[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent
+        self, vectors: Float, progress: Progress = silent, offsets: Float | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
         """Decode and tell how every joint of every frame was solved."""
-        blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        vectors = np.asarray(vectors, dtype=np.float64)
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
         reports = []
-        weights = 1.0 / np.maximum(self.reference_lengths, np.finfo(np.float64).tiny)
         with one_blas_thread():
-            for frame in range(len(vectors)):
-                mixed = MixedFrame(
-                    lengths=blocks.lengths[frame],
-                    angles=blocks.angles[frame],
-                    weights=weights,
-                    parts=blocks.parts[frame],
-                    rotations=matrices(blocks.rotations[frame]),
-                    translations=blocks.translations[frame],
-                )
-                points[frame], report = self.projection.assemble(mixed, self.settings)
+            for number in range(len(vectors)):
+                frame = self._frame(vectors[number], None if offsets is None else offsets[number])
+                points[number], report = self.projection.assemble(frame, self.settings)
                 reports.append(report)
-                progress(frame + 1, len(vectors), "decoding frames")
+                progress(number + 1, len(vectors), "decoding frames")
         return points * self.scale, reports
 
+    def decode_moving(
+        self,
+        vectors: Float,
+        rates: Float,
+        offsets: Float | None = None,
+        offset_rates: Float | None = None,
+    ) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_moving`; closed derivatives for the anchored placement."""
+        projection = self.projection
+        if not isinstance(projection, AnchoredPlacement):
+            return super().decode_moving(vectors, rates, offsets, offset_rates)
+        points, velocities = np.empty((2, len(vectors), self.topology.vertex_count, 3))
+        with one_blas_thread():
+            for number in range(len(vectors)):
+                frame = self._frame(vectors[number], None if offsets is None else offsets[number])
+                moving = self._rate(
+                    frame,
+                    vectors[number],
+                    rates[number],
+                    None if offset_rates is None else offset_rates[number],
+                )
+                points[number], _ = projection.assemble(frame, self.settings)
+                velocities[number] = projection.velocities(frame, moving, points[number], self.settings)
+        return points * self.scale, velocities * self.scale
 
-def _projection(
+    def _frame(self, vector: Float, offsets: Float | None) -> MixedFrame:
+        """The blocks of a vector, with poses that agree."""
+        blocks = self.split(vector[None])
+        rotations, translations = solve(self.links, blocks.poses)
+        return MixedFrame(
+            lengths=blocks.lengths[0],
+            angles=blocks.angles[0],
+            weights=1.0 / np.maximum(self.reference_lengths, np.finfo(np.float64).tiny),
+            parts=blocks.parts[0],
+            rotations=rotations[0],
+            translations=translations[0],
+            offsets=np.zeros((0, 3)) if offsets is None else offsets.reshape(-1, 3),
+            holds=np.zeros(0) if offsets is None else self.holds,
+        )
+
+    def _rate(self, frame: MixedFrame, vector: Float, rate: Float, offset_rate: Float | None) -> MixedFrame:
+        """The derivative of `_frame` by time."""
+        blocks, changes = self.split(vector[None]), self.split(rate[None])
+        spins, speeds = velocities(self.links, blocks.poses, changes.poses)
+        return frame._replace(
+            lengths=changes.lengths[0],
+            angles=changes.angles[0],
+            parts=changes.parts[0],
+            rotations=cross_matrices(spins[0]) @ frame.rotations,
+            translations=speeds[0],
+            offsets=np.zeros_like(frame.offsets) if offset_rate is None else offset_rate.reshape(-1, 3),
+        )
+
+    @cached_property
+    def holds(self) -> Float:
+        """Weights ``(F,)`` of the offsets of all free vertices: the joint's trust over the mean edge length."""
+        projection = self.projection
+        if not isinstance(projection, AnchoredPlacement):
+            return np.zeros(0)
+        rows = projection.rows
+        counts = [len(patch.free) for patch in rows.patches]
+        spacing = np.maximum(rows.spacing(self.reference_lengths), np.finfo(np.float64).tiny)
+        return np.repeat(self.trust, counts) / spacing
+
+    @property
+    def offset_dim(self) -> int:
+        """Three numbers for every free vertex of the anchored placement."""
+        return 3 * len(self.holds)
+
+    def offsets(self, points: FloatArray, vectors: Float) -> Float:
+        """Implement `ShapeSpace.offsets`: see `AnchoredPlacement.offsets`."""
+        projection = self.projection
+        if not isinstance(projection, AnchoredPlacement):
+            return np.zeros((len(vectors), 0))
+        rotations, translations = solve(self.links, self.split(vectors).poses)
+        frames = zip(rotations, translations, points, strict=True)
+        offsets = [projection.offsets(r, t, x.astype(np.float64) / self.scale) for r, t, x in frames]
+        return np.stack(offsets).reshape(len(vectors), -1)
+
+
+def projection_of(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName,
     shapes: Float,
     reference: Float,
 ) -> Placement:
+    """Return what puts parts and joints together in a placement."""
     if placement == "anchored":
         return AnchoredPlacement(topology, decomposition, shapes, reference)
     return FreePlacement(topology, decomposition, shapes)
-
-
-def mixed_space(
-    points: FloatArray,
-    topology: Topology,
-    decomposition: Decomposition,
-    placement: PlacementName = "anchored",
-    settings: ShellSettings | None = None,
-) -> MixedSpace:
-    """Make the mixed shape space of a sequence.
-
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        The sequence, in any unit.
-    topology : Topology
-        Its connectivity.
-    decomposition : Decomposition
-        Parts and joints.
-    placement : {"anchored", "free"}
-        How parts are placed.
-    settings : ShellSettings, optional
-        Settings of the joint solves.
-
-    Raises
-    ------
-    SettingsError
-        If the placement is neither.
-    """
-    if placement not in PLACEMENTS:
-        raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
-    scale = bounding_diagonal(points[0]) or 1.0
-    shapes = np.concatenate([mean_shape(points[:, part] / scale) for part in decomposition.parts])
-    reference = points[0].astype(np.float64) / scale
-    projection = _projection(topology, decomposition, placement, shapes, reference)
-    edges = topology.edges[projection.edge_ids]
-    lengths = np.mean([edge_lengths(frame.astype(np.float64), edges) for frame in points], axis=0)
-    return MixedSpace(
-        topology=topology,
-        decomposition=decomposition,
-        placement=placement,
-        scale=scale,
-        shapes=shapes,
-        reference_lengths=lengths / scale,
-        reference=reference,
-        settings=settings or ShellSettings(),
-    )

@@ -1,0 +1,63 @@
+"""The vertex space S_v: a shape is its vertex positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.progress import Progress, silent
+from mixseq.sequence import FloatArray
+from mixseq.spaces.base import ShapeSpace
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VertexSpace(ShapeSpace):
+    """Vectors are vertex positions in diagonals. Blends shrink what turns; what is not articulated, it suits.
+
+    Attributes
+    ----------
+    vertex_count : int
+        Number V of vertices.
+    scale : float
+        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
+    """
+
+    vertex_count: int
+    scale: float
+    name = "vertex"
+
+    @property
+    def dim(self) -> int:
+        """Length of a vector, 3 V."""
+        return 3 * self.vertex_count
+
+    @property
+    def weights(self) -> Float:
+        """Ones: coordinates are in diagonals already."""
+        return np.ones(self.dim)
+
+    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.encode`."""
+        return points.astype(np.float64).reshape(len(points), -1) / self.scale
+
+    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        return vectors.reshape(len(vectors), self.vertex_count, 3) * self.scale
+
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`."""
+        return np.asarray((after - before).reshape(-1) / self.scale)
+
+    def decode_moving(
+        self,
+        vectors: Float,
+        rates: Float,
+        offsets: Float | None = None,
+        offset_rates: Float | None = None,
+    ) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_moving`."""
+        return self.decode(vectors), self.decode(rates)
