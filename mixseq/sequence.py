@@ -114,16 +114,19 @@ class MeshSequence(SequenceHeader):
     ----------
     points : (T, V, 3) float32 or float64
         Vertex positions in the file's units.
+    velocities : (T, V, 3) float32 or float64, optional
+        Velocities of the vertices in the file's units per second, for motion blur.
     **header
         The fields of `SequenceHeader`.
 
     Raises
     ------
     InvalidSequenceError
-        If the header is unsound, or points have another shape or are not finite.
+        If the header is unsound, or points or velocities have another shape or are not finite.
     """
 
     points: FloatArray
+    velocities: FloatArray | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,6 +136,9 @@ class MeshSequence(SequenceHeader):
             raise InvalidSequenceError(
                 f"{len(self.points)} frames of points but {self.frame_count} times; give one time per frame"
             )
+        if self.velocities is not None:
+            object.__setattr__(self, "velocities", frozen(_as_points(self.velocities)))
+            _check_velocities(self.points, self.velocities)
 
     @classmethod
     def from_arrays(
@@ -183,9 +189,11 @@ class MeshSequence(SequenceHeader):
         )
 
     @classmethod
-    def from_header(cls, header: SequenceHeader, points: FloatArray) -> MeshSequence:
+    def from_header(
+        cls, header: SequenceHeader, points: FloatArray, velocities: FloatArray | None = None
+    ) -> MeshSequence:
         """Make a sequence of a header and its points."""
-        return cls(points=points, **header_fields(header))
+        return cls(points=points, velocities=velocities, **header_fields(header))
 
     @property
     def header(self) -> SequenceHeader:
@@ -193,8 +201,8 @@ class MeshSequence(SequenceHeader):
         return SequenceHeader(**header_fields(self))
 
     def with_points(self, points: FloatArray) -> MeshSequence:
-        """Return the same mesh and times with other points."""
-        return replace(self, points=points)
+        """Return the same mesh and times with other points, and no velocities."""
+        return replace(self, points=points, velocities=None)
 
     @cached_property
     def diagonal(self) -> float:
@@ -254,6 +262,16 @@ def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) ->
             f"frame {first_frame + frame}: vertex {vertex} is {points[frame, vertex].tolist()}; "
             "coordinates must be finite"
         )
+
+
+def _check_velocities(points: FloatArray, velocities: FloatArray) -> None:
+    if velocities.shape != points.shape:
+        raise InvalidSequenceError(
+            f"velocities have shape {velocities.shape}, points {points.shape}; give one velocity per point"
+        )
+    if not np.isfinite(velocities).all():
+        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
+        raise InvalidSequenceError(f"frame {frame}: the velocity of vertex {vertex} is not finite")
 
 
 def _check_header(header: SequenceHeader) -> None:

@@ -33,4 +33,4 @@ def bent_bar() -> MeshSequence:
 @pytest.fixture(scope="session")
 def bar_model(bent_bar: MeshSequence) -> Model:
     """The bar in the mixed shape space."""
-    return fit(bent_bar)
+    return fit(bent_bar, exact=True)

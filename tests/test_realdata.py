@@ -44,7 +44,7 @@ def some_frames(folder: Path, case: Case) -> MeshSequence:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> None:
     sequence = some_frames(data, case)
-    model = mixseq.fit(sequence, placement=placement)
+    model = mixseq.fit(sequence, exact=True, placement=placement)
     error = np.linalg.norm(model.sample().points - sequence.points, axis=2).max() / sequence.diagonal
     assert error < 1e-6
 
@@ -53,13 +53,13 @@ def test_half_way_between_two_lions(data: Path) -> None:
     """The paper's Figure 9: the free placement finds a whole lion between two poses."""
     whole = mixseq.read(data / "npz" / "lion_poses.npz")
     pair = MeshSequence.from_header(whole.header.with_times([0.0, 1.0]), whole.points[[2, 5]])
-    model = mixseq.fit(pair, placement="free")
-    points, (reports,) = model.space.decode_with_reports(model.curve([0.5]))
+    model = mixseq.fit(pair, exact=True, placement="free")
+    points, (reports,) = model.mixed.decode_with_reports(model.curve([0.5]))
     assert np.isfinite(points).all()
     assert reports
     assert all(report.converged for report in reports)
     # Edges are nearly as long as on average; halves of vertices would be far shorter where the lion turns.
-    edges = model.space.topology.edges
+    edges = model.mixed.topology.edges
 
     def lengths(x: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.norm(x[edges[:, 1]].astype(float) - x[edges[:, 0]], axis=1))

@@ -1,11 +1,12 @@
-r"""A model: a shape space and a curve in it, which can be asked for any time.
+r"""A model: a shape space and three signals in it, which can be asked for any time.
 
-The curve passes through one vector :math:`P_j` of the space for every frame of the sequence,
+.. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j, \qquad \sum_j \varphi_j = 1
 
-.. math:: s(t) = \sum_j \varphi_j(t)\, P_j, \qquad \sum_j \varphi_j(t) = 1
+- **time**: the curve :math:`c(t)` in pose space (`mixseq.signals.curve`),
+- **pose**: the affine map :math:`\varphi` from pose space to weights of key shapes (`mixseq.signals.pose`),
+- **shape**: the key shapes :math:`P_j`, points of the shape space.
 
-with the cardinal cubic splines :math:`\varphi_j` of the frames' times (1 at the time of frame j, 0 at all others,
-not-a-knot ends), so at the frames the model is the sequence, exactly.
+Where the parts of the shape are in the world is no matter of shape: the **placement** is a curve of its own.
 """
 
 from __future__ import annotations
@@ -16,13 +17,17 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 
 from mixseq.errors import SettingsError
+from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.spaces.mixed import MixedSpace
+from mixseq.signals.curve import Curve
+from mixseq.signals.layout import plane
+from mixseq.signals.placement import whole_placement
+from mixseq.signals.pose import PoseMap
+from mixseq.spaces import MixedSpace, ShapeSpace
 from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
@@ -30,38 +35,107 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A mesh sequence in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
+    """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
 
     Attributes
     ----------
     header : SequenceHeader
-        Polygons, frame times, units and name of the sequence.
-    space : MixedSpace
+        Polygons, units and name of the mesh; the times of its frames, which `sample` returns by default.
+    space : ShapeSpace
         The shape space.
-    vectors : (T, D) float64
-        Key shapes: the vector of every frame.
+    time : Curve
+        The time signal, a curve in pose space ``R^k``.
+    pose : PoseMap
+        The pose signal, from pose space to the weights of K key shapes.
+    shapes : (K, S + O) float64
+        The shape signal: key shapes without their placement, ``S = space.dim - space.placement_dim``, and their
+        offsets, ``O = space.offset_dim``.
+    placement : Curve
+        Where the parts are: a curve of `ShapeSpace.stored_placement_dim` coordinates.
+
+    Raises
+    ------
+    SettingsError
+        If the signals do not fit together.
     """
 
     header: SequenceHeader
-    space: MixedSpace
-    vectors: Float
+    space: ShapeSpace
+    time: Curve
+    pose: PoseMap
+    shapes: Float
+    placement: Curve
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shapes", frozen(np.asarray(self.shapes, dtype=np.float64)))
+        expected = (len(self.pose.offset), self.shape_dim + self.space.offset_dim)
+        if self.shapes.shape != expected:
+            raise SettingsError(f"the key shapes have shape {self.shapes.shape}; {expected} is expected")
+        if self.time.dim != self.pose.dim:
+            raise SettingsError(
+                f"the time signal has {self.time.dim} coordinates, the pose signal {self.pose.dim}"
+            )
+        if self.placement.dim != self.space.stored_placement_dim:
+            raise SettingsError(
+                f"the placement has {self.placement.dim} coordinates; {self.space.stored_placement_dim} are expected"
+            )
+        for curve in (self.time, self.placement):
+            if curve.start > self.times[0] or curve.end < self.times[-1]:
+                raise SettingsError(
+                    f"frames are from {self.times[0]:g} to {self.times[-1]:g} s, a signal only from "
+                    f"{curve.start:g} to {curve.end:g} s"
+                )
+
+    @property
+    def shape_dim(self) -> int:
+        """Length S of a key shape without offsets."""
+        return self.space.dim - self.space.placement_dim
 
     @property
     def times(self) -> Float:
-        """Times ``(T,)`` of the key shapes in seconds."""
+        """Times ``(T,)`` of the frames in seconds."""
         times: Float = self.header.times
         return times
 
     @property
+    def start(self) -> float:
+        """First time of the model in seconds."""
+        return max(self.time.start, self.placement.start)
+
+    @property
+    def end(self) -> float:
+        """Last time of the model in seconds."""
+        return min(self.time.end, self.placement.end)
+
+    @property
     def decomposition(self) -> Decomposition:
-        """Parts and joints of the mesh."""
-        return self.space.decomposition
+        """Parts and joints of the mesh.
+
+        Raises
+        ------
+        SettingsError
+            If the shape space has none.
+        """
+        return self.mixed.decomposition
+
+    @property
+    def mixed(self) -> MixedSpace:
+        """The space, if it is the mixed shape space.
+
+        Raises
+        ------
+        SettingsError
+            If it is another one, which has no parts.
+        """
+        if not isinstance(self.space, MixedSpace):
+            raise SettingsError(f"the {self.space.name} space has no parts; fit a model with space='mixed'")
+        return self.space
 
     def __repr__(self) -> str:
-        parts, joints = len(self.decomposition.parts), len(self.decomposition.joints)
         return (
-            f"Model({self.header.name!r}: {self.header.frame_count} key shapes, {parts} parts, {joints} joints, "
-            f"{self.space.placement} placement, dim {self.space.dim})"
+            f"Model({self.header.name!r}: {self.start:g} to {self.end:g} s, {len(self.shapes)} key shapes, "
+            f"{self.space.name} space of dim {self.space.dim}, "
+            f"{len(self.time.times)} + {len(self.placement.times)} knots)"
         )
 
     def __call__(self, time: float) -> Float:
@@ -72,17 +146,51 @@ class Model:
         SettingsError
             If the time is outside the sequence: models do not extrapolate.
         """
-        frame: Float = self.space.decode(self.curve([time]))[0]
+        frame: Float = next(self.blocks([time]))[0]
         return frame
 
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
+        return self._at(self.inside(times))[0]
+
+    def rates(self, times: ArrayLike) -> Float:
+        """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
+        return self._rates_at(self.inside(times))[0]
+
+    def _at(self, times: Float) -> tuple[Float, Float]:
+        """Vectors ``(N, D)`` and offsets ``(N, O)``."""
+        blended = self._blended(self.pose.weights(self.time(times)))
+        shapes, offsets = np.split(blended, [self.shape_dim], axis=1)
+        return np.concatenate([shapes, self._whole_placement(times)], axis=1), offsets
+
+    def _rates_at(self, times: Float) -> tuple[Float, Float]:
+        """Derivatives of vectors and offsets by time."""
+        blended = self._blended(self.pose.rates(self.time.derivative(times)))
+        shapes, offsets = np.split(blended, [self.shape_dim], axis=1)
+        return np.concatenate([shapes, self._whole_placement.derivative(times)], axis=1), offsets
+
+    def _blended(self, weights: Float) -> Float:
+        """Return sums of key shapes ``(N, S)``, one by one: a frame is the same whatever is asked with it."""
         with one_blas_thread():
-            vectors: Float = self._weights(self._inside(times)) @ self.vectors
-        return vectors
+            return np.stack([row @ self.shapes for row in weights])
+
+    @property
+    def vectors(self) -> Float:
+        """The vectors ``(T, D)`` of the frames."""
+        return self.curve(self.times)
+
+    def velocity(self, time: float) -> Float:
+        """Return the velocities ``(V, 3)`` of the vertices in units per second: the analytic derivative."""
+        frame: Float = next(self.moving_blocks([time]))[1][0]
+        return frame
 
     def sample(
-        self, times: ArrayLike | None = None, fps: float | None = None, progress: Progress = silent
+        self,
+        times: ArrayLike | None = None,
+        fps: float | None = None,
+        progress: Progress = silent,
+        *,
+        velocities: bool = False,
     ) -> MeshSequence:
         """Decode frames.
 
@@ -95,6 +203,8 @@ class Model:
             on. With `times` it only says which time line they are on.
         progress : callable, optional
             Told about every frame.
+        velocities : bool
+            Also find `MeshSequence.velocities`, for motion blur.
 
         Returns
         -------
@@ -107,7 +217,11 @@ class Model:
             If a time is outside the sequence, or fps is not positive.
         """
         header = self.header_at(times, fps)
-        points = self.space.decode(self.curve(header.times), progress)
+        if velocities:
+            moving = list(self.moving_blocks(header.times, progress=progress))
+            points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
+            return MeshSequence.from_header(header, points, speeds)
+        points = np.concatenate(list(self.blocks(header.times, progress=progress)))
         return MeshSequence.from_header(header, points)
 
     def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
@@ -117,32 +231,56 @@ class Model:
         if times is None and fps is not None:
             first, last = self.times[0], self.times[-1]
             times = np.minimum(first + np.arange(int(np.floor((last - first) * fps + 1e-6)) + 1) / fps, last)
-        return self.header.with_times(self.times if times is None else self._inside(times), fps)
+        return self.header.with_times(self.times if times is None else self.inside(times), fps)
 
     def blocks(self, times: ArrayLike, size: int = 16, progress: Progress = silent) -> Iterator[Float]:
         """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order."""
-        inside = self._inside(times)
+        inside = self.inside(times)
         for start in range(0, len(inside), size):
-            yield self.space.decode(self.curve(inside[start : start + size]))
+            vectors, offsets = self._at(inside[start : start + size])
+            yield self.space.decode(vectors, offsets=offsets)
             progress(min(start + size, len(inside)), len(inside), "decoding frames")
 
+    def moving_blocks(
+        self, times: ArrayLike, size: int = 16, progress: Progress = silent
+    ) -> Iterator[tuple[Float, Float]]:
+        """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
+        inside = self.inside(times)
+        for start in range(0, len(inside), size):
+            some = inside[start : start + size]
+            (vectors, offsets), (rates, offset_rates) = self._at(some), self._rates_at(some)
+            yield self.space.decode_moving(vectors, rates, offsets, offset_rates)
+            progress(min(start + size, len(inside)), len(inside), "decoding frames")
+
+    def layout(self, times: ArrayLike) -> Float:
+        """Return where the model is ``(N, 2)`` in the plane that shows most of its motion, in diagonals.
+
+        The plane of the first two principal components of the frames (classical multidimensional scaling of
+        their distances in the shape space), fixed for the model; drawn, it is the default picture of the time
+        signal (paper, Figure 18).
+        """
+        origin, axes = self._plane
+        weights = self.pose.weights(self.time(self.inside(times)))
+        return np.asarray((weights - origin) @ axes)
+
     @cached_property
-    def _cardinal(self) -> BSpline:
-        count = len(self.times)
-        return make_interp_spline(self.times, np.eye(count), k=min(3, count - 1))
+    def _plane(self) -> tuple[Float, Float]:
+        return plane(self.pose.weights(self.time(self.times)), self.shapes, self.space.shape_weights)
 
-    def _weights(self, times: Float) -> Float:
-        """The weights ``(N, T)`` of the key shapes; at a key's time exactly that key."""
-        weights = np.asarray(self._cardinal(times), dtype=np.float64)
-        nearest = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
-        at_key = self.times[nearest] == times
-        weights[at_key] = 0.0
-        weights[at_key, nearest[at_key]] = 1.0
-        return weights
+    @cached_property
+    def _whole_placement(self) -> Curve:
+        return whole_placement(self.space, self.placement)
 
-    def _inside(self, times: ArrayLike) -> Float:
+    def inside(self, times: ArrayLike) -> Float:
+        """Return times ``(N,)`` as they are, but for rounding at the ends.
+
+        Raises
+        ------
+        SettingsError
+            If a time is outside the model.
+        """
         wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        first, last = self.times[0], self.times[-1]
+        first, last = self.start, self.end
         slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
         outside = ~((wanted >= first - slack) & (wanted <= last + slack))
         if outside.any():

@@ -23,7 +23,14 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"parts": 0}, r"parts is 0; a number from 1 to 150"),
         ({"parts": 151}, r"parts is 151; a number from 1 to 150"),
         ({"joint_width": 0}, r"joint_width is 0; at least 1"),
-        ({"exact": False}, r"only exact models"),
+        ({"exact": True, "rank": 2}, r"leave out tolerance, rank and knots"),
+        ({"tolerance": 1e-3, "knots": 2}, r"tolerance chooses rank and knots"),
+        ({"tolerance": 0.0}, r"tolerance is 0.0; a positive number"),
+        ({"tolerance": np.nan}, r"tolerance is nan; a positive number"),
+        ({"rank": -1}, r"rank is -1; zero or more"),
+        ({"pose": "frames"}, r"pose is 'frames'; 'modes' or 'keys'"),
+        ({"space": "gradient"}, r"space is 'gradient'; 'mixed' or 'vertex'"),
+        ({"knots": 1}, r"knots is 1; 3 frames can tell of 0 to 0 inner knots"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
@@ -39,7 +46,7 @@ def test_labels_are_checked(labels: Any) -> None:
 
 def test_labels_are_used() -> None:
     labels = np.arange(150) % 3
-    model = fit(SMALL, parts=labels)
+    model = fit(SMALL, exact=True, parts=labels)
     expected = segment_by_labels(labels, Topology(SMALL.faces, SMALL.vertex_count))
     np.testing.assert_array_equal(model.decomposition.part_of_face, expected)
     np.testing.assert_allclose(model.sample().points, SMALL.points, atol=1e-9)
@@ -53,8 +60,8 @@ def test_the_number_of_parts_is_used(parts: int) -> None:
 def test_placement_and_details_are_used() -> None:
     shell = ShellSettings(bending=0.7, iterations=9)
     model = fit(SMALL, placement="free", joint_width=2, shell=shell, motion=MotionSettings(bend=200.0))
-    assert model.space.placement == "free"
-    assert model.space.settings == shell
+    assert model.mixed.placement == "free"
+    assert model.mixed.settings == shell
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
 
@@ -62,7 +69,7 @@ def test_placement_and_details_are_used() -> None:
 def test_fitting_twice_gives_the_same_model() -> None:
     first, second = fit(SMALL), fit(SMALL)
     np.testing.assert_array_equal(first.vectors, second.vectors)
-    np.testing.assert_array_equal(first.space.shapes, second.space.shapes)
+    np.testing.assert_array_equal(first.mixed.shapes, second.mixed.shapes)
 
 
 def test_progress_is_told() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from mixseq.errors import SettingsError
@@ -28,7 +29,7 @@ def small(frames: int = 5, times: list[float] | None = None) -> MeshSequence:
 
 @cache
 def model_of(placement: PlacementName = "anchored", frames: int = 5, uneven: bool = False) -> Model:
-    return fit(small(frames, UNEVEN if uneven else None), placement=placement)
+    return fit(small(frames, UNEVEN if uneven else None), exact=True, placement=placement)
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
@@ -75,7 +76,7 @@ def test_a_turning_body_turns_evenly() -> None:
     axis = np.array([2.0, 1, -2]) / 3
     turns = np.radians(np.arange(0, 721, 40.0))
     points = np.stack([centred @ rotation(axis * turn).T for turn in turns])
-    sampled = fit(MeshSequence.from_arrays(points, mesh[1], fps=10)).sample(fps=20)
+    sampled = fit(MeshSequence.from_arrays(points, mesh[1], fps=10), exact=True).sample(fps=20)
     assert sampled.frame_count == 2 * len(turns) - 1
     for frame, turn in enumerate(np.radians(np.arange(0, 721, 20.0))):
         np.testing.assert_allclose(sampled.points[frame], centred @ rotation(axis * turn).T, atol=1e-9)
@@ -156,5 +157,54 @@ def test_blocks_are_the_sample(size: int) -> None:
 def test_repr_tells_what_it_is() -> None:
     model = model_of("free")
     assert repr(model) == (
-        f"Model('small': 5 key shapes, 2 parts, 1 joints, free placement, dim {model.space.dim})"
+        f"Model('small': 0 to 0.4 s, 5 key shapes, mixed space of dim {model.space.dim}, 5 + 5 knots)"
     )
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("time", [0.0, 0.13, 0.2, 0.4])
+def test_velocities_are_the_derivative(placement: PlacementName, time: float) -> None:
+    model = model_of(placement)
+    step = 1e-5
+    before, after = max(time - step, 0.0), min(time + step, 0.4)
+    quotient = (model(after) - model(before)) / (after - before)
+    velocity = model.velocity(time)
+    assert np.abs(velocity - quotient).max() < 2e-3 * np.abs(quotient).max()
+    sampled = model.sample([0.0, time] if time else [0.0], velocities=True)
+    assert sampled.velocities is not None
+    np.testing.assert_allclose(sampled.velocities[-1], velocity, atol=1e-9)
+    np.testing.assert_array_equal(sampled.points[-1], model(time))
+
+
+def test_a_turning_body_has_the_velocities_of_its_turn() -> None:
+    mesh = tube(5, 4)
+    centred = mesh[0] - mesh[0].mean(axis=0)
+    turns = np.radians(np.arange(0, 721, 40.0))
+    points = np.stack([centred @ rotation(np.array([0, 0, turn])).T for turn in turns])
+    model = fit(MeshSequence.from_arrays(points, mesh[1], fps=10), exact=True)
+    rate = np.radians(400.0)
+    for time in (0.0, 0.33, 1.27):
+        x = model(time)
+        expected = rate * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 2]], axis=1)
+        np.testing.assert_allclose(model.velocity(time), expected, atol=2e-3 * rate)
+
+
+def test_a_tail_that_twists_by_half_a_turn_goes_on_twisting() -> None:
+    """Key shapes every 45 degrees up to 180 on the far bone; the frames between are twisted between."""
+    sides, rings = 6, 25
+    mesh = tube(sides, rings)
+    along = np.clip((mesh[0][:, 2] - 1.5) / 1.0, 0, 1)
+    keys = np.radians([0, 45, 90, 135, 180, 225, 270])
+
+    def twisted(turn: float) -> NDArray[np.float64]:
+        return np.stack(
+            [rotation(np.array([0, 0, turn * a])) @ x for a, x in zip(along, mesh[0], strict=True)]
+        )
+
+    points = np.stack([twisted(turn) for turn in keys])
+    model = fit(MeshSequence.from_arrays(points, mesh[1], fps=1), exact=True)
+    for time in (0.5, 2.5, 3.5, 5.5):
+        expected = twisted(np.radians(45 * time))
+        far = along == 1
+        assert np.abs(model(time)[far] - expected[far]).max() < 1e-3
+        assert np.abs(model(time) - expected).max() < 0.05

@@ -1,0 +1,86 @@
+"""The promise of a tolerance: search for the coarsest signals whose decoded frames are all within it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixseq.progress import Progress, silent
+from mixseq.sequence import MeshSequence
+from mixseq.signals.detail import Detail, Encoded, build
+from mixseq.signals.model import Model
+
+LOSSLESS_TO_THE_EYE = 5e-4
+"""Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
+
+ENOUGH = 0.6
+"""A model is not made coarser if its error is above this fraction of the tolerance."""
+
+ROUNDS = 7
+"""At most so many models are tried before the finest of them."""
+
+_BLOCK = 8  # frames decoded between two looks at the error
+
+
+def within(encoded: Encoded, sequence: MeshSequence, tolerance: float, progress: Progress = silent) -> Model:
+    """Find signals that reproduce a sequence to a tolerance.
+
+    Slack of the signals and error of the decoded frames grow together, though not evenly; so the slack is scaled
+    with the error that was measured, and bisected once it was both too small and too large.
+
+    Parameters
+    ----------
+    encoded : Encoded
+        The sequence in a shape space.
+    sequence : MeshSequence
+        The sequence itself.
+    tolerance : float
+        Largest distance of a vertex, in diagonals.
+    progress : callable, optional
+        Told about every model that is tried.
+
+    Returns
+    -------
+    Model
+        Within the tolerance, measured; if nothing coarser is, the exact model.
+    """
+    low, high, slack = 0.0, np.inf, tolerance / 4
+    best: Model | None = None
+    for number in range(ROUNDS):
+        progress(number, ROUNDS, "choosing modes and knots")
+        model = build(encoded, Detail(slack=slack))
+        error = largest_error(model, sequence, stop=2 * tolerance)
+        if error <= tolerance:
+            low, best = slack, model
+            if error > ENOUGH * tolerance or len(model.shapes) == 1 or number > ROUNDS // 2:
+                break
+        else:
+            high = slack
+        scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
+        slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
+    progress(ROUNDS, ROUNDS, "choosing modes and knots")
+    return best if best is not None else build(encoded, Detail())
+
+
+def largest_error(model: Model, sequence: MeshSequence, stop: float = np.inf) -> float:
+    """Return the largest distance of a vertex at the frames, in diagonals.
+
+    Parameters
+    ----------
+    model : Model
+        A model of the sequence.
+    sequence : MeshSequence
+        The original.
+    stop : float
+        Do not look further once the error is above this.
+    """
+    unit = sequence.diagonal or 1.0
+    # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
+    frames = np.concatenate([np.arange(first, len(sequence), 4) for first in (0, 2, 1, 3)])
+    largest, done = 0.0, 0
+    for block in model.blocks(model.times[frames], _BLOCK):
+        apart = block - sequence.points[frames[done : done + len(block)]]
+        largest = max(largest, float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit)
+        if largest > stop:
+            break
+        done += len(block)
+    return largest

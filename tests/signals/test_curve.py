@@ -1,0 +1,115 @@
+"""Curves: cubic splines that are what their values say, whatever their knots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from mixseq.errors import SettingsError
+from mixseq.signals.curve import Curve, fit_curve, least_squares_curve
+
+Float = NDArray[np.float64]
+TIMES = np.array([0.0, 0.1, 0.5, 0.6, 1.1, 1.5, 2.0])
+
+
+def wave(times: Float) -> Float:
+    return np.stack([np.sin(2 * times), np.cos(3 * times), times**2], axis=1)
+
+
+def largest(deviations: Float) -> Float:
+    return np.asarray(np.abs(deviations).max(axis=1, initial=0.0))
+
+
+def test_a_curve_is_the_not_a_knot_spline() -> None:
+    curve, expected = Curve(TIMES, wave(TIMES)), CubicSpline(TIMES, wave(TIMES))
+    t = np.linspace(0, 2, 57)
+    np.testing.assert_allclose(curve(t), expected(t), atol=1e-13)
+    for order in (1, 2, 3):
+        np.testing.assert_allclose(curve.derivative(t[1:-1], order), expected(t[1:-1], order), atol=1e-9)
+    assert not curve.derivative([1.0], 4).any()
+    np.testing.assert_array_equal(curve(TIMES), wave(TIMES))
+    assert (curve.start, curve.end, curve.dim) == (0.0, 2.0, 3)
+
+
+@pytest.mark.parametrize(("count", "degree"), [(1, 0), (2, 1), (3, 2), (4, 3)])
+def test_few_knots_make_polynomials(count: int, degree: int) -> None:
+    times = TIMES[:count]
+    curve = Curve(times, (times**degree)[:, None])
+    t = np.linspace(times[0], times[-1], 7)
+    np.testing.assert_allclose(curve(t)[:, 0], t**degree, atol=1e-12)
+    slope = degree * t ** max(degree - 1, 0)
+    np.testing.assert_allclose(curve.derivative(t)[:, 0], slope, atol=1e-11)
+
+
+def test_no_coordinates_are_fine() -> None:
+    curve = Curve(TIMES, np.zeros((7, 0)))
+    assert curve([0.3, 0.4]).shape == curve.derivative([0.3, 0.4]).shape == (2, 0)
+    assert fit_curve(TIMES, np.zeros((7, 0)), 0.1, largest)([0.3]).shape == (1, 0)
+
+
+@given(st.lists(st.floats(0.01, 1.99), min_size=1, max_size=4, unique=True))
+def test_more_knots_on_a_curve_do_not_change_it(extra: list[float]) -> None:
+    curve = Curve(TIMES, wave(TIMES))
+    more = np.array([x for x in extra if np.abs(TIMES - x).min() > 1e-3 and 0.1 < x < 1.5])
+    sites = np.union1d(TIMES, more)
+    finer = Curve(sites, curve(sites))
+    t = np.linspace(0, 2, 41)
+    np.testing.assert_allclose(finer(t), curve(t), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "message"),
+    [
+        ([0.0, 1.0], np.zeros((3, 1)), "2 knots has values of shape"),
+        ([], np.zeros((0, 1)), "0 knots"),
+        ([0.0, 1.0], np.zeros(2), "values of shape"),
+        ([0.0, 0.0], np.zeros((2, 1)), "must be finite and increase"),
+        ([0.0, np.inf], np.zeros((2, 1)), "must be finite and increase"),
+        ([0.0, 1.0], np.full((2, 1), np.nan), "must be finite and increase"),
+    ],
+)
+def test_unsound_curves_are_refused(times: list[float], values: Float, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        Curve(np.array(times), values)
+
+
+def test_a_cubic_needs_no_inner_knots() -> None:
+    t = np.linspace(0, 1, 30)
+    values = np.stack([t**3 - t, 2 * t**2], axis=1)
+    curve = fit_curve(t, values, 1e-9, largest)
+    assert len(curve.times) == 4
+    np.testing.assert_allclose(curve(t), values, atol=1e-12)
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 1e-2, 1e-3, 1e-5])
+def test_the_tolerance_is_kept_with_few_knots(tolerance: float) -> None:
+    t = np.linspace(0, 2, 120)
+    curve = fit_curve(t, wave(t), tolerance, largest)
+    assert largest(curve(t) - wave(t)).max() <= tolerance
+    assert len(curve.times) < 60
+
+
+def test_knots_go_where_they_are_needed() -> None:
+    t = np.linspace(0, 1, 101)
+    step = np.tanh(40 * (t - 0.7))[:, None]
+    knots = fit_curve(t, step, 1e-3, largest).times
+    assert np.count_nonzero(np.abs(knots - 0.7) < 0.2) > 0.6 * len(knots)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
+def test_without_tolerance_all_values_are_met(count: int) -> None:
+    noise = np.random.default_rng(count).standard_normal((count, 2))
+    times = np.cumsum(np.linspace(1, 2, count))
+    curve = fit_curve(times, noise, 0.0, largest)
+    np.testing.assert_array_equal(curve(times), noise)
+
+
+def test_least_squares_lets_the_noise_go() -> None:
+    t = np.linspace(0, 2, 200)
+    noisy = wave(t) + 0.01 * np.random.default_rng(0).standard_normal((200, 3))
+    curve = least_squares_curve(t, noisy, np.linspace(0, 2, 8)[1:-1])
+    assert np.sqrt(np.square(curve(t) - wave(t)).mean()) < 0.004

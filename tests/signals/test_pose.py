@@ -1,0 +1,103 @@
+"""Modes, key frames, and the affine maps that blend them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.signals.layout import plane
+from mixseq.signals.pose import PoseMap, choose_keys, key_map, principal_modes
+
+Float = NDArray[np.float64]
+
+
+def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:
+    random = np.random.default_rng(seed)
+    left = random.standard_normal((count, rank)) * 10.0 ** -np.arange(rank)
+    return np.asarray(left @ random.standard_normal((rank, dim)) + random.standard_normal(dim))
+
+
+METRIC = np.linspace(0.1, 2, 40)
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3])
+def test_modes_reproduce_what_has_their_rank(rank: int) -> None:
+    given_ = vectors(rank=rank)
+    modes = principal_modes(given_, METRIC)
+    rebuilt = modes.pose_map().weights(modes.scores) @ modes.key_shapes()
+    np.testing.assert_allclose(rebuilt, given_, atol=1e-13)
+    if rank:
+        singular = np.linalg.svd((given_ - given_.mean(axis=0)) * METRIC, compute_uv=False)
+        np.testing.assert_allclose(modes.sizes[:rank], singular[:rank], rtol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(modes.scores, axis=0), modes.sizes)
+
+
+def test_distances_in_pose_space_are_distances_of_shapes() -> None:
+    given_ = vectors()
+    scores = principal_modes(given_, METRIC).scores
+    for i in range(6):
+        apart = np.linalg.norm((given_ - given_[i]) * METRIC, axis=1)
+        np.testing.assert_allclose(np.linalg.norm(scores - scores[i], axis=1), apart, atol=1e-12)
+
+
+def test_the_first_modes_are_the_best() -> None:
+    given_ = vectors(count=9, rank=6)
+    modes = principal_modes(given_, METRIC).first(2)
+    error = (modes.pose_map().weights(modes.scores) @ modes.key_shapes() - given_) * METRIC
+    singular = np.linalg.svd((given_ - given_.mean(axis=0)) * METRIC, compute_uv=False)
+    np.testing.assert_allclose(np.linalg.norm(error), np.linalg.norm(singular[2:]), rtol=1e-9)
+
+
+@given(count=st.integers(1, 7), rank=st.integers(0, 4), seed=st.integers(0, 50))
+def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
+    modes = principal_modes(vectors(count, rank, seed=seed), METRIC)
+    points = modes.sizes * np.random.default_rng(seed).standard_normal((5, len(modes.sizes)))
+    np.testing.assert_allclose(modes.pose_map().weights(points).sum(axis=1), 1, atol=1e-12)
+    frames = choose_keys(modes.scores)
+    weights = key_map(modes.scores[frames]).weights(points)
+    assert weights.shape[1] == len(frames) <= min(count, len(modes.sizes) + 1)
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
+
+
+def test_key_frames_stand_for_all_others() -> None:
+    given_ = vectors(count=8, rank=3)
+    modes = principal_modes(given_, METRIC).first(3)
+    frames = choose_keys(modes.scores)
+    assert len(frames) == 4
+    weights = key_map(modes.scores[frames]).weights(modes.scores)
+    np.testing.assert_allclose(weights @ given_[frames], given_, atol=1e-10)
+    np.testing.assert_allclose(weights[frames], np.eye(4), atol=1e-9)
+    assert np.abs(weights).max() < 4, "key frames are spread widely"
+
+
+def test_coordinates_can_be_the_weights() -> None:
+    weights = np.array([[0.2, 0.5, 0.3], [1.0, 0, 0], [-1, 1, 1]])
+    np.testing.assert_allclose(PoseMap.of_weights(3).weights(weights[:, 1:]), weights, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("offset", "matrix", "message"),
+    [
+        ([0.5, 0.4], [[1.0, -1]], "do not add up to one"),
+        ([0.5, 0.5], [[1.0, -0.9]], "do not add up to one"),
+        ([0.5, 0.5], [[1.0, -1, 0]], "a matrix of shape"),
+        ([], np.zeros((0, 0)), "a matrix of shape"),
+    ],
+)
+def test_unsound_maps_are_refused(offset: list[float], matrix: Float, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        PoseMap(np.array(offset), np.array(matrix))
+
+
+def test_the_layout_is_the_plane_of_the_first_two_components() -> None:
+    given_ = vectors(count=7, rank=4)
+    modes = principal_modes(given_, METRIC)
+    origin, axes = plane(np.eye(7), given_, METRIC)
+    drawn = (np.eye(7) - origin) @ axes
+    np.testing.assert_allclose(np.abs(drawn), np.abs(modes.scores[:, :2]), atol=1e-9)
+    origin, axes = plane(np.eye(3), np.ones((3, 40)), METRIC)
+    assert not axes.any()

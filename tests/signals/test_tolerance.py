@@ -1,0 +1,129 @@
+"""A tolerance is a promise; rank and knots do what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.errors import SettingsError
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Curve, Model, PoseMap, fit
+from tests.meshes import SEQUENCES, bar
+
+LONG = bar(sides=5, rings=13, frames=30)
+
+
+@pytest.mark.parametrize("space", ["mixed", "vertex"])
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3, 1e-4])
+def test_the_promise_is_kept(space: str, tolerance: float) -> None:
+    model = fit(LONG, tolerance=tolerance, space=space)  # type: ignore[arg-type]
+    assert mixseq.compare(LONG, model.sample()).max_error <= tolerance
+    assert len(model.shapes) < 30
+    assert len(model.time.times) < 30
+
+
+def test_without_settings_models_are_lossless_to_the_eye() -> None:
+    model = fit(LONG)
+    assert 1e-6 < mixseq.compare(LONG, model.sample()).max_error <= 5e-4
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_the_promise_is_kept_on_awkward_meshes(name: str) -> None:
+    sequence = SEQUENCES[name]()
+    assert mixseq.compare(sequence, fit(sequence, tolerance=1e-3).sample()).max_error <= 1e-3
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["q_wolf_gallop", "fox_run", "robotexpressive_dance"])
+def test_the_promise_is_kept_on_real_data(data: Path, name: str) -> None:
+    sequence = mixseq.read(data / "npz" / f"{name}.npz")
+    assert mixseq.compare(sequence, fit(sequence, tolerance=1e-3).sample()).max_error <= 1e-3
+
+
+def test_rank_truncates_shapes_but_not_placement() -> None:
+    errors = []
+    for rank in (0, 1, 3, 29):
+        model = fit(LONG, rank=rank)
+        assert len(model.shapes) == rank + 1
+        np.testing.assert_array_equal(model.placement.times, LONG.times)
+        errors.append(mixseq.compare(LONG, model.sample()).kg_percent)
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] > 0.1
+    assert errors[-1] < 1e-9
+    assert len(fit(LONG, rank=1000).shapes) <= 30
+
+
+@pytest.mark.parametrize("pose", ["modes", "keys"])
+def test_both_forms_of_the_pose_signal_are_exact(pose: str) -> None:
+    model = fit(LONG, exact=True, pose=pose)  # type: ignore[arg-type]
+    assert mixseq.compare(LONG, model.sample()).max_error < 1e-10
+
+
+def test_key_shapes_are_frames_that_can_be_exchanged() -> None:
+    model = fit(LONG, rank=4, pose="keys")
+    encoded = fit(LONG, exact=True).vectors[:, : model.shape_dim]
+    apart = np.abs(encoded[:, None] - model.shapes[None, :, : model.shape_dim]).max(axis=2).min(axis=0)
+    assert apart.max() < 1e-8
+
+
+def test_knots_by_number_and_by_time() -> None:
+    model = fit(LONG, knots=3)
+    inner = model.time.times[2:-2]
+    assert len(inner) == 3
+    np.testing.assert_allclose(inner, np.interp([7.25, 14.5, 21.75], np.arange(30), LONG.times))
+    chosen = LONG.times[[5, 9, 20]]
+    np.testing.assert_array_equal(fit(LONG, knots=chosen).placement.times[2:-2], chosen)
+    assert mixseq.compare(LONG, fit(LONG, knots=26).sample()).max_error < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("knots", "message"),
+    [
+        (-1, "knots is -1"),
+        (27, "30 frames can tell of 0 to 26"),
+        ([-1.0, 0.5], "must be between 0 and 2.9"),
+        (np.linspace(0.1, 2.8, 27), "30 frames can tell of 26"),
+        ([0.51, 0.52, 0.53, 0.54, 0.55, 0.56], "no frames to tell of the knots near"),
+    ],
+)
+def test_knots_that_frames_cannot_tell_of_are_refused(knots: object, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        fit(LONG, knots=knots)  # type: ignore[arg-type]
+
+
+def test_signals_must_fit_together() -> None:
+    model = fit(LONG, rank=2, space="vertex")
+    parts: dict[str, Any] = {
+        "header": model.header,
+        "space": model.space,
+        "time": model.time,
+        "pose": model.pose,
+        "shapes": model.shapes,
+        "placement": model.placement,
+    }
+    wrong = {
+        "shapes": (model.shapes[:2], "key shapes have shape"),
+        "pose": (PoseMap.of_weights(4), "key shapes have shape"),
+        "time": (Curve(model.time.times, model.time.values[:, :1]), "1 coordinates, the pose signal 2"),
+        "placement": (Curve(model.time.times, model.time.values), "placement has 2 coordinates; 0 are"),
+        "header": (model.header.with_times([0.0, 99.0]), "frames are from 0 to 99 s, a signal only"),
+    }
+    for name, (value, message) in wrong.items():
+        with pytest.raises(SettingsError, match=message):
+            Model(**{**parts, name: value})
+
+
+def test_vertex_models_have_no_parts() -> None:
+    with pytest.raises(SettingsError, match="the vertex space has no parts"):
+        _ = fit(LONG, rank=2, space="vertex").decomposition
+
+
+def test_one_frame() -> None:
+    still = MeshSequence.from_arrays(LONG.points[:1], LONG.polygons)
+    for space in ("mixed", "vertex"):
+        model = fit(still, space=space)
+        np.testing.assert_allclose(model.sample().points, still.points, atol=1e-12)
