@@ -1,10 +1,11 @@
-"""What every format's writer has in common: blocks of points, checked before they reach the file."""
+"""What every format's writer has in common: blocks of points and velocities, checked before they reach the file."""
 
 from __future__ import annotations
 
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
+from itertools import chain, tee
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -12,39 +13,46 @@ from numpy.typing import DTypeLike
 from mixseq.errors import InvalidSequenceError, MixseqWarning
 from mixseq.sequence import FloatArray, SequenceHeader, check_block
 
+Numbered = tuple[int, FloatArray, FloatArray | None]
+"""Index of a block's first frame, its points ``(B, V, 3)``, and its velocities, if there are any."""
+
 
 def checked(
-    header: SequenceHeader, blocks: Iterable[FloatArray]
-) -> tuple[np.dtype[np.floating], Iterator[tuple[int, FloatArray]]]:
+    header: SequenceHeader, blocks: Iterable[FloatArray], velocities: Iterable[FloatArray] | None = None
+) -> tuple[np.dtype[np.floating], Iterator[Numbered]]:
     """Look at the first block, and check every block as it passes.
 
     Returns
     -------
     dtype : numpy.dtype
-        float32 or float64, that of the first block; formats decide how to store the points by it.
-    numbered : iterator of (int, (B, V, 3) array)
-        Index of each block's first frame, and the block.
+        float32 or float64, that of the first block; formats decide how to store points and velocities by it.
+    numbered : iterator of Numbered
+        The blocks. Every block of velocities is fetched after its block of points and before the next one, and
+        rounded to the dtype of the points.
 
     Raises
     ------
     InvalidSequenceError
-        While iterating: if a block does not fit the header, or changes dtype, or if there are more or fewer
-        frames than the header has times.
+        While iterating: if a block does not fit the header, or changes dtype, if there are more or fewer
+        frames than the header has times, or if velocities do not fit the points.
     """
     rest = iter(blocks)
     first = next(rest, None)
     if first is None:
         raise InvalidSequenceError(f"there are no points for the header's {header.frame_count} times")
     dtype = _as_floats(first).dtype
-    return dtype, _numbered(header, first, rest, dtype)
+    speeds = None if velocities is None else iter(velocities)
+    return dtype, _numbered(header, chain([first], rest), speeds, dtype)
 
 
 def _numbered(
-    header: SequenceHeader, first: FloatArray, rest: Iterator[FloatArray], dtype: DTypeLike
-) -> Iterator[tuple[int, FloatArray]]:
+    header: SequenceHeader,
+    blocks: Iterator[FloatArray],
+    velocities: Iterator[FloatArray] | None,
+    dtype: DTypeLike,
+) -> Iterator[Numbered]:
     frame = 0
-    block: FloatArray | None = first
-    while block is not None:
+    for block in blocks:
         points = _as_floats(block)
         check_block(header, points, frame)
         if points.dtype != dtype:
@@ -53,11 +61,43 @@ def _numbered(
             )
         if frame + len(points) > header.frame_count:
             raise InvalidSequenceError(f"there are more frames of points than {header.frame_count} times")
-        yield frame, points
+        yield frame, points, None if velocities is None else _like(points, next(velocities, None), frame)
         frame += len(points)
-        block = next(rest, None)
     if frame < header.frame_count:
         raise InvalidSequenceError(f"there are {frame} frames of points for {header.frame_count} times")
+    if velocities is not None and next(velocities, None) is not None:
+        raise InvalidSequenceError("there are more velocities than points; give one velocity per point")
+
+
+def _like(points: FloatArray, block: FloatArray | None, frame: int) -> FloatArray:
+    """Return a block of velocities in the dtype of its block of points."""
+    if block is None:
+        raise InvalidSequenceError(f"velocities end before frame {frame}; give one velocity per point")
+    velocities = _as_floats(block)
+    if velocities.shape != points.shape:
+        raise InvalidSequenceError(
+            f"velocities from frame {frame} on have shape {velocities.shape}, points {points.shape}; give as many"
+        )
+    check_velocities(velocities, frame)
+    if points.dtype == np.float64:
+        return velocities.astype(np.float64, copy=False)
+    return as_float32(velocities, frame, "the precision of its point", "the velocity of vertex")
+
+
+def check_velocities(velocities: FloatArray, first_frame: int) -> None:
+    """Check that all velocities ``(B, V, 3)`` of a block are finite.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If one is not; the message names the frame and vertex.
+    """
+    if not np.isfinite(velocities).all():
+        frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0, :2])
+        raise InvalidSequenceError(
+            f"frame {first_frame + frame}: the velocity of vertex {vertex} is "
+            f"{velocities[frame, vertex].tolist()}; velocities must be finite"
+        )
 
 
 def _as_floats(block: FloatArray) -> FloatArray:
@@ -67,21 +107,32 @@ def _as_floats(block: FloatArray) -> FloatArray:
     return np.ascontiguousarray(points)
 
 
-def as_float32(points: FloatArray, first_frame: int, what: str) -> FloatArray:
-    """Round points to float32, the precision of the format called `what`.
+def in_step(
+    pairs: Iterable[tuple[FloatArray, FloatArray]],
+) -> tuple[Iterator[FloatArray], Iterator[FloatArray]]:
+    """Split pairs of a block of points and one of velocities, as `Model.moving_blocks` makes them, for writers.
+
+    Writers advance both iterators in turns, so that no more than one pair is in memory.
+    """
+    one, other = tee(pairs)
+    return (points for points, _ in one), (velocities for _, velocities in other)
+
+
+def as_float32(values: FloatArray, first_frame: int, what: str, of: str = "vertex") -> FloatArray:
+    """Round points, or velocities, to float32, the precision of the format called `what`.
 
     Raises
     ------
     InvalidSequenceError
-        If a coordinate is too large for float32; the message names the frame and vertex.
+        If a number is too large for float32; the message names the frame and the vertex (`of` with its index).
     """
     with np.errstate(over="ignore", under="ignore"):
-        rounded = points.astype(np.float32)
+        rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)
     if not finite.all():
         frame, vertex = (int(i) for i in np.argwhere(~finite)[0, :2])
         raise InvalidSequenceError(
-            f"frame {first_frame + frame}: vertex {vertex} is {points[frame, vertex].tolist()}, too large "
+            f"frame {first_frame + frame}: {of} {vertex} is {values[frame, vertex].tolist()}, too large "
             f"for {what}, which stores float32; scale the points down, or write .npz or .h5"
         )
     return rounded

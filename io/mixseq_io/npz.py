@@ -4,6 +4,7 @@
 array               shape                 meaning
 ==================  ====================  =====================================================
 ``points``          (T, V, 3) float       vertex positions
+``velocities``      (T, V, 3) float       optional, units per second
 ``faces``           (F, K) int            triangles (K = 3) or other equal polygons; or instead
 ``face_counts``     (P,) int              number of corners of each polygon
 ``face_indices``    (sum of counts,) int  vertex of each corner
@@ -22,14 +23,16 @@ https://pkware.cachefly.net/webdocs/casestudies/APPNOTE.TXT
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from lzma import LZMAError
 from math import prod
 from pathlib import Path
+from tempfile import SpooledTemporaryFile
 from tokenize import TokenError
 from typing import IO, Any
 
@@ -40,7 +43,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.sequence import DEFAULT_FPS, FloatArray, Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
-from mixseq_io.blocks import checked
+from mixseq_io.blocks import checked, warn
 from mixseq_io.reader import SequenceReader, naming, reading
 
 # What zipfile, zlib and numpy raise at damaged input.
@@ -58,6 +61,9 @@ _DAMAGE = (
     OverflowError,
     struct.error,
 )
+
+_MOST_IN_MEMORY = 1 << 26
+_COPIED_AT_ONCE = 1 << 20
 
 
 def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
@@ -83,7 +89,8 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
             shape, _, _ = _read_array_header(path, stream, archive.getinfo("points.npy").file_size)
         with naming(path):
             header = _header(path, shape, small, fps)
-        return _NpzReader(path, header, archive, resources.pop_all())
+        moving = "velocities" in members and _fit(path, archive, shape)
+        return _NpzReader(path, header, archive, resources.pop_all(), moving)
 
 
 _SMALL = ("faces", "face_counts", "face_indices", "fps", "times", "up_axis", "metres_per_unit", "name")
@@ -91,18 +98,26 @@ _SMALL = ("faces", "face_counts", "face_indices", "fps", "times", "up_axis", "me
 
 class _NpzReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, archive: zipfile.ZipFile, resources: ExitStack
+        self, path: Path, header: SequenceHeader, archive: zipfile.ZipFile, resources: ExitStack, moving: bool
     ) -> None:
-        super().__init__(path, header, resources)
+        super().__init__(path, header, resources, moving)
         self._archive = archive
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        member_size = self._archive.getinfo("points.npy").file_size
-        with reading(self.path, "an npz file", *_DAMAGE), self._archive.open("points.npy") as stream:
-            shape, fortran, dtype = _read_array_header(self.path, stream, member_size)
+        return self._read("points", size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read("velocities", size)
+
+    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
+        member = f"{name}.npy"
+        with reading(self.path, "an npz file", *_DAMAGE), self._archive.open(member) as stream:
+            shape, fortran, dtype = _read_array_header(
+                self.path, stream, self._archive.getinfo(member).file_size, name
+            )
             if fortran:  # a frame's numbers are all over the file: there is nothing to stream
-                points = _as_floats(_read_array(self._archive, "points"))
-                yield from (points[start : start + size] for start in range(0, len(points), size))
+                whole = _as_floats(_read_array(self._archive, name))
+                yield from (whole[start : start + size] for start in range(0, len(whole), size))
                 return
             for start in range(0, shape[0], size):
                 block = np.empty((min(size, shape[0] - start), *shape[1:]), dtype)
@@ -148,23 +163,33 @@ def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
 
 
 def _read_array_header(
-    path: Path, stream: IO[bytes], member_size: int
+    path: Path, stream: IO[bytes], member_size: int, name: str = "points"
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read the header of the points, and check that as many bytes follow as it announces."""
+    """Read the header of a large array, and check that as many bytes follow as it announces."""
     version = npy.read_magic(stream)
     if version == (1, 0):
         shape, fortran, dtype = npy.read_array_header_1_0(stream)
     elif version == (2, 0):
         shape, fortran, dtype = npy.read_array_header_2_0(stream)
     else:
-        raise FormatError(f"{path}: points are stored in npy version {version}; 1.0 and 2.0 can be read")
+        raise FormatError(f"{path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read")
     if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
-        raise FormatError(f"{path}: points have type {dtype}; numbers are expected")
+        raise FormatError(f"{path}: {name} have type {dtype}; numbers are expected")
     if stream.tell() + prod(shape) * dtype.itemsize != member_size:
         raise FormatError(
-            f"{path}: points of shape {shape} do not fill their {member_size} bytes; it is damaged"
+            f"{path}: {name} of shape {shape} do not fill their {member_size} bytes; it is damaged"
         )
     return shape, fortran, dtype
+
+
+def _fit(path: Path, archive: zipfile.ZipFile, shape: tuple[int, ...]) -> bool:
+    """Whether there is a velocity for every point; in archives that others made there may not be."""
+    size = archive.getinfo("velocities.npy").file_size
+    with archive.open("velocities.npy") as stream:
+        found, _, _ = _read_array_header(path, stream, size, "velocities")
+    if found != shape:
+        warn(f"{path}: velocities have shape {found}, points {shape}; they are left out")
+    return found == shape
 
 
 def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
@@ -172,7 +197,7 @@ def _read_into(stream: IO[bytes], block: NDArray[Any]) -> None:
     while target:
         chunk = stream.read(min(len(target), 1 << 24))
         if not chunk:
-            raise EOFError("the points end early")
+            raise EOFError("an array ends early")
         target[: len(chunk)] = chunk
         target = target[len(chunk) :]
 
@@ -184,13 +209,17 @@ def _as_floats(points: NDArray[Any]) -> FloatArray:
 
 
 def write_npz(
-    path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], compress: bool = False
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+    compress: bool = False,
 ) -> None:
     """Write an npz file, one block at a time.
 
     Parameters
     ----------
-    path, header, blocks
+    path, header, blocks, velocities
         See `mixseq_io.write_blocks`.
     compress : bool
         Deflate the arrays.
@@ -209,19 +238,32 @@ def write_npz(
         arrays["face_indices"] = header.polygons.indices
     method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", method) as archive:
-        dtype, numbered = checked(header, blocks)
+        dtype, numbered = checked(header, blocks, velocities)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w") as stream:
                 npy.write_array(stream, np.asarray(array), allow_pickle=False)
-        # Without force_zip64 a member of unknown size may not grow beyond 2 GiB.
-        with archive.open("points.npy", "w", force_zip64=True) as stream:
-            npy.write_array_header_1_0(
-                stream,
-                {
-                    "descr": npy.dtype_to_descr(dtype),
-                    "fortran_order": False,
-                    "shape": (header.frame_count, header.vertex_count, 3),
-                },
-            )
-            for _, points in numbered:
-                stream.write(points.data)
+        start = {
+            "descr": npy.dtype_to_descr(dtype),
+            "fortran_order": False,
+            "shape": (header.frame_count, header.vertex_count, 3),
+        }
+        # An archive takes one array after the other: velocities, which come with their points, wait aside.
+        with SpooledTemporaryFile(_MOST_IN_MEMORY, dir=str(path.parent)) as aside:
+            with _array(archive, "points", start) as stream:
+                for _, points, speeds in numbered:
+                    stream.write(points.data)
+                    if speeds is not None:
+                        aside.write(speeds.data)
+            if velocities is not None:
+                aside.seek(0)
+                with _array(archive, "velocities", start) as stream:
+                    shutil.copyfileobj(aside, stream, _COPIED_AT_ONCE)
+
+
+@contextmanager
+def _array(archive: zipfile.ZipFile, name: str, start: dict[str, Any]) -> Iterator[IO[bytes]]:
+    """Yield what takes the numbers of a large array that begins with the header `start`."""
+    # Without force_zip64 a member of unknown size may not grow beyond 2 GiB.
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+        npy.write_array_header_1_0(stream, start)
+        yield stream

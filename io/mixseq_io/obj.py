@@ -6,7 +6,7 @@ splits those with several texture coordinates, and cuts polygons into triangles.
 
 Points are written with the digits that give back the same float32 or float64. Comments in our own files tell
 which of them it was, and whether the file is whole; points of other files are read as float64. OBJ has no
-place for times, frame rate, units or the up axis.
+place for times, frame rate, units, the up axis or velocities.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -164,15 +164,21 @@ def _excerpt(line: bytes) -> str:
     return repr(line[:40].decode("ascii", errors="replace"))
 
 
-def write_obj(path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], start: int = 1) -> None:
+def write_obj(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+    start: int = 1,
+) -> None:
     """Write one OBJ file per frame.
 
     Parameters
     ----------
     path : Path
         A pattern (``walk_####.obj``, ``walk_%04d.obj``), or a file name if there is only one frame.
-    header, blocks
-        See `mixseq_io.write_blocks`.
+    header, blocks, velocities
+        See `mixseq_io.write_blocks`; velocities are lost.
     start : int
         Number of the first file.
 
@@ -190,12 +196,12 @@ def write_obj(path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], 
             f"{path}: an OBJ file holds one frame, this sequence has {header.frame_count}; give a pattern "
             f"such as {path.stem.rstrip('*')}_####.obj"
         )
-    _warn_of_losses(path, header)
+    _warn_of_losses(path, header, velocities is not None)
     faces = _face_lines(header.polygons)
     names = [numbered_name(path, number) for number in range(start, start + header.frame_count)]
     with replacing_many(path) as folder:
-        _, numbered = checked(header, blocks)
-        for first, block in numbered:
+        _, numbered = checked(header, blocks, velocities)
+        for first, block, _ in numbered:
             for name, points in zip(names[first:], block, strict=False):
                 with (folder / name).open("wb") as file:
                     _write_mesh(file, header.name, points, faces)
@@ -224,7 +230,7 @@ def _face_lines(polygons: Polygons) -> bytes:
     return "".join(f"f {' '.join(map(str, polygon.tolist()))}\n" for polygon in corners).encode()
 
 
-def _warn_of_losses(path: Path, header: SequenceHeader) -> None:
+def _warn_of_losses(path: Path, header: SequenceHeader, moving: bool) -> None:
     lost = []
     if header.fps != DEFAULT_FPS:
         lost.append(f"{header.fps:g} frames per second")
@@ -234,6 +240,8 @@ def _warn_of_losses(path: Path, header: SequenceHeader) -> None:
         lost.append(f"{header.up_axis} up")
     if header.metres_per_unit != 1.0:
         lost.append(f"{header.metres_per_unit:g} metres per unit")
+    if moving:
+        lost.append("velocities")
     if lost:
         warn(f"{path}: OBJ files cannot hold {', '.join(lost)}; USD, .npz and .h5 can")
 

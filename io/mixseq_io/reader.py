@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -11,12 +11,14 @@ from typing import Self
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, SettingsError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, check_block
+from mixseq_io.blocks import check_velocities
 
 
 class SequenceReader(ABC):
     """An open file of a mesh sequence; use it in a ``with`` statement.
 
-    A format's reader opens its file, finds the header, and implements `_read_blocks`.
+    A format's reader opens its file, finds the header, and implements `_read_blocks`, and `_read_velocities` if the
+    format can hold them.
 
     Parameters
     ----------
@@ -26,11 +28,20 @@ class SequenceReader(ABC):
         Everything but the points.
     resources : ExitStack, optional
         What `close` closes.
+    has_velocities : bool
+        Whether the file has velocities.
     """
 
-    def __init__(self, path: Path, header: SequenceHeader, resources: ExitStack | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        resources: ExitStack | None = None,
+        has_velocities: bool = False,
+    ) -> None:
         self.path = path
         self.header = header
+        self.has_velocities = has_velocities
         self._resources = resources or ExitStack()
         self._closed = False
 
@@ -56,9 +67,30 @@ class SequenceReader(ABC):
         InvalidSequenceError
             If a frame has another number of vertices, or coordinates that are not finite.
         """
-        if size < 1:
-            raise SettingsError(f"block size is {size}; a positive number of frames is expected")
-        return self._checked_blocks(size)
+        _check_size(size)
+
+        def check(block: FloatArray, frame: int) -> None:
+            check_block(self.header, block, frame)
+
+        return self._checked(self._read_blocks(size), check, "points")
+
+    def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
+        """Iterate over the velocities, in the file's units per second, in step with `blocks` of the same size.
+
+        Returns
+        -------
+        iterator of (B, V, 3) float32 or float64, or None
+            None if the file has no velocities.
+
+        Raises
+        ------
+        SettingsError, FormatError, InvalidSequenceError
+            As `blocks`.
+        """
+        _check_size(size)
+        if not self.has_velocities:
+            return None
+        return self._checked(self._read_velocities(size), check_velocities, "velocities")
 
     def close(self) -> None:
         """Close the file. Blocks that were read stay valid."""
@@ -77,9 +109,14 @@ class SequenceReader(ABC):
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         """Yield the points in blocks of at most `size` frames."""
 
-    def _checked_blocks(self, size: int) -> Iterator[FloatArray]:
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        """Yield the velocities, in blocks as `_read_blocks`; called if the file has any."""
+        raise NotImplementedError
+
+    def _checked(
+        self, blocks: Iterator[FloatArray], check: Callable[[FloatArray, int], None], what: str
+    ) -> Iterator[FloatArray]:
         frame = 0
-        blocks = self._read_blocks(size)
         while True:
             if self._closed:
                 raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
@@ -87,13 +124,18 @@ class SequenceReader(ABC):
             if block is None:
                 break
             with naming(self.path):
-                check_block(self.header, block, frame)
+                check(block, frame)
             yield block
             frame += len(block)
         if frame != self.header.frame_count:
             raise FormatError(
-                f"{self.path}: {frame} frames of points for {self.header.frame_count} times; is it truncated?"
+                f"{self.path}: {frame} frames of {what} for {self.header.frame_count} times; is it truncated?"
             )
+
+
+def _check_size(size: int) -> None:
+    if size < 1:
+        raise SettingsError(f"block size is {size}; a positive number of frames is expected")
 
 
 class MemoryReader(SequenceReader):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, collect
@@ -30,7 +32,7 @@ class Format:
         One line: what it holds and how exactly.
     reader, writer : str
         ``"module:function"``, imported at first use. A reader is ``(path, **options) -> SequenceReader``, a
-        writer ``(path, header, blocks, **options) -> None``.
+        writer ``(path, header, blocks, velocities, **options) -> None``, which warns if it has no place for velocities.
     read_options, write_options : mapping of str to str
         The keyword options and what they mean.
     unwritable : tuple of str
@@ -55,10 +57,17 @@ class Format:
         reader: SequenceReader = _load(self.reader)(path, **options)
         return reader
 
-    def write(self, path: Path, header: SequenceHeader, blocks: Iterable[FloatArray], **options: Any) -> None:
+    def write(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        blocks: Iterable[FloatArray],
+        velocities: Iterable[FloatArray] | None = None,
+        **options: Any,
+    ) -> None:
         """Write a file, see `write_blocks`."""
         self._check_options("written", self.write_options, options)
-        _load(self.writer)(path, header, blocks, **options)
+        _load(self.writer)(path, header, blocks, velocities, **options)
 
     def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
         for option in given:
@@ -77,7 +86,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="USD",
         extensions=(".usd", ".usda", ".usdc", ".usdz"),
-        description="time-sampled points of one mesh, float32; world space, polygons, times, units, up axis",
+        description="one mesh with time-sampled points, float32; world space, polygons, velocities, times, units, up",
         reader="mixseq_io.usd_reader:open_usd",
         writer="mixseq_io.usd_writer:write_usd",
         read_options={"prim": "path of the mesh, or of a prim above it, where a stage has several"},
@@ -95,7 +104,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="npz",
         extensions=(".npz",),
-        description="NumPy arrays, float32 or float64; points and faces, the rest optional",
+        description="NumPy arrays, float32 or float64; points and faces, velocities and the rest optional",
         reader="mixseq_io.npz:open_npz",
         writer="mixseq_io.npz:write_npz",
         read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
@@ -105,7 +114,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="OBJ",
         extensions=(".obj",),
-        description="numbered text files, one per frame (walk_####.obj); polygons, no times, units, up axis",
+        description="numbered text files, one per frame (walk_####.obj); polygons, no times, velocities, units, up",
         reader="mixseq_io.obj:open_obj",
         writer="mixseq_io.obj:write_obj",
         read_options={
@@ -164,7 +173,11 @@ def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
 def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`."""
     with open_sequence(path, **options) as reader:
-        return collect(reader.header, reader.blocks())
+        velocities = reader.velocity_blocks()
+        sequence = collect(reader.header, reader.blocks())
+        if velocities is None:
+            return sequence
+        return replace(sequence, velocities=np.concatenate(list(velocities)))
 
 
 def write(path: PathLike, sequence: MeshSequence, **options: Any) -> None:
@@ -175,15 +188,20 @@ def write(path: PathLike, sequence: MeshSequence, **options: Any) -> None:
     path : path-like
         The file; for several frames of OBJ a pattern, ``walk_####.obj``.
     sequence : MeshSequence
-        What to write.
+        What to write, with its velocities if it has any.
     **options
         The format's ``write_options``, see `FORMATS`.
     """
-    write_blocks(path, sequence.header, [sequence.points], **options)
+    velocities = None if sequence.velocities is None else [sequence.velocities]
+    write_blocks(path, sequence.header, [sequence.points], velocities, **options)
 
 
 def write_blocks(
-    path: PathLike, header: SequenceHeader, blocks: Iterable[FloatArray], **options: Any
+    path: PathLike,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+    **options: Any,
 ) -> None:
     """Write a sequence as its frames arrive.
 
@@ -198,6 +216,9 @@ def write_blocks(
         Everything but the points.
     blocks : iterable of (B, V, 3) float
         The points, any number of frames at a time, all of one dtype.
+    velocities : iterable of (B, V, 3) float, optional
+        Velocities of the vertices in units per second, in blocks of the same sizes. A block of them is fetched
+        after its block of points (`mixseq_io.in_step` splits pairs of both), and stored as precisely as points.
     **options
         The format's ``write_options``, see `FORMATS`.
 
@@ -206,12 +227,17 @@ def write_blocks(
     OutputError
         If the file cannot be written: no such folder, no permission, disk full, no such format.
     InvalidSequenceError
-        If the blocks do not fit the header, or the format cannot hold their values.
+        If the blocks do not fit the header or the velocities, or the format cannot hold their values.
     SettingsError
         If the format has no such option.
+
+    Warns
+    -----
+    MixseqWarning
+        If the format cannot hold something, for example velocities.
     """
     file = Path(path)
-    _format_to_write(file).write(file, header, blocks, **options)
+    _format_to_write(file).write(file, header, blocks, velocities, **options)
 
 
 def _format_to_read(path: Path) -> Format:

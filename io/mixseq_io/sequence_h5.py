@@ -5,6 +5,7 @@
     /                    format = "mixseq-sequence", version = 1,
                          name, fps, up_axis, metres_per_unit
     /points              (T, V, 3) float32 or float64, in chunks of whole frames
+    /velocities          as points, units per second; optional
     /times               (T,) float64, seconds
     /polygons/counts     (P,) int32
     /polygons/indices    (sum of counts,) int32
@@ -74,8 +75,10 @@ def _sampled_model(path: Path) -> MeshSequence:
 
 def _header(path: Path, file: h5py.File) -> SequenceHeader:
     shape = file["points"].shape
-    if len(shape) != 3 or shape[2] != 3 or file["points"].dtype not in (np.float32, np.float64):
-        raise FormatError(f"{path}: points are {file['points'].dtype} of shape {shape}; it is damaged")
+    for name in ("points", "velocities") if "velocities" in file else ("points",):
+        found, dtype = file[name].shape, file[name].dtype
+        if len(found) != 3 or found[2] != 3 or found != shape or dtype not in (np.float32, np.float64):
+            raise FormatError(f"{path}: {name} are {dtype} of shape {found}; it is damaged")
     times = whole(path, file, "times")
     if len(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
@@ -84,32 +87,49 @@ def _header(path: Path, file: h5py.File) -> SequenceHeader:
 
 class _H5Reader(SequenceReader):
     def __init__(self, path: Path, header: SequenceHeader, file: h5py.File, resources: ExitStack) -> None:
-        super().__init__(path, header, resources)
+        super().__init__(path, header, resources, has_velocities="velocities" in file)
         self._file = file
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._read("points", size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read("velocities", size)
+
+    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
         with reading_h5(self.path):
-            points = self._file["points"]
-        for start in range(0, len(points), size):
-            stop = min(start + size, len(points))
+            dataset = self._file[name]
+        for start in range(0, len(dataset), size):
+            stop = min(start + size, len(dataset))
             try:
-                block: FloatArray = points[start:stop]
+                block: FloatArray = dataset[start:stop]
             except (OSError, RuntimeError, ValueError) as error:
                 raise FormatError(
-                    f"{self.path}: points of frames {start} to {stop - 1} are damaged ({brief(error)}); "
+                    f"{self.path}: {name} of frames {start} to {stop - 1} are damaged ({brief(error)}); "
                     "restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 
 
-def write_h5(path: Path, header: SequenceHeader, blocks: Iterable[FloatArray]) -> None:
+def write_h5(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+) -> None:
     """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
     with creating_h5(path) as (file, store):
-        _fill(file, header, blocks, store)
+        _fill(file, header, blocks, velocities, store)
 
 
-def _fill(file: h5py.File, header: SequenceHeader, blocks: Iterable[FloatArray], store: Store) -> None:
-    dtype, numbered = checked(header, blocks)
+def _fill(
+    file: h5py.File,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    store: Store,
+) -> None:
+    dtype, numbered = checked(header, blocks, velocities)
     file.attrs["format"] = FORMAT
     file.attrs["version"] = VERSION
     write_header(file, header)
@@ -117,7 +137,10 @@ def _fill(file: h5py.File, header: SequenceHeader, blocks: Iterable[FloatArray],
     shape = (header.frame_count, header.vertex_count, 3)
     frame_bytes = header.vertex_count * 3 * dtype.itemsize
     frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
-    points = file.create_dataset("points", shape, dtype, chunks=(frames, *shape[1:]), **CHECKED)
-    for first, block in numbered:
-        points[first : first + len(block)] = block
+    names = ("points",) if velocities is None else ("points", "velocities")
+    for name in names:
+        file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED)
+    for first, points, speeds in numbered:
+        for name, block in zip(names, (points, speeds), strict=False):
+            file[name][first : first + len(points)] = block
         store.check()

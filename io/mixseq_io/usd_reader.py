@@ -1,9 +1,10 @@
-"""USD, reading: the points of one mesh over time, in world space (.usd, .usda, .usdc, .usdz).
+"""USD, reading: the points of one mesh over time, in world space, and velocities (.usd, .usda, .usdc, .usdz).
 
 Values come from the composed stage, so that references, layers, variants and value clips count. Frames are
 all times at which the points or a transform above them have a sample; where one of them has none, USD
 interpolates linearly. The mesh's local-to-world transform is applied to the points. Points are float32, which
-is USD's precision.
+is USD's precision. Velocities are read where they are sampled as the points are, as USD asks for, and no transform
+moves.
 
 Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
 https://openusd.org/release/api/class_usd_geom_xformable.html
@@ -11,7 +12,7 @@ https://openusd.org/release/api/class_usd_geom_xformable.html
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
@@ -53,10 +54,11 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
         stage = _open_stage(path)
         source = _source(path, stage, choose_mesh(path, stage, prim))
         header = _header(source)
+        moving = _has_velocities(path, source, header.vertex_count)
     # What could not be found (a layer, a reference) may matter or not: reading goes on, but not in silence.
     if reports:
         warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
-    return _UsdReader(path, header, source)
+    return _UsdReader(path, header, source, moving)
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,8 @@ class _Source:
 
 
 class _UsdReader(SequenceReader):
-    def __init__(self, path: Path, header: SequenceHeader, source: _Source) -> None:
-        super().__init__(path, header)
+    def __init__(self, path: Path, header: SequenceHeader, source: _Source, moving: bool) -> None:
+        super().__init__(path, header, has_velocities=moving)
         self._source: _Source | None = source
 
     def close(self) -> None:
@@ -96,6 +98,12 @@ class _UsdReader(SequenceReader):
         self._source = None
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._read(_world_points, size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read(_world_velocities, size)
+
+    def _read(self, frame_of: Callable[[_Source, int, int], FloatArray], size: int) -> Iterator[FloatArray]:
         source = self._source
         if source is None:
             return
@@ -104,7 +112,7 @@ class _UsdReader(SequenceReader):
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
             with quiet(), reading_usd(self.path), naming(self.path):
                 for frame in range(start, stop):
-                    block[frame - start] = _world_points(source, frame, self.header.vertex_count)
+                    block[frame - start] = frame_of(source, frame, self.header.vertex_count)
             yield block
 
 
@@ -230,4 +238,39 @@ def _world_points(source: _Source, frame: int, vertex_count: int) -> NDArray[np.
     rows = np.array(matrix, dtype=np.float64)  # points are row vectors: p' = p M
     with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
         world = points.astype(np.float64) @ rows[:3, :3] + rows[3, :3]
+        return world.astype(np.float32)
+
+
+def _has_velocities(path: Path, source: _Source, vertex_count: int) -> bool:
+    """Whether velocities can be read; warn of those that cannot."""
+    mesh = source.mesh
+    attribute = mesh.GetVelocitiesAttr()
+    first = attribute.Get(Usd.TimeCode(source.codes[0]))
+    if first is None:
+        return False
+    if attribute.GetTimeSamples() != mesh.GetPointsAttr().GetTimeSamples():
+        problem = "are not sampled at the times of the points"
+    elif len(first) != vertex_count:
+        problem = f"are {len(first)} for {vertex_count} points"
+    elif any(each.GetNumTimeSamples() > 1 for each in _transform_attributes(mesh.GetPrim())):
+        problem = "are those under a transform that moves, too"
+    else:
+        return True
+    warn(f"{path}: the velocities of {mesh.GetPath()} {problem}; they are left out")
+    return False
+
+
+def _world_velocities(source: _Source, frame: int, vertex_count: int) -> NDArray[np.float32]:
+    velocities = np.array(
+        source.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(source.codes[frame])), dtype=np.float32
+    )
+    if velocities.shape != (vertex_count, 3):
+        raise InvalidSequenceError(
+            f"{source.place(frame)} has {len(velocities)} velocities for {vertex_count} points; give as many"
+        )
+    matrix = _to_world(source.mesh, source.codes[frame])
+    if matrix == Gf.Matrix4d(1.0):
+        return velocities
+    with np.errstate(all="ignore"):
+        world = velocities.astype(np.float64) @ np.array(matrix, dtype=np.float64)[:3, :3]
         return world.astype(np.float32)

@@ -1,4 +1,4 @@
-"""USD, writing: one mesh with time-sampled points (.usd and .usdc binary, .usda text).
+"""USD, writing: one mesh with time-sampled points and velocities (.usd and .usdc binary, .usda text).
 
 The file is a component that other tools can reference: the default prim ``/<name>`` is an Xform with the mesh
 ``/<name>/<name>`` in it. USD's points are float32; larger precision is rounded to that.
@@ -29,7 +29,12 @@ from mixseq_io.usd_diagnostics import quiet, writing_usd
 _BYTES_BETWEEN_SAVES = 64 << 20
 
 
-def write_usd(path: Path, header: SequenceHeader, blocks: Iterable[FloatArray]) -> None:
+def write_usd(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+) -> None:
     """Write a USD file; see `mixseq_io.write_blocks`.
 
     Raises
@@ -47,12 +52,15 @@ def write_usd(path: Path, header: SequenceHeader, blocks: Iterable[FloatArray]) 
         mesh = _define_mesh(stage, header, codes)
         binary = path.suffix.lower() != ".usda"
         unsaved = 0
-        _, numbered = checked(header, blocks)
-        for first, block in numbered:
+        _, numbered = checked(header, blocks, velocities)
+        for first, block, speeds in numbered:
             points = as_float32(block, first, "USD")
-            for code, frame in zip(codes[first:], points, strict=False):
-                _set_points(mesh, frame, Usd.TimeCode(code))
-                unsaved += frame.nbytes
+            moving = None if speeds is None else as_float32(speeds, first, "USD", "the velocity of vertex")
+            for frame, code in enumerate(codes[first : first + len(points)]):
+                _set_points(mesh, points[frame], Usd.TimeCode(code))
+                if moving is not None:
+                    _set_velocities(mesh, moving[frame], Usd.TimeCode(code))
+                unsaved += points[frame].nbytes * (1 if moving is None else 2)
                 if binary and unsaved > _BYTES_BETWEEN_SAVES:
                     stage.Save()
                     unsaved = 0
@@ -114,3 +122,8 @@ def _set_points(mesh: UsdGeom.Mesh, points: FloatArray, code: Usd.TimeCode) -> N
     value = Vt.Vec3fArrayFromBuffer(points)
     mesh.GetPointsAttr().Set(value, code)
     mesh.GetExtentAttr().Set(UsdGeom.PointBased.ComputeExtent(value), code)
+
+
+def _set_velocities(mesh: UsdGeom.Mesh, velocities: FloatArray, code: Usd.TimeCode) -> None:
+    """Author velocities in units per second; they count only at the codes at which points have samples."""
+    mesh.GetVelocitiesAttr().Set(Vt.Vec3fArrayFromBuffer(velocities), code)
