@@ -20,6 +20,7 @@ LAYERS = (
     ("reconstruction",),
     ("spaces",),
     ("signals",),
+    ("operations",),
     ("metrics", "plots", "creature"),
     ("mixseq_io",),
     ("cli",),

@@ -1,0 +1,44 @@
+"""New sequences and models from models: resampling and editing.
+
+Operations are pure functions from models to a model, which compose::
+
+    from mixseq.operations import cut, loop, repeat, transition
+
+    run = loop(cut(mixseq.load("run.h5"), 0.2, 0.9))
+    twice = repeat(run, run.start, run.end, times=2)
+    mixseq.save("attack.h5", transition(twice, mixseq.load("slash.h5"), at=1.0, duration=0.3))
+"""
+
+from mixseq.operations.articulated import exaggerate_part, hold
+from mixseq.operations.exaggeration import exaggerate
+from mixseq.operations.resampling import resample
+from mixseq.operations.retime import Retiming, read_retiming
+from mixseq.operations.sculpt import sculpt
+from mixseq.operations.sections import cut, loop, repeat
+from mixseq.operations.sharing import into
+from mixseq.operations.sketch import sketch
+from mixseq.operations.smoothing import smooth
+from mixseq.operations.timing import reverse, shift, speed
+from mixseq.operations.transitions import blend, concatenate, transition
+
+__all__ = [
+    "Retiming",
+    "blend",
+    "concatenate",
+    "cut",
+    "exaggerate",
+    "exaggerate_part",
+    "hold",
+    "into",
+    "loop",
+    "read_retiming",
+    "repeat",
+    "resample",
+    "reverse",
+    "sculpt",
+    "shift",
+    "sketch",
+    "smooth",
+    "speed",
+    "transition",
+]

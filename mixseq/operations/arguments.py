@@ -1,0 +1,166 @@
+"""Arguments of operations from the tables of a script: what a key may hold follows from the parameter's annotation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from inspect import Parameter, signature
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, SettingsError
+from mixseq.sequence import MeshSequence
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+
+Float = NDArray[np.float64]
+
+
+class Readers(NamedTuple):
+    """How to read files; the core knows no formats."""
+
+    model: Callable[[Path], Model]
+    mesh: Callable[[Path], MeshSequence]
+
+
+Read = Callable[[Any, Path, Readers], Any]
+
+
+class WrongTypeError(Exception):
+    """A value that a key does not hold."""
+
+
+class Key(NamedTuple):
+    """What a key of a table means.
+
+    Attributes
+    ----------
+    parameter : str
+        Parameter of the operation that its value is for.
+    required : bool
+        Whether there is no default.
+    holds : str
+        What the value is, for messages.
+    read : callable
+        Makes the argument from the value, the folder that paths start from, and readers of files; raises
+        `WrongTypeError` if the value is something else.
+    """
+
+    parameter: str
+    required: bool
+    holds: str
+    read: Read
+
+
+def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
+    """Return the keys of an operation: all parameters but the model that a script can give."""
+    hints = get_type_hints(function)
+    _, *parameters = signature(function).parameters.values()
+    keys = {}
+    for parameter in parameters:
+        name, required = parameter.name, parameter.default is Parameter.empty
+        if name in FILES:
+            key, holds, read = FILES[name]
+            keys[key] = Key(name, required, holds, read)
+        elif holds := _holds(hints[name]):
+            keys[name] = Key(name, required, holds, partial(_plain, hints[name]))
+    return keys
+
+
+def _plain(hint: Any, value: Any, folder: Path, readers: Readers) -> Any:
+    if not _fits(value, hint):
+        raise WrongTypeError
+    return value
+
+
+_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+
+
+def _holds(hint: Any) -> str:
+    """Say what a parameter with an annotation may hold; nothing, if no value of TOML is any good."""
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(filter(None, map(_holds, choices)))
+    if origin is Literal:
+        return " or ".join(map(repr, choices))
+    if origin in (Sequence, list) and choices == (int,):
+        return "a list of whole numbers"
+    return _NAMES.get(hint, "")
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, choice) for choice in choices)
+    if origin is Literal:
+        return value in list(choices)
+    if origin in (Sequence, list):
+        return isinstance(value, list) and all(_fits(item, choices[0]) for item in value)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return type(value) is hint
+
+
+def _path(value: Any, folder: Path) -> Path:
+    if not isinstance(value, str):
+        raise WrongTypeError
+    return folder / value
+
+
+def _model(value: Any, folder: Path, readers: Readers) -> Model:
+    return readers.model(_path(value, folder))
+
+
+def _points(value: Any, folder: Path, readers: Readers) -> Float:
+    path = _path(value, folder)
+    mesh = readers.mesh(path)
+    if mesh.frame_count != 1:
+        raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
+    points: Float = mesh.points[0].astype(np.float64)
+    return points
+
+
+def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
+    """Return pairs of numbers ``(N, 2)``, from a list of them or a CSV file."""
+    if isinstance(value, list):
+        pairs = _as_pairs(value)
+        if pairs is None:
+            raise WrongTypeError
+        return pairs
+    path = _path(value, folder)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path} cannot be read: {error}") from error
+    pairs = _as_pairs([line.split(",") for line in lines if line.strip()])
+    if pairs is None:
+        raise FormatError(f"{path} is not CSV with two numbers on each line")
+    return pairs
+
+
+def _as_pairs(rows: list[Any]) -> Float | None:
+    try:
+        pairs = np.array(rows, dtype=np.float64)
+    except (ValueError, TypeError):
+        return None
+    return pairs if pairs.ndim == 2 and pairs.shape[1] == 2 else None
+
+
+def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
+    if _fits(value, float):
+        return float(value)
+    pairs = _pairs(value, folder, readers)
+    return Curve(pairs[:, 0], pairs[:, 1:])
+
+
+FILES: Mapping[str, tuple[str, str, Read]] = {
+    "b": ("b", "the file of a model", _model),
+    "points": ("mesh", "the file of a mesh", _points),
+    "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs),
+    "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
+}
+"""Parameters that are no plain values, in all operations: key in a script, what it holds, and how it is read."""

@@ -1,0 +1,224 @@
+r"""Edits of one limb: exaggerate or damp how a part moves in its joint, or hold it.
+
+The stance of a part is how it is turned and placed against its parent (`mixseq.operations.limbs`), six numbers over
+time, :math:`\tau(t)`, turns being unwrapped rotation vectors. An edit changes them,
+
+.. math::
+
+    \tau' = \bar\tau + \text{gain}\, (\tau - \bar\tau), \qquad
+    \tau' = \tau + w(t)\, (\tau(t_0) - \tau),
+
+and the part moves so in its joint, with all that hangs on it as one body. Lengths and angles in the joints between
+limb and body are changed by the same formula, so that the skin follows. All else stays as it is. As these are no
+cubic splines, the signals are splines through as many points as it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations.limbs import Limb, limb_of
+from mixseq.operations.passes import continued, placement_of, snapped
+from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, sites_of
+from mixseq.operations.sampling import placement_measure, sampled, shape_measure
+from mixseq.operations.sculpt import smoothstep
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.placement import stated_placement
+from mixseq.signals.pose import PoseMap
+
+Float = NDArray[np.float64]
+Change = Callable[[Float, Float], Float]
+"""From times ``(N,)`` and stances ``(N, 6)`` to other stances."""
+
+ACCURACY = 1e-5
+"""Largest error of signals between sites, in diagonals."""
+
+SHORTEST = 0.25
+"""An edge keeps this fraction of its length, whatever the gain."""
+
+NEGLIGIBLE = 1e-3
+"""Modes of a part and its joints below this fraction of the largest are left out where it is held."""
+
+FADE = 0.2
+"""Default seconds over which a part comes to rest."""
+
+
+def exaggerate_part(model: Model, part: int, gain: float) -> Model:
+    """Return the model with the motion of a part in its joint scaled about its mean.
+
+    Parameters
+    ----------
+    model : Model
+        A model in the mixed space, parts anchored.
+    part : int
+        Number of the part. What hangs on it goes with it as one body.
+    gain : float
+        1 changes nothing, 2 doubles what the part moves by, 0 stops it, a negative number moves it the other way.
+
+    Raises
+    ------
+    SettingsError
+        If the model has no linked parts, the part is none of them or hangs on no other, or the gain is not finite.
+    """
+    limb = limb_of(model, part)
+    if not np.isfinite(gain):
+        raise SettingsError(f"gain is {gain}; a number is expected")
+    mean = limb.stance(placement_of(model), model.times).mean(axis=0)
+    sites = _sites(model, model.start, model.end)
+    whole = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
+    placement = stated_placement(model.space, whole)
+    return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
+
+
+def hold(model: Model, part: int, time: float, start: float, end: float, fade: float = FADE) -> Model:
+    """Return the model with a part at rest against its parent, as it is at a time.
+
+    Parameters
+    ----------
+    model : Model
+        A model in the mixed space, parts anchored.
+    part : int
+        Number of the part. What hangs on it goes with it as one body.
+    time : float
+        When the part is as it shall stay, in seconds.
+    start, end : float
+        From when to when it is at rest, in seconds.
+    fade : float
+        Seconds before the start over which it comes to rest, and after the end over which it moves off again.
+        Before and after that nothing changes.
+
+    Raises
+    ------
+    SettingsError
+        If the model has no linked parts, the part is none of them or hangs on no other, or a time is out of range.
+    """
+    limb = limb_of(model, part)
+    time, start, end = snapped(model, time), snapped(model, start, "start"), snapped(model, end, "end")
+    if start > end:
+        raise SettingsError(f"the start, {start:g} s, is after the end, {end:g} s")
+    if not (np.isfinite(fade) and fade > 0):
+        raise SettingsError(f"fade is {fade}; a positive number of seconds is expected")
+
+    def rest(times: Float) -> Float:
+        weight = np.ones(len(times))
+        if start > model.start:
+            weight = weight * smoothstep(times, start - fade, start)
+        if end < model.end:
+            weight = weight * (1.0 - smoothstep(times, end, end + fade))
+        return np.asarray(weight[:, None])
+
+    first, last = max(start - fade, model.start), min(end + fade, model.end)
+    knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
+    sites = _sites(model, first, last, knots)
+    still = limb.stance(placement_of(model), np.array([time]))
+    placement = _moved(model, limb, sites, lambda times, stance: stance + rest(times) * (still - stance))
+    wider, resting = _with_rest(model, limb)
+    here = model.time([time])
+
+    def held(times: Float) -> Float:
+        points = model.time(times)
+        added = rest(times) * resting(here - points)
+        return np.concatenate([points, added], axis=1)
+
+    signal = sampled(held, sites, ACCURACY, shape_measure(wider))
+    whole = placement_of(model)
+    after = continued(model.space, Piece(whole, last, model.end), placement([last])[0], model.times)
+    return replace(
+        wider,
+        time=_spliced(wider.time, signal, wider.time),
+        placement=stated_placement(model.space, _spliced(whole, placement, after)),
+    )
+
+
+def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
+    """Return the whole placement with another stance of a limb, between the first of the sites and the last."""
+    whole = placement_of(model)
+
+    def moved(times: Float) -> Float:
+        return limb.moved(whole, times, change(times, limb.stance(whole, times)))
+
+    return sampled(moved, sites, ACCURACY, placement_measure(model))
+
+
+def _sites(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
+    """Return sites from one time to another, with frames, breakpoints of the signals, and knots."""
+    if start == end:
+        return np.array([start])
+    times = [breakpoints(model.placement), breakpoints(model.time), model.times]
+    inner = np.concatenate(times if knots is None else [*times, knots])
+    return sites_of(np.array([start, end]), between(inner, start, end))
+
+
+def _spliced(before: Curve, inside: Curve, after: Curve) -> Curve:
+    """Return a curve that goes on as another one where that begins, and as a third one where it ends.
+
+    They meet but for the error of interpolation, which `inside` takes up in its first and last interval.
+    """
+    first, last = inside.start, inside.end
+    pieces, fades = [Piece(inside, first, last)], []
+    if before.start < first:
+        pieces.insert(0, Piece(before, before.start, first))
+        fades.append(Fade(inside.times[2] - first, share=0.0))
+    if last < after.end:
+        pieces.append(Piece(after, last, after.end))
+        fades.append(Fade(last - inside.times[-3], share=1.0))
+    return join(pieces, fades)
+
+
+# Joints ---------------------------------------------------------------------------------------------------
+
+
+def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
+    """Return the key shapes ``(K, S + O)`` with what joints of the limb are beyond their mean scaled.
+
+    As far as edges keep some of their length, in all frames.
+    """
+    share = limb.joint()
+    joint, edges = np.flatnonzero(share), np.flatnonzero(share[: limb.space.sizes[0]])
+    shapes, change = model.shapes.copy(), (gain - 1.0) * share[joint]
+    frames = model.pose.weights(model.time(model.times)) @ shapes[:, joint]
+    mean, lengths = frames.mean(axis=0), slice(len(edges))
+    shrunk = np.maximum((change * (mean - frames))[:, lengths], np.finfo(np.float64).tiny)
+    change[lengths] *= ((1.0 - SHORTEST) * frames[:, lengths] / shrunk).min(axis=0, initial=1.0)
+    shapes[:, joint] += change * (shapes[:, joint] - mean)
+    return shapes
+
+
+def _with_rest(model: Model, limb: Limb) -> tuple[Model, Callable[[Float], Float]]:
+    """Return the model with coordinates of pose space for a part and its joints alone, and what they are of.
+
+    Returns
+    -------
+    model : Model
+        The same motion: the new coordinates are zero.
+    resting : callable
+        From changes ``(N, k)`` in pose space to those of the new coordinates ``(N, r)`` that change part and joints as
+        much.
+    """
+    share = limb.joint() + limb.own_shape()
+    some = np.flatnonzero(share)
+    dim, keys = model.pose.matrix.shape
+    steps = model.pose.matrix @ (model.shapes[:, some] - model.shapes[0, some]) * share[some]
+    frames = model.time(model.times)
+    _, sizes, directions = np.linalg.svd((frames - frames.mean(axis=0)) @ steps, full_matrices=False)
+    directions = directions[sizes > NEGLIGIBLE * sizes.max(initial=0.0)]
+    rank = len(directions)
+    shapes = np.repeat(model.shapes[:1], rank, axis=0)
+    shapes[:, some] += directions
+    matrix = np.zeros((dim + rank, keys + rank))
+    matrix[:dim, :keys] = model.pose.matrix
+    matrix[dim:, 0], matrix[dim:, keys:] = -1.0, np.eye(rank)
+    wider = replace(
+        model,
+        time=Curve(model.time.times, np.pad(model.time.values, ((0, 0), (0, rank)))),
+        pose=PoseMap(np.pad(model.pose.offset, (0, rank)), matrix),
+        shapes=np.concatenate([model.shapes, shapes]),
+    )
+    into = steps @ directions.T
+    return wider, lambda changes: np.asarray(changes @ into)

@@ -1,0 +1,192 @@
+"""One model from passes through models that share a space and key shapes; the frames are theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.geometry.rotations import continuous_vectors, matrices
+from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, moved, refined, sites_of
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.placement import stated_placement, whole_placement
+from mixseq.spaces.base import ShapeSpace
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SLACK = 1e-3
+"""Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""
+
+DENSE = 8
+"""A curve that is no cubic spline is made one by so many knots for each that it had."""
+
+
+class Pass(NamedTuple):
+    """What a model does from `start` to `end`, in seconds."""
+
+    model: Model
+    start: float
+    end: float
+
+
+def placement_of(model: Model) -> Curve:
+    """Return the curve of all numbers of the placement, dependent ones too: those that blend and add up exactly."""
+    return whole_placement(model.space, model.placement)
+
+
+def shifted(model: Model, seconds: float) -> Model:
+    """Return the model with everything later by so many seconds."""
+    return affine(model, 1.0, seconds)
+
+
+def affine(model: Model, scale: float, offset: float) -> Model:
+    """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
+    times = scale * model.times + offset
+    return replace(
+        model,
+        header=model.header.with_times(times if scale > 0 else times[::-1]),
+        time=moved(model.time, scale, offset),
+        placement=stated_placement(model.space, moved(placement_of(model), scale, offset)),
+    )
+
+
+def concatenated(passes: Sequence[Pass], fades: Sequence[Fade]) -> Model:
+    """Make one model of passes that follow each other, through models that share space, pose and shapes.
+
+    Rotation vectors go on from pass to pass on the nearest branch. The frames are those of the passes; where one
+    passes into the next it is the frame of the next, if there is any.
+    """
+    first = passes[0].model
+    placements = [Piece(placement_of(first), passes[0].start, passes[0].end)]
+    for model, start, end in passes[1:]:
+        before = placements[-1]
+        reference = before.curve([before.end])[0]
+        curve = continued(model.space, Piece(placement_of(model), start, end), reference, model.times)
+        placements.append(Piece(curve, start, end))
+    return replace(
+        first,
+        header=first.header.with_times(frames_of(passes)),
+        time=join([Piece(model.time, start, end) for model, start, end in passes], fades),
+        placement=stated_placement(first.space, join(placements, fades)),
+    )
+
+
+def frames_of(passes: Sequence[Pass]) -> Float:
+    """Return the times ``(T,)`` of the frames of passes, increasing; both ends, if no frame is within.
+
+    A frame at the end of a pass is left to the next one.
+    """
+    slack = 1e-6 / passes[0].model.header.fps
+    start, end = passes[0].start, passes[-1].end
+    times = [between(run.model.times, run.start - slack, run.end - slack) for run in passes]
+    times.append(between(passes[-1].model.times, end - slack, end + slack))
+    frames = np.clip(np.concatenate(times), start, end)
+    return frames if len(frames) else np.array([start, end])
+
+
+# Rotation vectors -----------------------------------------------------------------------------------------
+
+
+def rotation_columns(space: ShapeSpace) -> Index:
+    """Return which numbers ``(m, 3)`` of a whole placement are rotation vectors.
+
+    Numbers of a placement are rotation vectors, then as many others: the independent ones, and again the dependent.
+    """
+    own, whole = space.stored_placement_dim, space.placement_dim
+    first = np.concatenate([np.arange(own // 2), np.arange(own, own + (whole - own) // 2)])
+    return first.reshape(-1, 3)
+
+
+def translation_columns(space: ShapeSpace) -> Index:
+    """Return which numbers ``(g, 3)`` of a placement are the translations of parts."""
+    own = space.stored_placement_dim
+    return np.arange(own // 2, own).reshape(-1, 3)
+
+
+def continued(space: ShapeSpace, piece: Piece, reference: Float, frames: Float) -> Curve:
+    r"""Return a piece of a placement whose rotation vectors begin near given ones.
+
+    The rotation by t about u is the one by :math:`t + 2 \pi k`. Where the nearest k is not zero the curve is made
+    anew, through many points; about an axis that stays it is the same motion, else so up to interpolation between
+    the points, of which the frames are some.
+
+    Parameters
+    ----------
+    space : ShapeSpace
+        The space.
+    piece : Piece
+        A whole placement.
+    reference : (P,) float64
+        Where the placement is before the piece.
+    frames : (T,) float64
+        Times of the frames.
+    """
+    columns = rotation_columns(space)
+    curve, start, end = piece
+    vectors = curve([start])[:, columns]
+    nearest = continuous_vectors(matrices(vectors), reference[columns])
+    turning = np.linalg.norm(nearest - vectors, axis=2)[0] > 1.0
+    if not turning.any():
+        return curve
+    knots = between(np.concatenate([breakpoints(curve), frames]), start, end)
+    sites = refined(sites_of(np.array([start, end]), knots), DENSE)
+    values = curve(sites)
+    columns = columns[turning]
+    values[:, columns] = continuous_vectors(matrices(values[:, columns]), reference[columns])
+    return Curve(sites, values)
+
+
+# Times ----------------------------------------------------------------------------------------------------
+
+
+def snapped(model: Model, time: float, name: str = "time") -> float:
+    """Return the time, or the end, frame or knot that it misses by no more than rounding.
+
+    Raises
+    ------
+    SettingsError
+        If the time is outside the model.
+    """
+    slack = SLACK / model.header.fps
+    if not model.start - slack <= time <= model.end + slack:
+        raise SettingsError(
+            f"{name} is {time:g} s; the model is from {model.start:g} to {model.end:g} s, give a time within"
+        )
+    known = np.concatenate([[model.start, model.end], model.times, model.time.times, model.placement.times])
+    nearest = float(known[np.abs(known - time).argmin()])
+    return nearest if abs(nearest - time) <= slack else float(time)
+
+
+def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
+    """Return the ends of a section, see `snapped`.
+
+    Raises
+    ------
+    SettingsError
+        If an end is outside the model, or the section does not last.
+    """
+    first, last = snapped(model, start, "start"), snapped(model, end, "end")
+    if not first < last:
+        raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
+    return first, last
+
+
+def fade_of(fade: float | None, longest: float) -> float:
+    """Return the length of the windows next to a seam: a quarter of the longest that is possible, or as given.
+
+    Raises
+    ------
+    SettingsError
+        If it is not positive, or longer than possible.
+    """
+    if fade is None:
+        return longest / 4
+    if not 0 < fade <= longest * (1 + 1e-9):
+        raise SettingsError(f"fade is {fade:g} s; more than 0 and at most {longest:g} s is expected")
+    return min(float(fade), longest)

@@ -1,0 +1,175 @@
+r"""Resampling: a model at other times, at another rate, speed or direction.
+
+Frames of the output are at whole multiples of ``1 / fps``, where the frames of a time line are: all of those from
+the start of the output to its end. What the output lasts before the first of them and after the last, less than a
+frame each, has no frame. With the retiming :math:`r` (`mixseq.operations.retime`) the frame at the time :math:`o`
+is the model at :math:`r(o)`, and its velocities, per second of the output, are those of the model times
+:math:`r'(o)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations.retime import Retiming
+from mixseq.progress import Progress, silent
+from mixseq.sequence import MeshSequence, SequenceHeader, collect
+from mixseq.signals.model import Model
+
+Float = NDArray[np.float64]
+
+SLACK = 1e-3
+"""Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""
+
+MOST_FRAMES = 10_000_000
+"""More would be a slip of the speed or of the rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """What a resampling consists of, before anything is decoded; make it with `plan`.
+
+    Attributes
+    ----------
+    model : Model
+        The source.
+    header : SequenceHeader
+        What the output is, with the times of its frames.
+    retiming : Retiming
+        Which time of the source is shown when; how long the output lasts.
+    sources : (N,) float64
+        Time of the source, in seconds, that every frame shows.
+    slopes : (N,) float64
+        Speed of the source at every frame, in seconds of it per second of the output; negative backwards.
+    """
+
+    model: Model
+    header: SequenceHeader
+    retiming: Retiming
+    sources: Float
+    slopes: Float
+
+    def blocks(self, size: int = 16, progress: Progress = silent) -> Iterator[Float]:
+        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``."""
+        return self.model.blocks(self.sources, size, progress)
+
+    def moving_blocks(self, size: int = 16, progress: Progress = silent) -> Iterator[tuple[Float, Float]]:
+        """Decode frames with velocities: yields points and units per second of the output, ``(B, V, 3)`` each."""
+        done = 0
+        for points, velocities in self.model.moving_blocks(self.sources, size, progress):
+            slopes = self.slopes[done : done + len(points)]
+            yield points, slopes[:, None, None] * velocities
+            done += len(points)
+
+
+def plan(
+    model: Model,
+    fps: float | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    speed: float = 1.0,
+    reverse: bool = False,
+    retiming: Retiming | None = None,
+) -> Resampling:
+    """Choose the frames of a resampling; parameters and errors are those of `resample`."""
+    if retiming is None:
+        first, last = model.times[[0, -1]]
+        first, last = model.inside([first if start is None else start, last if end is None else end])
+        retiming = Retiming.section(float(first), float(last), speed, reverse)
+    elif not (start is None and end is None and speed == 1.0 and not reverse):
+        raise SettingsError(
+            "a retiming tells the range, the speed and the direction; leave out start, end, speed and reverse"
+        )
+    rate = model.header.fps if fps is None else float(fps)
+    times = _frame_times(retiming.start, retiming.end, rate, SLACK / model.header.fps)
+    shown = np.clip(times, retiming.start, retiming.end)
+    try:
+        sources = model.inside(retiming(shown))
+    except SettingsError as error:
+        raise SettingsError(f"the retiming asks for more than there is: {error}") from None
+    return Resampling(model, model.header.with_times(times, rate), retiming, sources, retiming.slope(shown))
+
+
+def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
+    """Return the multiples of ``1 / fps`` from `start` to `end`, and those that miss them by `slack` seconds."""
+    if not (np.isfinite(fps) and fps > 0):
+        raise SettingsError(f"fps is {fps}; a positive number is expected")
+    slack = min(slack, SLACK / fps)
+    first, last = np.ceil((start - slack) * fps), np.floor((end + slack) * fps)
+    if last < first:
+        raise SettingsError(
+            f"no frame of {fps:g} frames per second is from {start:g} to {end:g} s; give another range or more fps"
+        )
+    if last - first >= MOST_FRAMES:
+        raise SettingsError(
+            f"{start:g} to {end:g} s at {fps:g} frames per second are {last - first + 1:.3g} frames, more than "
+            f"{MOST_FRAMES:,}; give fewer fps or more speed"
+        )
+    return np.asarray(np.arange(int(first), int(last) + 1) / fps)
+
+
+def resample(
+    model: Model,
+    fps: float | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    speed: float = 1.0,
+    reverse: bool = False,
+    retiming: Retiming | None = None,
+    *,
+    velocities: bool = False,
+    progress: Progress = silent,
+) -> MeshSequence:
+    """Sample a model at another rate, speed or direction.
+
+    Parameters
+    ----------
+    model : Model
+        The source.
+    fps : float, optional
+        Frames per second of the output; by default those of the model's time line.
+    start, end : float, optional
+        Which section of the source to show, in seconds; by default from its first frame to its last. The output
+        begins at `start` too.
+    speed : float
+        How much faster the source runs: 0.5 is slow motion that lasts twice as long.
+    reverse : bool
+        Show the section backwards.
+    retiming : Retiming, optional
+        Show the source by this map, instead of the four settings before.
+    velocities : bool
+        Also find the velocities, in units per second of the output.
+    progress : callable, optional
+        Told about every block of frames.
+
+    Returns
+    -------
+    MeshSequence
+        float64 points in the units of the model, frames at multiples of ``1 / fps``.
+
+    Raises
+    ------
+    SettingsError
+        If a time outside the model is asked for, a setting is out of range, two contradict each other, or there
+        is no frame in the range.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    >>> points = triangle + np.arange(5.0)[:, None, None]  # one unit per frame, 24 units per second
+    >>> model = mixseq.fit(mixseq.MeshSequence.from_arrays(points, [[0, 1, 2]]), exact=True, space="vertex")
+    >>> slow = resample(model, speed=0.5, velocities=True)
+    >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
+    (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
+    """
+    planned = plan(model, fps, start, end, speed, reverse, retiming)
+    if not velocities:
+        return collect(planned.header, planned.blocks(progress=progress))
+    points, rates = zip(*planned.moving_blocks(progress=progress), strict=True)
+    return MeshSequence.from_header(planned.header, np.concatenate(points), np.concatenate(rates))

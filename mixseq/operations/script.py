@@ -1,0 +1,151 @@
+"""Edit scripts: operations on a model as tables in a TOML file, applied in order.
+
+::
+
+    [[edit]]
+    operation = "repeat"
+    start = 0.2
+    end = 1.0
+    times = 3
+
+    [[edit]]
+    operation = "transition"
+    b = "slash.h5"          # a file, relative to the script
+    at = 2.0
+    duration = 0.25
+
+Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
+parameters, see `mixseq.operations.arguments`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import FormatError, MixseqError, SettingsError
+from mixseq.operations.arguments import Readers, WrongTypeError, keys_of
+from mixseq.signals.model import Model
+
+OPERATIONS: Mapping[str, str] = {
+    "cut": "sections:cut",
+    "repeat": "sections:repeat",
+    "loop": "sections:loop",
+    "shift": "timing:shift",
+    "speed": "timing:speed",
+    "reverse": "timing:reverse",
+    "concatenate": "transitions:concatenate",
+    "transition": "transitions:transition",
+    "blend": "transitions:blend",
+    "exaggerate": "exaggeration:exaggerate",
+    "exaggerate_part": "articulated:exaggerate_part",
+    "hold": "articulated:hold",
+    "smooth": "smoothing:smooth",
+    "sculpt": "sculpt:sculpt",
+    "sketch": "sketch:sketch",
+}
+"""Modules of this package and functions in them, by the names of operations; imported when they are asked for."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """An operation and its arguments; call it with a model.
+
+    Attributes
+    ----------
+    number : int
+        Which table of the script it is, from 1 on.
+    operation : str
+        Its name.
+    arguments : mapping
+        Arguments by the names of the parameters, files read.
+    """
+
+    number: int
+    operation: str
+    arguments: Mapping[str, Any]
+
+    def __call__(self, model: Model) -> Model:
+        """Return the edited model; errors tell which edit it was."""
+        try:
+            edited: Model = function_of(self.operation)(model, **self.arguments)
+        except MixseqError as error:
+            raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error
+        return edited
+
+
+def read_script(path: Path, readers: Readers) -> list[Edit]:
+    """Read an edit script and the files that it names.
+
+    Parameters
+    ----------
+    path : Path
+        A TOML file.
+    readers : Readers
+        What reads models and meshes; paths in the script are relative to it.
+
+    Raises
+    ------
+    FormatError
+        If the script, or a file that it names, cannot be read.
+    SettingsError
+        If an operation or a key is not known, is missing, or has a value of the wrong type. The message names the
+        number of the table, from 1 on, and the key.
+    """
+    try:
+        script = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # neither TOML nor text
+        raise FormatError(f"{path} is not a TOML file: {error}") from error
+    tables = script.pop("edit", [])
+    if script:
+        raise SettingsError(
+            f"{path}: the key {next(iter(script))!r} is outside the tables [[edit]], which hold all"
+        )
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables) or not tables:
+        raise SettingsError(
+            f"{path} has no edits; write each as a table [[edit]] with operation = and its settings"
+        )
+    return [_edit(number, table, path.parent, readers) for number, table in enumerate(tables, start=1)]
+
+
+def function_of(operation: str) -> Callable[..., Model]:
+    """Return the function of an operation."""
+    module, name = OPERATIONS[operation].split(":")
+    function: Callable[..., Model] = getattr(import_module(f"mixseq.operations.{module}"), name)
+    return function
+
+
+def _edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers) -> Edit:
+    where = f"edit {number}"
+    if "operation" not in table:
+        raise SettingsError(f"{where} has no key 'operation'; it is one of {', '.join(OPERATIONS)}")
+    operation = table["operation"]
+    if operation not in list(OPERATIONS):
+        raise SettingsError(
+            f"{where}: the operation {operation!r} is not known; known are {', '.join(OPERATIONS)}"
+        )
+    where = f"{where} ({operation})"
+    keys = keys_of(function_of(operation))
+    arguments = {}
+    for key, value in table.items():
+        if key == "operation":
+            continue
+        if key not in keys:
+            known = f"its keys are {', '.join(keys)}" if keys else "it has none"
+            raise SettingsError(f"{where}: the key {key!r} is not known; {known}")
+        try:
+            arguments[keys[key].parameter] = keys[key].read(value, folder, readers)
+        except WrongTypeError:
+            raise SettingsError(f"{where}: {key} is {value!r}; {keys[key].holds} is expected") from None
+        except MixseqError as error:
+            raise type(error)(f"{where}: {key}: {error}") from error
+    for key, expected in keys.items():
+        if expected.required and expected.parameter not in arguments:
+            raise SettingsError(f"{where}: the key {key!r} is missing; {expected.holds} is expected")
+    return Edit(number, operation, arguments)

@@ -1,0 +1,193 @@
+r"""Sculpt: a change of one frame, made by hand, that follows the motion.
+
+Let :math:`x_0` be the mesh at a time and :math:`x_1` what became of it. Their difference :math:`\Delta` in the shape
+space (`ShapeSpace.shape_difference`) does not depend on where parts are, so it can be added to any frame:
+
+.. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j + w(t)\, \Delta
+
+The model gets a key shape, :math:`P_0 + \Delta`, and pose space a coordinate, w. It is 1 at that time, and elsewhere
+
+everywhere
+    1;
+window
+    1 at the time and 0 outside of a window, with a rise and a fall that are two times continuously differentiable;
+similar
+    :math:`\exp(-(d / r)^2 / 2)`, with the distance d in the shape space between the shape at t and the one that was
+    edited. The radius r is given as a fraction of the largest distance of the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.operations.passes import snapped
+from mixseq.operations.pieces import breakpoints, refined, sites_of
+from mixseq.operations.sampling import sampled, shape_measure
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+
+Float = NDArray[np.float64]
+Where = Literal["everywhere", "window", "similar"]
+WHERE: tuple[Where, ...] = ("everywhere", "window", "similar")
+
+RADIUS = 0.25
+"""Default radius of what is similar, as a fraction of the distance to the shape that is least so."""
+
+ACCURACY = 1e-3
+"""Largest error of the weight between frames, where it is no spline."""
+
+
+def sculpt(
+    model: Model,
+    time: float,
+    points: ArrayLike,
+    where: Where = "everywhere",
+    start: float | None = None,
+    end: float | None = None,
+    radius: float | None = None,
+) -> Model:
+    """Return the model with a change that was made by hand in one frame.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    time : float
+        Time of the frame in seconds; any time, not only one of the frames.
+    points : (V, 3) array_like
+        The edited mesh, in the file's units: ``model(time)`` with vertices moved. Vertices that were not moved stay
+        where they are. The order of the vertices is the model's.
+    where : {"everywhere", "window", "similar"}
+        Where in time the change shows, see the module.
+    start, end : float, optional
+        The window, in seconds. Without a start it is open: the change shows from the start of the model on.
+        Without an end it lasts.
+    radius : float, optional
+        What is similar: at this fraction of the distance to the least similar shape of the model the change has 61 % of
+        its size; by default 0.25.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the points are not those of the mesh, or not finite.
+    SettingsError
+        If a time is outside the model, or the window does not hold the time, or settings contradict each other.
+    """
+    _check(where, start, end, radius)
+    time = snapped(model, time)
+    edited = _edited(points, model.header.vertex_count)
+    difference = _difference(model, time, edited)
+    if where == "window":
+        return _added(model, difference, _window(model, time, start, end))
+    if where == "similar":
+        return _added(model, difference, _similar(model, time, RADIUS if radius is None else radius))
+    return _added(model, difference, Curve(model.time.times, np.ones((len(model.time.times), 1))))
+
+
+def _check(where: Where, start: float | None, end: float | None, radius: float | None) -> None:
+    if where not in WHERE:
+        raise SettingsError(f"where is {where!r}; {', '.join(map(repr, WHERE))} is expected")
+    if where == "window" and start is None and end is None:
+        raise SettingsError("a window needs a start or an end; give one, or where='everywhere'")
+    if where != "window" and not (start is None and end is None):
+        raise SettingsError(f"start and end are of a window; leave them out, or where={where!r}")
+    if where != "similar" and radius is not None:
+        raise SettingsError(f"radius tells what is similar; leave it out, or where={where!r}")
+    if radius is not None and not (np.isfinite(radius) and radius > 0):
+        raise SettingsError(f"radius is {radius}; a positive fraction of the largest distance is expected")
+
+
+def _edited(points: ArrayLike, vertex_count: int) -> Float:
+    edited = np.asarray(points, dtype=np.float64)
+    if edited.shape != (vertex_count, 3):
+        raise InvalidSequenceError(
+            f"the sculpted points have shape {edited.shape}; ({vertex_count}, 3) is expected: move the vertices of the "
+            "decoded frame, but add none, take none away and keep their order"
+        )
+    if not np.isfinite(edited).all():
+        vertex = int(np.flatnonzero(~np.isfinite(edited).all(axis=1))[0])
+        raise InvalidSequenceError(f"vertex {vertex} of the sculpted points is not finite")
+    return edited
+
+
+def _difference(model: Model, time: float, edited: Float) -> Float:
+    """What the edit of a frame adds to a key shape and its offsets ``(S + O,)``."""
+    space, vector, before = model.space, model.curve([time]), model(time)
+    shape = space.shape_difference(vector[0], before, edited)
+    offsets = space.offsets(np.stack([before, edited]), np.repeat(vector, 2, axis=0))
+    return np.concatenate([shape, offsets[1] - offsets[0]])
+
+
+def _added(model: Model, difference: Float, weight: Curve) -> Model:
+    """Add so much of a difference ``(S + O,)`` as the weight says, whose sites hold those of the time signal."""
+    row = np.zeros((1, len(model.shapes) + 1))
+    row[0, 0], row[0, -1] = -1.0, 1.0
+    sites = weight.times
+    return replace(
+        model,
+        time=Curve(sites, np.concatenate([model.time(sites), weight.values], axis=1)),
+        pose=PoseMap(
+            np.append(model.pose.offset, 0.0),
+            np.concatenate([np.pad(model.pose.matrix, ((0, 0), (0, 1))), row]),
+        ),
+        shapes=np.concatenate([model.shapes, model.shapes[:1] + difference]),
+    )
+
+
+# Weights --------------------------------------------------------------------------------------------------
+
+
+def _window(model: Model, time: float, start: float | None, end: float | None) -> Curve:
+    """A cubic spline, exactly: its breakpoints are sites."""
+    first = None if start is None else snapped(model, start, "start")
+    last = None if end is None else snapped(model, end, "end")
+    if (first is not None and not first < time) or (last is not None and not time < last):
+        given = " and ".join(
+            f"{name} {value:g} s" for name, value in (("start", start), ("end", end)) if value is not None
+        )
+        raise SettingsError(f"the window has {given}; the sculpted time, {time:g} s, must be within")
+    knots = [breakpoints(model.time)]
+    knots += [np.linspace(first, time, 4)] if first is not None else []
+    knots += [np.linspace(time, last, 4)] if last is not None else []
+    sites = _sites(model, np.concatenate(knots))
+    weight = np.ones(len(sites))
+    if first is not None:
+        weight = weight * smoothstep(sites, first, time)
+    if last is not None:
+        weight = weight * (1.0 - smoothstep(sites, time, last))
+    return Curve(sites, weight[:, None])
+
+
+def _similar(model: Model, time: float, radius: float) -> Curve:
+    length, here = shape_measure(model), model.time([time])
+    sites = _sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
+    scale = radius * float(length(model.time(refined(sites, 4)) - here).max(initial=0.0))
+    if scale == 0:
+        return Curve(sites, np.ones((len(sites), 1)))
+
+    def weight(times: Float) -> Float:
+        return np.asarray(np.exp(-0.5 * np.square(length(model.time(times) - here) / scale))[:, None])
+
+    return sampled(weight, sites, ACCURACY, lambda deviations: np.abs(deviations[:, 0]))
+
+
+def _sites(model: Model, knots: Float) -> Float:
+    """Sites of the time signal with more breakpoints, some of the knots may be outside it."""
+    ends = np.array([model.time.start, model.time.end])
+    if ends[0] == ends[1]:
+        return model.time.times
+    return sites_of(ends, knots[(knots > ends[0]) & (knots < ends[1])])
+
+
+def smoothstep(times: Float, start: float, end: float) -> Float:
+    """Return the step ``(N,)`` from 0 until `start` to 1 from `end` on: C2, of three cubics of equal length."""
+    x = np.clip((times - start) / (end - start), 0.0, 1.0) * 3.0
+    return np.asarray(
+        (x**3 - 3.0 * np.maximum(x - 1.0, 0.0) ** 3 + 3.0 * np.maximum(x - 2.0, 0.0) ** 3) / 6.0
+    )

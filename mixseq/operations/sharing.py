@@ -1,0 +1,93 @@
+"""Two models of one mesh in one space, with the same key shapes, so that their signals add up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.signals.curve import Curve
+from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+from mixseq.spaces.base import ShapeSpace
+from mixseq.threads import one_blas_thread
+
+Float = NDArray[np.float64]
+
+
+def into(model: Model, space: ShapeSpace) -> Model:
+    """Return a model in another shape space of its mesh.
+
+    Its frames are decoded and encoded again; between them the motion is the cubic spline in the new space. They are
+    the same frames, as far as the new space tells all shapes of the mesh exactly. A model that is in the space
+    already stays as it is.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    space : ShapeSpace
+        A space of the same mesh, in the same units.
+    """
+    if model.space is space:
+        return model
+    with one_blas_thread():
+        return build(encode(model.sample(), space), Detail())
+
+
+def together(first: Model, second: Model) -> tuple[Model, Model]:
+    """Return two models of one mesh in the space of the first one, with the same pose and shape signals.
+
+    Where key shapes differ, both get those of both. Pose space then has the weights of the key shapes as its
+    coordinates.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If they are models of different meshes.
+    """
+    _check_meshes(first, second)
+    second = into(second, first.space)
+    if _same_shapes(first, second):
+        return first, replace(second, pose=first.pose, shapes=first.shapes)
+    counts = len(first.shapes), len(second.shapes)
+    pose = PoseMap.of_weights(sum(counts))
+    shapes = np.concatenate([first.shapes, second.shapes])
+    starts = 0, counts[0]
+    both = [
+        replace(model, pose=pose, shapes=shapes, time=_weights_of(model, start, sum(counts)))
+        for model, start in zip((first, second), starts, strict=True)
+    ]
+    return both[0], both[1]
+
+
+def _weights_of(model: Model, start: int, count: int) -> Curve:
+    """Return the weights of all but the first of `count` key shapes; those of the model begin at number `start`."""
+    weights = np.zeros((len(model.time.times), count))
+    weights[:, start : start + len(model.shapes)] = model.pose.weights(model.time.values)
+    return Curve(model.time.times, weights[:, 1:])
+
+
+def _same_shapes(first: Model, second: Model) -> bool:
+    pairs = (
+        (first.shapes, second.shapes),
+        (first.pose.offset, second.pose.offset),
+        (first.pose.matrix, second.pose.matrix),
+    )
+    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+
+
+def _check_meshes(first: Model, second: Model) -> None:
+    a, b = first.header, second.header
+    if a.vertex_count != b.vertex_count:
+        raise InvalidSequenceError(
+            f"{a.name!r} has {a.vertex_count} vertices, {b.name!r} {b.vertex_count}; two models of one mesh are needed"
+        )
+    if a.faces.shape != b.faces.shape or not np.array_equal(a.faces, b.faces):
+        raise InvalidSequenceError(
+            f"the faces of {a.name!r} and {b.name!r} differ; two models of one mesh, with the same order of vertices "
+            "and faces, are needed"
+        )

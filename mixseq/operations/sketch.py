@@ -1,0 +1,194 @@
+r"""Sketch: a curve drawn in the layout of a model becomes a new sequence.
+
+Every frame j of the model has a place :math:`y_j` in the plane (`Model.layout`). Scattered-data interpolation carries
+from there to any other place of the plane what a frame is, its point of pose space :math:`c_j` and its placement:
+
+.. math:: c(y) = \sum_j w_j(y)\, c_j, \qquad w_j(y_i) = \delta_{ij}, \qquad \sum_j w_j(y) = 1
+
+The weights are the cardinal functions of interpolation by a constant and radial functions,
+
+.. math:: a + \sum_j b_j \sqrt{|y - y_j|^2 + (\varepsilon d_j)^2}, \qquad \sum_j b_j = 0,
+
+with the distance :math:`d_j` from frame j to the nearest other one: multiquadrics, which are cones but for a small
+rounding of their tips. Cones (:math:`\varepsilon = 0`) blend neighbouring frames with weights that are hardly negative,
+but have a kink at every frame. Rounder functions, thin plates and the like are a little more accurate where the layout
+tells all of the motion, and overshoot badly where it does not: where paths cross, or frames nearly meet. As
+:math:`\sum b_j = 0`, weights stay bounded however far away y is.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
+
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.operations.passes import placement_of
+from mixseq.operations.sampling import placement_measure, sampled, shape_measure
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.placement import stated_placement
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ROUNDING = 0.25
+"""Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
+
+SAME = 1e-6
+"""Frames closer than this fraction of the layout's size have one place."""
+
+FAR = 0.5
+"""A curve is far from all frames if it is farther than this fraction of the layout's size."""
+
+ACCURACY = 1e-4
+"""Largest error, in diagonals, of the splines between sites."""
+
+
+def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
+    """Return the motion that a curve in the layout of a model tells.
+
+    The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame
+    shows this frame.
+
+    Parameters
+    ----------
+    model : Model
+        The motion that tells what shapes there are. The more its layout tells, the more of it can be drawn.
+    curve : (N, 2) array_like
+        Points of the curve in the coordinates of `Model.layout`, in diagonals: it is the spline through them. One
+        point is a pose that is held.
+    duration : float
+        How long the motion lasts, in seconds. It has the frame rate of the model.
+
+    Returns
+    -------
+    Model
+        In the same space, with the same pose and shape signals. Frames of the model that share a place cannot be
+        told apart: the first one stands for them.
+
+    Raises
+    ------
+    SettingsError
+        If the curve is none, or the duration is not positive.
+
+    Warns
+    -----
+    MixseqWarning
+        If frames that differ share a place; and if the curve goes far away from all frames: shapes there are guesses.
+    """
+    if not (np.isfinite(duration) and duration > 0):
+        raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
+    drawn = _drawn(curve, float(duration))
+    frames = _frames_apart(model)
+    times = model.times[frames]
+    places = model.layout(times)
+    _warn_if_far(drawn, places)
+    weights = cardinal_weights(places)
+
+    def blended(values: Float) -> Callable[[Float], Float]:
+        return lambda at: weights(drawn(at)) @ values
+
+    whole = placement_of(model)
+    time = sampled(blended(model.time(times)), drawn.times, ACCURACY, shape_measure(model))
+    placement = sampled(blended(whole(times)), drawn.times, ACCURACY, placement_measure(model))
+    fps = model.header.fps
+    header = model.header.with_times(np.arange(int(np.floor(duration * fps + 1e-6)) + 1) / fps)
+    return replace(model, header=header, time=time, placement=stated_placement(model.space, placement))
+
+
+def cardinal_weights(places: Float) -> Callable[[Float], Float]:
+    """Return the weights of scattered places: a function from points ``(N, 2)`` to ``(N, M)``.
+
+    Parameters
+    ----------
+    places : (M, 2) float64
+        Where data are, no two of them at the same place. At place j the weight j is one, all others are zero.
+    """
+    count = len(places)
+    if count == 1:
+        return lambda points: np.ones((len(points), 1))
+    apart = cdist(places, places)
+    nearest = (apart + np.diag(np.full(count, np.inf))).min(axis=1)
+    unit = float(nearest.mean())  # for the system to be well scaled
+
+    def functions(distances: Float) -> Float:
+        radial = np.hypot(distances, ROUNDING * nearest) / unit
+        return np.concatenate([radial, np.ones((len(distances), 1))], axis=1)
+
+    system = np.ones((count + 1, count + 1))
+    system[:count] = functions(apart)
+    system[count, count] = 0.0
+    inverse = np.linalg.inv(system)[:, :count]
+
+    def weights(points: Float) -> Float:
+        return np.asarray(functions(cdist(points, places)) @ inverse)
+
+    return weights
+
+
+def _drawn(curve: ArrayLike, duration: float) -> Curve:
+    """The spline through the points of a curve, by the lengths of the chords between them."""
+    points = np.asarray(curve, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
+        raise SettingsError(
+            f"the drawn curve has shape {points.shape}; (N, 2) is expected, one point at least"
+        )
+    if not np.isfinite(points).all():
+        number = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise SettingsError(f"point {number} of the drawn curve is not finite")
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    moves = chords > 1e-9 * chords.sum()  # the same point twice is one point
+    points = points[np.append(True, moves)]
+    if len(points) == 1:
+        return Curve(np.array([0.0, duration]), np.repeat(points, 2, axis=0))
+    along = np.append(0.0, np.cumsum(chords[moves]))
+    times = duration * (along / along[-1])
+    return Curve(times, points)
+
+
+def _frames_apart(model: Model) -> Index:
+    """Frames with places of their own: the first of those that share one."""
+    places = model.layout(model.times)
+    size = float(np.linalg.norm(np.ptp(places, axis=0)))
+    close = cdist(places, places) <= SAME * size
+    chosen: list[int] = []
+    stands_for = np.empty(len(places), dtype=np.int64)
+    for frame, near in enumerate(close):
+        first = next((earlier for earlier in chosen if near[earlier]), None)
+        stands_for[frame] = frame if first is None else first
+        if first is None:
+            chosen.append(frame)
+    lost = _apart(model, stands_for) > ACCURACY
+    if lost.any():
+        warnings.warn(
+            f"{np.count_nonzero(lost)} frames share their place in the layout with an earlier frame that differs; "
+            "a sketch shows the earlier one",
+            MixseqWarning,
+            stacklevel=3,
+        )
+    return np.array(chosen, dtype=np.int64)
+
+
+def _apart(model: Model, others: Index) -> Float:
+    """How far frames are ``(T,)``, in shape and placement, from other frames, in diagonals."""
+    points, places = model.time(model.times), model.placement(model.times)
+    shapes = shape_measure(model)(points - points[others])
+    return np.maximum(shapes, placement_measure(model)(places - places[others]))
+
+
+def _warn_if_far(drawn: Curve, places: Float) -> None:
+    size = float(np.linalg.norm(np.ptp(places, axis=0)))
+    away = cdist(drawn.values, places).min(axis=1)
+    if len(places) > 1 and away.max() > FAR * size:
+        point = drawn.values[away.argmax()]
+        warnings.warn(
+            f"the drawn curve goes to ({point[0]:.3g}, {point[1]:.3g}), far from all frames, which are within "
+            f"{size:.3g} of each other; shapes there are guesses",
+            MixseqWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,206 @@
+r"""From one motion into another: concatenation, transitions, blends.
+
+.. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
+
+for all signals, placements too. In a transition the weight is the step :math:`w = 6x^5 - 15x^4 + 10x^3`, which is
+two times continuously differentiable. Weight times signal is no cubic spline; there, and only there, the result is
+the spline through many points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations.passes import (
+    DENSE,
+    SLACK,
+    Pass,
+    concatenated,
+    continued,
+    fade_of,
+    frames_of,
+    placement_of,
+    section_of,
+    shifted,
+    snapped,
+)
+from mixseq.operations.pieces import Fade, Piece, between, breakpoints, refined, sites_of
+from mixseq.operations.sharing import together
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.placement import stated_placement
+
+Float = NDArray[np.float64]
+Weight = Callable[[Float], Float]
+
+
+def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
+    """Return one model after the other.
+
+    The second one starts where the first ends, in time; what value, slope and curvature of the signals jump by is
+    taken up on both sides.
+
+    Parameters
+    ----------
+    a, b : Model
+        Models of one mesh. The result is in the space of `a`.
+    fade : float, optional
+        Seconds before and after the seam, at most the shorter model; by default a quarter of that.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the meshes differ.
+    SettingsError
+        If a model does not last, or the fade is out of range.
+    """
+    a, b = together(a, b)
+    start, seam = section_of(a, a.start, a.end)
+    first, last = section_of(b, b.start, b.end)
+    seconds = fade_of(fade, min(seam - start, last - first))
+    later = shifted(b, seam - first)
+    return concatenated([Pass(a, start, seam), Pass(later, seam, later.end)], [Fade(seconds)])
+
+
+def transition(a: Model, b: Model, at: float, duration: float) -> Model:
+    """Return the first model, which passes over into the second one.
+
+    Parameters
+    ----------
+    a, b : Model
+        Models of one mesh. The result is in the space of `a`; its frames are those of `a` as long as this has a
+        part in it, and those of `b` then.
+    at : float
+        When the second model starts, in seconds of the first. Until then the result is `a`.
+    duration : float
+        Seconds until the result is `b`. Both models last that long.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the meshes differ.
+    SettingsError
+        If a time is out of range.
+    """
+    if not (np.isfinite(duration) and duration > 0):
+        raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
+    a, b = together(a, b)
+    at = snapped(a, at, "at")
+    for which, left in (("first", a.end - at), ("second", b.end - b.start)):
+        if duration > left + SLACK / a.header.fps:
+            raise SettingsError(
+                f"duration is {duration:g} s; the {which} model lasts for {left:g} s from there on"
+            )
+    later = shifted(b, at - b.start)
+    end = min(snapped(later, at + duration), a.end, later.end)
+    middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
+    passes = [Pass(a, a.start, at), Pass(middle, at, end), Pass(later, end, later.end)]
+    # What little the points leave of jumps is taken up next to the ends of the middle, not to touch what is outside.
+    point = (end - at) / (len(middle.time.times) - 1)
+    fades = [Fade(3 * point, share=0.0), Fade(3 * point, share=1.0)]
+    if passes[2].end - end <= 0:
+        passes, fades = passes[:2], fades[:1]
+    if at - a.start <= 0:
+        passes, fades = passes[1:], fades[1:]
+    return concatenated(passes, fades)
+
+
+def blend(a: Model, b: Model, weight: float | Curve) -> Model:
+    """Return the mean of two models over the time that both have.
+
+    Parameters
+    ----------
+    a, b : Model
+        Models of one mesh. The result is in the space of `a` and has its frames.
+    weight : float or Curve
+        Weight of `b`: 0 gives `a`, 1 gives `b`. A curve of one coordinate tells it over time.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the meshes differ.
+    SettingsError
+        If the models have no time in common, or the weight is not finite, or is not known all that time.
+    """
+    a, b = together(a, b)
+    start, end = max(a.start, b.start), min(a.end, b.end)
+    if not start < end:
+        raise SettingsError(
+            f"one model is from {a.start:g} to {a.end:g} s, the other from {b.start:g} to {b.end:g} s, with no time "
+            "in common; shift one of them"
+        )
+    if isinstance(weight, Curve):
+        _check_weight(weight, start, end, SLACK / a.header.fps)
+        inside = np.clip([start, end], weight.start, weight.end)
+        parts = 1 if np.ptp(weight.values) == 0 else DENSE
+        return _mix(
+            a, b, (start, end), lambda times: weight(np.clip(times, *inside)), breakpoints(weight), parts
+        )
+    if not np.isfinite(weight):
+        raise SettingsError(f"weight is {weight}; a number is expected")
+    return _mix(a, b, (start, end), lambda times: np.full((len(times), 1), float(weight)))
+
+
+def _check_weight(weight: Curve, start: float, end: float, slack: float) -> None:
+    if weight.dim != 1:
+        raise SettingsError(f"weight is a curve of {weight.dim} coordinates; one is expected")
+    if weight.start > start + slack or weight.end < end - slack:
+        raise SettingsError(
+            f"weight is known from {weight.start:g} to {weight.end:g} s; {start:g} to {end:g} s are expected"
+        )
+
+
+def _step(start: float, end: float) -> Weight:
+    """The step from 0 to 1 whose first and second derivatives are zero at both ends."""
+
+    def weight(times: Float) -> Float:
+        x = (times[:, None] - start) / (end - start)
+        return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
+
+    return weight
+
+
+def _mix(
+    a: Model,
+    b: Model,
+    ends: tuple[float, float],
+    weight: Weight,
+    knots: Float | None = None,
+    parts: int = 1,
+) -> Model:
+    """Blend two models that share their shapes, from one time to another.
+
+    Parameters
+    ----------
+    a, b : Model
+        The models. The frames are those of the first.
+    ends : (float, float)
+        From when to when.
+    weight : callable
+        From times ``(N,)`` to weights ``(N, 1)``.
+    knots : (n,) float64, optional
+        Where the weight is not smooth.
+    parts : int
+        Into how many parts knot intervals are cut; 1 is exact for a constant weight.
+    """
+    start, end = ends
+    placement = placement_of(a)
+    goes_on = continued(a.space, Piece(placement_of(b), start, end), placement([start])[0], b.times)
+
+    def mixed(one: Curve, other: Curve) -> Curve:
+        inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
+        sites = refined(sites_of(np.array(ends), between(np.concatenate(inner), start, end)), parts)
+        share = weight(sites)
+        return Curve(sites, (1.0 - share) * one(sites) + share * other(sites))
+
+    return replace(
+        a,
+        header=a.header.with_times(frames_of([Pass(a, start, end)])),
+        time=mixed(a.time, b.time),
+        placement=stated_placement(a.space, mixed(placement, goes_on)),
+    )

@@ -1,0 +1,64 @@
+"""Small models to edit, and how to measure how smooth curves are."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Curve, Model, fit
+from mixseq.signals.fit import SpaceName
+from mixseq.signals.placement import whole_placement
+from tests.meshes import bar, rotation, tube
+
+Float = NDArray[np.float64]
+
+AXIS = np.array([2.0, 1.0, -2.0]) / 3.0
+
+
+@cache
+def bar_motion(space: SpaceName = "mixed", knots: int | None = None, frames: int = 9) -> Model:
+    """The bending bar at 10 frames per second: 0 to 0.8 s."""
+    sequence = bar(sides=5, rings=15, frames=frames)
+    return fit(sequence, exact=knots is None, knots=knots, space=space)
+
+
+def spinning(angles: Float, step: float = 0.0) -> Float:
+    """Points ``(T, V, 3)`` of a rigid body at angles ``(T,)`` about `AXIS`, which goes `step` to x per radian."""
+    points = tube(5, 4)[0]
+    centred = points - points.mean(axis=0)
+    moved = np.array([1.0, 0.0, 0.0]) * step
+    return np.stack([centred @ rotation(AXIS * angle).T + moved * angle for angle in angles])
+
+
+@cache
+def spin(step: float = 0.0) -> Model:
+    """One turn in one second at 12 frames per second, evenly."""
+    angles = np.radians(np.arange(0, 361, 30.0))
+    return fit(MeshSequence.from_arrays(spinning(angles, step), tube(5, 4)[1], fps=12), exact=True)
+
+
+def signals(model: Model) -> tuple[Curve, Curve]:
+    """The time signal and the whole placement."""
+    return model.time, whole_placement(model.space, model.placement)
+
+
+def jets(curve: Curve, times: Float) -> Float:
+    """Values, slopes and curvatures ``(3, N, k)``."""
+    return np.stack([curve(times), curve.derivative(times), curve.derivative(times, 2)])
+
+
+def jumps(curve: Curve) -> Float:
+    """How much value, slope and curvature ``(3,)`` jump between the cubics of a curve, relative to the largest."""
+    if not curve.dim:
+        return np.zeros(3)
+    knots = np.unique(curve.spline.t)
+    starts = np.stack([curve.spline(knots[:-1], nu=order) for order in range(4)])
+    step = np.diff(knots)[:, None]
+    value = starts[0] + step * (starts[1] + step * (starts[2] / 2 + step * starts[3] / 6))
+    slope = starts[1] + step * (starts[2] + step * starts[3] / 2)
+    ends = np.stack([value, slope, starts[2] + step * starts[3]])
+    sizes = np.abs(starts[:3]).max(axis=(1, 2))
+    return np.asarray(np.abs(ends[:, :-1] - starts[:3, 1:]).max(axis=(1, 2), initial=0.0) / sizes)

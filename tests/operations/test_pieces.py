@@ -1,0 +1,103 @@
+"""Curves from pieces: exact where nothing jumps, and smooth where something does."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from mixseq.operations.pieces import Fade, Piece, join, moved, refined, sites_of
+from mixseq.signals import Curve
+from tests.meshes import seeds
+from tests.operations.motions import jets, jumps
+
+Float = NDArray[np.float64]
+
+
+def wild(seed: int, knots: int = 9, start: float = 0.0, end: float = 2.0) -> Curve:
+    """A curve through random values at uneven times."""
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform(0.3, 1.0, knots - 1)
+    times = start + (end - start) * np.append(0, np.cumsum(steps)) / steps.sum()
+    times[-1] = end
+    return Curve(times, rng.normal(size=(knots, 2)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, cuts=st.lists(st.floats(0.05, 1.95), max_size=3, unique=True), knots=st.integers(2, 12))
+def test_pieces_of_one_curve_make_that_curve(seed: int, cuts: list[float], knots: int) -> None:
+    curve = wild(seed, knots)
+    edges = [0.0, *sorted(cut for cut in cuts if np.abs(curve.times - cut).min() > 1e-3), 2.0]
+    edges = [edge for edge, after in zip(edges, [*edges[1:], np.inf], strict=True) if after - edge > 1e-2]
+    pieces = [Piece(curve, start, end) for start, end in pairwise(edges)]
+    shortest = min(end - start for _, start, end in pieces)
+    whole = join(pieces, [Fade(shortest)] * (len(pieces) - 1))
+    times = np.linspace(0, 2, 301)
+    sizes = np.abs(jets(curve, times)).max(axis=(1, 2))
+    errors = np.abs(jets(whole, times) - jets(curve, times)).max(axis=(1, 2))
+    assert (errors <= np.array([1e-10, 1e-8, 1e-6]) * np.maximum(sizes, 1)).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, fade=st.floats(0.05, 1.0), share=st.sampled_from([0.0, 0.3, 0.5, 1.0]))
+def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float) -> None:
+    before, after = wild(seed, start=0, end=1), wild(seed + 1, start=1, end=2)
+    whole = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(fade, share)])
+    assert (jumps(whole) < 1e-9).all()
+    reach = 1.02 * fade  # its end may move to a knot
+    for piece, times in ((before, np.linspace(0, 1 - reach, 50)), (after, np.linspace(1 + reach, 2, 50))):
+        if 0 <= times[0] < times[-1] <= 2 and reach < 1:
+            np.testing.assert_allclose(whole(times), piece(times), atol=1e-10)
+    seam = np.array([1.0])
+    expected = (1 - share) * jets(before, seam) + share * jets(after, seam)
+    size = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(jets(whole, seam) / size, expected / size, atol=1e-9)
+
+
+def test_without_a_share_a_side_stays_as_it_is() -> None:
+    before, after = wild(1, start=0, end=1), wild(2, start=1, end=2)
+    times = np.linspace(0, 1, 50)
+    kept = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(0.5, share=0.0)])
+    np.testing.assert_allclose(kept(times), before(times), atol=1e-12)
+    assert np.abs(kept(1 + times) - after(1 + times)).max() > 0.1
+    kept = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(0.5, share=1.0)])
+    np.testing.assert_allclose(kept(1 + times), after(1 + times), atol=1e-12)
+
+
+def test_a_step_closes_by_the_formula() -> None:
+    """From 0 to 1: up to the middle at the seam, level there, by three cubics of length 1 each."""
+    flat = Curve(np.array([0.0, 10.0]), np.array([[0.0], [0.0]]))
+    high = Curve(flat.times, flat.values + 1)
+    whole = join([Piece(flat, 0, 5), Piece(high, 5, 10)], [Fade(3.0)])
+    np.testing.assert_allclose(jets(whole, np.array([5.0]))[:, 0, 0], [0.5, 0, 0], atol=1e-12)
+    # a (r^3) = 1/2 with sum a r^2 = sum a r = 0 for r = 1, 2, 3: a = 1/4, -1/4, 1/12.
+    np.testing.assert_allclose(whole([4.0, 3.0])[:, 0], [8 / 12 - 1 / 4, 1 / 12], atol=1e-12)
+    np.testing.assert_allclose(whole([2.0, 1.0, 8.0, 9.0])[:, 0], [0, 0, 1, 1], atol=1e-12)
+
+
+def test_curves_of_no_coordinates() -> None:
+    nothing = Curve(np.arange(5.0), np.zeros((5, 0)))
+    whole = join([Piece(nothing, 0, 2), Piece(nothing, 2, 4)], [Fade(1)])
+    assert whole.values.shape == (len(whole.times), 0)
+    assert (whole.start, whole.end) == (0, 4)
+
+
+def test_sites_hold_all_breakpoints_and_two_more() -> None:
+    sites = sites_of(np.array([0.0, 4.0]), np.array([3.0, 1.0, 1.0 + 1e-12, 1e-12]))
+    np.testing.assert_allclose(sites, [0, 0.5, 1, 3, 3.5, 4], atol=1e-9)
+    np.testing.assert_allclose(sites_of(np.array([0.0, 3.0]), np.zeros(0)), [0, 1, 2, 3])
+
+
+def test_refined_times() -> None:
+    np.testing.assert_allclose(refined(np.array([0.0, 1, 3]), 2), [0, 0.5, 1, 2, 3])
+    np.testing.assert_array_equal(refined(np.array([0.0, 0.1, 0.3]), 1), [0, 0.1, 0.3])
+
+
+@pytest.mark.parametrize("scale", [0.5, 3.0, -1.0])
+def test_moved_curves(scale: float) -> None:
+    curve, times = wild(3), np.linspace(0, 2, 40)
+    np.testing.assert_allclose(moved(curve, scale, 0.3)(scale * times + 0.3), curve(times), atol=1e-12)

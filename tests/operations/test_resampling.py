@@ -1,0 +1,197 @@
+"""Resampling: motions that cubic curves reproduce, so that every frame and velocity is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations.resampling import MOST_FRAMES, plan, resample
+from mixseq.operations.retime import Retiming
+from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.signals import Model, fit
+from mixseq.signals.curve import Curve
+from tests.meshes import bar
+
+Float = NDArray[np.float64]
+
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+POWERS = np.random.default_rng(5).normal(size=(4, 3, 3))
+
+
+def place(times: ArrayLike) -> Float:
+    """A triangle whose corners move along cubic parabolas."""
+    t = np.asarray(times, dtype=np.float64)
+    return np.asarray(TRIANGLE + np.einsum("pt,pvi->tvi", t ** np.arange(4)[:, None], POWERS))
+
+
+def speed_at(times: ArrayLike) -> Float:
+    """The derivative of `place`."""
+    t = np.asarray(times, dtype=np.float64)
+    return np.asarray(np.einsum("pt,pvi->tvi", [0 * t, 1 + 0 * t, 2 * t, 3 * t**2], POWERS))
+
+
+def model_at(times: ArrayLike, fps: float = 10.0) -> Model:
+    return fit(MeshSequence.from_arrays(place(times), [[0, 1, 2]], times, fps), exact=True, space="vertex")
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """Frames at 0, 0.1, ..., 0.8 s."""
+    return model_at(np.arange(9) / 10)
+
+
+@pytest.mark.parametrize(
+    ("settings", "times", "sources", "slope"),
+    [
+        ({}, np.arange(9) / 10, np.arange(9) / 10, 1),
+        ({"fps": 25}, np.arange(21) / 25, np.arange(21) / 25, 1),
+        ({"fps": 3}, np.arange(3) / 3, np.arange(3) / 3, 1),
+        ({"speed": 0.5}, np.arange(17) / 10, np.arange(17) / 20, 0.5),
+        ({"speed": 3}, np.arange(3) / 10, 0.3 * np.arange(3), 3),
+        ({"reverse": True}, np.arange(9) / 10, 0.8 - np.arange(9) / 10, -1),
+        ({"start": 0.2, "end": 0.5}, [0.2, 0.3, 0.4, 0.5], [0.2, 0.3, 0.4, 0.5], 1),
+        ({"start": 0.15, "end": 0.45}, [0.2, 0.3, 0.4], [0.2, 0.3, 0.4], 1),
+        (
+            {"start": 0.6, "speed": 0.5, "reverse": True},
+            0.6 + np.arange(5) / 10,
+            0.8 - np.arange(5) / 20,
+            -0.5,
+        ),
+        ({"start": 0.3, "end": 0.3, "speed": 2}, [0.3], [0.3], 2),
+        ({"retiming": Retiming.hold(0.33, 1, 1.2)}, [1, 1.1, 1.2], [0.33] * 3, 0),
+        (
+            {"retiming": Retiming.through([-0.1, 0.3], [0, 0.8])},
+            [-0.1, 0, 0.1, 0.2, 0.3],
+            0.2 * np.arange(5),
+            2,
+        ),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_frames_and_velocities(
+    model: Model, settings: dict[str, Any], times: ArrayLike, sources: ArrayLike, slope: float
+) -> None:
+    plain, moving = resample(model, **settings), resample(model, velocities=True, **settings)
+    assert plain.velocities is None
+    assert moving.velocities is not None
+    assert plain.fps == settings.get("fps", 10)
+    for sequence in (plain, moving):
+        assert sequence.times == pytest.approx(np.asarray(times), abs=1e-14)
+        np.testing.assert_allclose(sequence.points, place(sources), atol=1e-12)
+    np.testing.assert_allclose(moving.velocities, slope * speed_at(sources), atol=1e-6)
+
+
+def test_velocities_are_per_second_of_the_output(model: Model) -> None:
+    retiming = Retiming.through([0, 0.5, 1], [0.1, 0.8, 0.2])
+    planned = plan(model, fps=40, retiming=retiming)
+    times, step = planned.header.times[1:-1], 1e-5
+    differences = (place(retiming(times + step)) - place(retiming(times - step))) / (2 * step)
+    velocities = np.concatenate([rates for _, rates in planned.moving_blocks(size=7)])
+    np.testing.assert_allclose(velocities[1:-1], differences, atol=1e-4)
+    assert planned.slopes[:2].min() > 0 > planned.slopes[-2:].max()
+
+
+def test_frames_lie_on_the_grid_of_the_time_line() -> None:
+    model = model_at([0.03, 0.1, 0.26, 0.37])
+    planned = plan(model)
+    assert planned.header.times.tolist() == [0.1, 0.2, 0.3]
+    assert (planned.retiming.start, planned.retiming.end) == (0.03, 0.37)
+    assert plan(model, reverse=True).sources == pytest.approx([0.3, 0.2, 0.1])
+    assert plan(model_at(3 + np.arange(5) / 10)).header.times == pytest.approx([3, 3.1, 3.2, 3.3, 3.4])
+    assert plan(model_at(np.arange(5) / 10 - 1)).header.times == pytest.approx([-1, -0.9, -0.8, -0.7, -0.6])
+
+
+@pytest.mark.parametrize("fps", [24, 23.976, 30, 30000 / 1001, 59.94])
+def test_no_frame_is_lost_to_rounding(fps: float) -> None:
+    times = np.arange(50) / fps
+    typed = np.array([float(f"{time:.5f}") for time in times])
+    late = (2_000_000 + np.arange(50)) / fps
+    assert plan(model_at(times, fps)).header.frame_count == plan(model_at(late, fps)).header.frame_count == 50
+    planned = plan(model_at(typed, fps))
+    assert planned.header.frame_count == 50
+    np.testing.assert_allclose(planned.sources, times, atol=1e-5)
+
+
+def test_its_own_frames_stay_as_they_are(model: Model) -> None:
+    assert np.array_equal(resample(model).points, model.sample().points)
+
+
+def test_a_model_in_the_mixed_space() -> None:
+    model = fit(bar(sides=5, rings=9, frames=4), exact=True)
+    slow = resample(model, speed=0.5, reverse=True)
+    expected = np.stack([model(time) for time in 0.3 - np.arange(7) / 20])
+    np.testing.assert_allclose(slow.points, expected, atol=1e-9)
+
+
+def test_the_mesh_stays_what_it_is() -> None:
+    bent = bar(sides=5, rings=9, frames=4)
+    header = SequenceHeader(
+        polygons=bent.polygons,
+        vertex_count=bent.vertex_count,
+        times=bent.times,
+        up_axis="Z",
+        metres_per_unit=0.01,
+        name="bent",
+    )
+    model = fit(MeshSequence.from_header(header, bent.points), exact=True, space="vertex")
+    output = resample(model, fps=7)
+    assert (output.up_axis, output.metres_per_unit, output.name, output.fps) == ("Z", 0.01, "bent", 7)
+    assert output.polygons.same_as(bent.polygons)
+
+
+def test_frames_are_decoded_as_they_are_asked_for(model: Model) -> None:
+    told: list[tuple[int, int]] = []
+    planned = plan(model, fps=50)
+    blocks = planned.blocks(16, lambda done, total, what: told.append((done, total)))
+    assert told == []
+    assert len(next(blocks)) == 16
+    assert [len(block) for block in blocks] == [16, 9]
+    assert told == [(16, 41), (32, 41), (41, 41)]
+    assert [len(points) for points, _ in planned.moving_blocks(20)] == [20, 20, 1]
+
+
+def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
+    longer = Curve(np.linspace(-0.2, 1.1, 14), model.time(np.linspace(0, 0.8, 14)))
+    placement = Curve(longer.times, np.zeros((14, model.placement.dim)))
+    wide = Model(model.header, model.space, longer, model.pose, model.shapes, placement)
+    assert plan(wide).header.times[[0, -1]] == pytest.approx([0, 0.8])
+    assert plan(wide, start=-0.2, end=1.1).header.frame_count == 14
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"fps": 0}, "fps is 0"),
+        ({"fps": -1}, "fps is -1"),
+        ({"fps": np.nan}, "fps is nan"),
+        ({"speed": 0}, "speed is 0; a positive number"),
+        ({"speed": -1}, "speed is -1"),
+        ({"start": -0.5}, "time -0.5 s is outside the sequence, 0 to 0.8 s; models do not extrapolate"),
+        ({"end": 0.9}, "time 0.9 s is outside the sequence, 0 to 0.8 s"),
+        ({"end": np.nan}, "time nan s is outside"),
+        ({"start": 0.5, "end": 0.4}, "no time between the start, 0.5 s, and the end, 0.4 s"),
+        (
+            {"start": 0.51, "end": 0.59},
+            "no frame of 10 frames per second is from 0.51 to 0.59 s; give another",
+        ),
+        ({"speed": 1e-9}, f"8e.* frames, more than {MOST_FRAMES:,}; give fewer fps or more speed"),
+        ({"fps": 1e300}, "more than"),
+        (
+            {"retiming": Retiming.through([0, 1], [0.2, 1])},
+            "the retiming asks for more than there is: time 0.84 s is outside the sequence, 0 to 0.8 s",
+        ),
+        ({"retiming": Retiming.hold(-1, 0, 1)}, "asks for more than there is: time -1 s is outside"),
+        ({"retiming": Retiming.hold(0, 0, 1), "speed": 2}, "leave out start, end, speed and reverse"),
+        ({"retiming": Retiming.hold(0, 0, 1), "reverse": True}, "leave out start, end, speed and reverse"),
+        ({"retiming": Retiming.hold(0, 0, 1), "start": 0}, "leave out start, end, speed and reverse"),
+        ({"retiming": Retiming.hold(0, 0, 1), "end": 0}, "leave out start, end, speed and reverse"),
+    ],
+    ids=str,
+)
+def test_refusals(model: Model, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        resample(model, **settings)

@@ -1,0 +1,229 @@
+"""Edit scripts: what they do, and what they say when something is wrong."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from mixseq import operations
+from mixseq.errors import FormatError, SettingsError
+from mixseq.operations import blend, exaggerate, repeat, reverse, script, shift, transition
+from mixseq.operations.arguments import Readers, keys_of
+from mixseq.operations.script import OPERATIONS, Edit, function_of, read_script
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Curve, Model
+from tests.meshes import bar
+from tests.operations.motions import bar_motion
+
+
+def load(path: Path) -> Model:
+    if path.name != "other.h5":
+        raise FormatError(f"{path} does not exist")
+    return bar_motion("vertex")
+
+
+def read(path: Path) -> MeshSequence:
+    return bar(sides=5, rings=15, frames=1 if path.name == "one.obj" else 3)
+
+
+@pytest.fixture
+def edits(tmp_path: Path) -> Callable[[str], list[Edit]]:
+    """Read a script with this text."""
+
+    def read_text(text: str) -> list[Edit]:
+        (tmp_path / "edits.toml").write_text(text, encoding="utf-8")
+        return read_script(tmp_path / "edits.toml", Readers(load, read))
+
+    return read_text
+
+
+Edits = Callable[[str], list[Edit]]
+
+
+def table(text: str) -> str:
+    return f"[[edit]]\n{text}\n"
+
+
+def apply(edits: list[Edit], model: Model) -> Model:
+    for edit in edits:
+        model = edit(model)
+    return model
+
+
+def same(one: Model, other: Model) -> None:
+    np.testing.assert_array_equal(one.times, other.times)
+    np.testing.assert_allclose(one.vectors, other.vectors, atol=1e-12)
+
+
+def test_edits_are_applied_in_order(edits: Edits) -> None:
+    found = edits(
+        table('operation = "repeat"\nstart = 0.2\nend = 0.6\ntimes = 3\nfade = 0.1\ntravel = true')
+        + table('operation = "exaggerate"\ngain = 2\nmodes = [0, 1]')
+        + table('operation = "reverse"')
+        + table('operation = "shift"\nseconds = 1.5')
+    )
+    assert [(edit.number, edit.operation) for edit in found] == [
+        (1, "repeat"),
+        (2, "exaggerate"),
+        (3, "reverse"),
+        (4, "shift"),
+    ]
+    model = exaggerate(repeat(bar_motion(), 0.2, 0.6, 3, 0.1, travel=True), 2.0, [0, 1])
+    same(apply(found, bar_motion()), shift(reverse(model), 1.5))
+
+
+def test_models_are_read(edits: Edits) -> None:
+    found = edits(table('operation = "transition"\nb = "other.h5"\nat = 0.1\nduration = 0.3'))
+    same(apply(found, bar_motion("vertex")), transition(bar_motion("vertex"), bar_motion("vertex"), 0.1, 0.3))
+
+
+@pytest.mark.parametrize("weight", ["0.3", "[[0, 0.3], [0.8, 0.3]]", '"weight.csv"'])
+def test_weights_are_numbers_lists_or_files(edits: Edits, tmp_path: Path, weight: str) -> None:
+    (tmp_path / "weight.csv").write_text("0, 0.3\n\n0.8,0.3\n")
+    found = edits(table(f'operation = "blend"\nb = "other.h5"\nweight = {weight}'))
+    model = exaggerate(bar_motion("vertex"), 2)
+    same(apply(found, model), blend(model, bar_motion("vertex"), 0.3))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no edits; write each as a table"),
+        ("edit = 3", "has no edits; write each as a table"),
+        ("edit = [3]", "has no edits; write each as a table"),
+        ('[edit]\noperation = "loop"', "has no edits; write each as a table"),
+        ('name = "walk"\n' + table('operation = "loop"'), "the key 'name' is outside the tables"),
+        (table("times = 3"), "edit 1 has no key 'operation'; it is one of cut, repeat, loop"),
+        (table('operation = "lop"'), "edit 1: the operation 'lop' is not known; known are cut, repeat, loop"),
+        (table("operation = [3]"), r"edit 1: the operation \[3\] is not known; known are cut"),
+        (
+            table('operation = "loop"') + table('operation = "loop"\nfad = 1'),
+            r"edit 2 \(loop\): the key 'fad' is not known; its keys are fade$",
+        ),
+        (table('operation = "reverse"\nfade = 1'), "the key 'fade' is not known; it has none"),
+        (table('operation = "loop"\nmodel = "a"'), "the key 'model' is not known"),
+        (
+            table('operation = "repeat"\nstart = 0'),
+            r"edit 1 \(repeat\): the key 'end' is missing; a number is expected",
+        ),
+        (
+            table('operation = "repeat"\nstart = "0"\nend = 1'),
+            r"edit 1 \(repeat\): start is '0'; a number is expected",
+        ),
+        (table('operation = "repeat"\nstart = true\nend = 1'), "start is True; a number is expected"),
+        (table('operation = "repeat"\nstart = 0\nend = 1\ntimes = 2.0'), "times is 2.0; a whole number is"),
+        (table('operation = "repeat"\nstart = 0\nend = 1\ntravel = 1'), "travel is 1; true or false is"),
+        (table('operation = "exaggerate"\ngain = 1\nmodes = 1'), "modes is 1; a list of whole numbers"),
+        (table('operation = "exaggerate"\ngain = 1\nmodes = [1.5]'), "a list of whole numbers is expected"),
+        (table('operation = "concatenate"\nb = 3'), "b is 3; the file of a model is expected"),
+        (table('operation = "blend"\nb = "other.h5"\nweight = [1, 2]'), "a number, or pairs of time and"),
+        (table('operation = "blend"\nb = "other.h5"\nweight = [[0, 1], [0]]'), "a number, or pairs of time"),
+        (
+            table('operation = "blend"\nb = "other.h5"\nweight = [[1, 1], [0, 1]]'),
+            r"\(blend\): weight: the knots of a curve must be finite and increase",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told(edits: Edits, text: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as caught:
+        edits(text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[[edit]", "edits.toml is not a TOML file"),
+        (table('operation = "concatenate"\nb = "none.h5"'), r"edit 1 \(concatenate\): b: .*none.h5 does not"),
+        (
+            table('operation = "blend"\nb = "other.h5"\nweight = "none.csv"'),
+            "weight: .*none.csv cannot be read",
+        ),
+        (
+            table('operation = "blend"\nb = "other.h5"\nweight = "edits.toml"'),
+            "edits.toml is not CSV with two numbers on each line",
+        ),
+    ],
+)
+def test_files_that_cannot_be_read(edits: Edits, text: str, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        edits(text)
+
+
+def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"none.toml cannot be read: No such file"):
+        read_script(tmp_path / "none.toml", Readers(load, read))
+    (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(FormatError, match=r"bad.toml is not a TOML file"):
+        read_script(tmp_path / "bad.toml", Readers(load, read))
+
+
+def test_errors_of_operations_tell_which_edit_it_was(edits: Edits) -> None:
+    found = edits(table('operation = "loop"') + table('operation = "cut"\nstart = 0\nend = 9'))
+    with pytest.raises(SettingsError, match=r"edit 2 \(cut\): end is 9 s; the model is from 0 to 0.8 s"):
+        apply(found, bar_motion())
+
+
+# Keys -----------------------------------------------------------------------------------------------------
+
+
+def operation(
+    model: Model,
+    points: ArrayLike,
+    curve: ArrayLike,
+    part: int,
+    where: Literal["here", "there"] = "here",
+    start: float | None = None,
+    names: Sequence[str] = (),
+    progress: Callable[[], None] | None = None,
+) -> Model:
+    return model
+
+
+def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
+    keys = keys_of(operation)
+    assert {key: (k.parameter, k.required, k.holds) for key, k in keys.items()} == {
+        "mesh": ("points", True, "the file of a mesh"),
+        "curve": ("curve", True, "pairs of x and y, as a list or a CSV file,"),
+        "part": ("part", True, "a whole number"),
+        "where": ("where", False, "'here' or 'there'"),
+        "start": ("start", False, "a number"),
+    }
+    readers = Readers(load, read)
+    points = keys["mesh"].read("one.obj", tmp_path, readers)
+    np.testing.assert_array_equal(points, bar(5, 15, frames=1).points[0])
+    with pytest.raises(SettingsError, match=r"three.obj has 3 frames; a file with one is expected"):
+        keys["mesh"].read("three.obj", tmp_path, readers)
+    np.testing.assert_array_equal(
+        keys["curve"].read([[0, 1], [2.5, 3]], tmp_path, readers), [[0, 1], [2.5, 3]]
+    )
+    assert keys["where"].read("there", tmp_path, readers) == "there"
+
+
+def test_weights_become_curves(tmp_path: Path) -> None:
+    weight = keys_of(blend)["weight"].read([[0, 0.5], [1, 1]], tmp_path, Readers(load, read))
+    assert isinstance(weight, Curve)
+    np.testing.assert_array_equal(weight.values, [[0.5], [1]])
+
+
+def test_the_example_is_a_script() -> None:
+    """The one at the head of the module."""
+    text = (script.__doc__ or "").split("::\n")[1].split("\n\nOperations")[0]
+    for edit in tomllib.loads(text.replace("\n    ", "\n"))["edit"]:
+        assert set(edit) - {"operation"} <= set(keys_of(function_of(edit["operation"])))
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_scripts_can_give_all_that_an_operation_needs(name: str) -> None:
+    function = function_of(name)
+    assert getattr(operations, name) is function
+    given = {key.parameter for key in keys_of(function).values()}
+    _, *parameters = signature(function).parameters.values()
+    assert {p.name for p in parameters if p.default is p.empty} <= given

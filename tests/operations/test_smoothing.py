@@ -1,0 +1,91 @@
+"""Smoothing: slow changes stay, fast ones go, by the formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations import smooth
+from mixseq.operations.smoothing import smoothed
+from mixseq.signals import Curve
+from tests.operations.motions import bar_motion, jumps, signals
+
+Float = NDArray[np.float64]
+
+TIMES = np.linspace(0, 10, 401)
+MIDDLE = (TIMES > 2) & (TIMES < 8)
+
+
+def sine(period: float) -> Float:
+    return np.sin(2 * np.pi * TIMES / period)[:, None]
+
+
+@pytest.mark.parametrize("period", [0.5, 1.0, 2.0, 5.0])
+def test_the_gain_of_a_sine(period: float) -> None:
+    found = smoothed(Curve(TIMES, sine(period)), TIMES, seconds=1.0)(TIMES)
+    gain = 1 / (1 + (np.sqrt(2) - 1) / period**4)
+    np.testing.assert_allclose(found[MIDDLE], gain * sine(period)[MIDDLE], atol=1e-3)
+
+
+def test_half_the_power_at_the_period() -> None:
+    found = smoothed(Curve(TIMES, sine(1.0)), TIMES, seconds=1.0)(TIMES)[MIDDLE]
+    assert np.square(found).mean() / np.square(sine(1.0)[MIDDLE]).mean() == pytest.approx(0.5, abs=2e-3)
+
+
+def test_noise_goes() -> None:
+    noise = 0.2 * np.random.default_rng(0).normal(size=(401, 1))
+    found = smoothed(Curve(TIMES, sine(5.0) + noise), TIMES, seconds=0.5)(TIMES)
+    before, after = (np.sqrt(np.square(error[MIDDLE]).mean()) for error in (noise, found - sine(5.0)))
+    assert after < 0.5 * before
+    assert (jumps(Curve(TIMES, found)) < 1e-9).all()
+
+
+@pytest.mark.parametrize("knots", [3, 30, 401])
+def test_straight_lines_stay_whatever_the_knots(knots: int) -> None:
+    times = np.linspace(0, 10, knots)
+    line = np.stack([2 * times - 1, -times], axis=1)
+    found = smoothed(Curve(times, line), TIMES, seconds=3.0)
+    np.testing.assert_allclose(found(times), line, atol=1e-8)
+    assert (found.start, found.end) == (0, 10)
+
+
+def test_knots_that_lie_unevenly_stand_for_their_time() -> None:
+    uneven = np.sort(np.concatenate([TIMES, TIMES[:200] + 0.011]))
+    curve = Curve(TIMES, sine(1.0))
+    even, found = smoothed(curve, TIMES, 1.0), smoothed(curve, uneven, 1.0)
+    np.testing.assert_allclose(found(TIMES[MIDDLE]), even(TIMES[MIDDLE]), atol=2e-3)
+
+
+def test_all_signals_of_a_model_are_smoothed() -> None:
+    model = bar_motion()
+    rng = np.random.default_rng(1)
+    shaken = replace(
+        model,
+        time=Curve(model.time.times, model.time.values + 0.3 * rng.normal(size=model.time.values.shape)),
+        placement=Curve(
+            model.placement.times,
+            model.placement.values + 0.1 * rng.normal(size=model.placement.values.shape),
+        ),
+    )
+    calm = smooth(shaken, 0.8)
+    np.testing.assert_array_equal(calm.times, model.times)
+    for before, after in zip(signals(shaken), signals(calm), strict=True):
+        times = np.linspace(0, 0.8, 50)
+        assert np.abs(after.derivative(times, 2)).max() < 0.1 * np.abs(before.derivative(times, 2)).max()
+
+
+def test_very_short_periods_change_nothing() -> None:
+    model = bar_motion()
+    np.testing.assert_allclose(smooth(model, 1e-4).vectors, model.vectors, atol=1e-9)
+
+
+def test_refusals() -> None:
+    for seconds in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(SettingsError, match=r"seconds is .*; a positive period is expected"):
+            smooth(bar_motion(), seconds)
+    with pytest.raises(SettingsError, match="4 frames and knots cannot be smoothed; 5 or more are needed"):
+        smooth(bar_motion(frames=4), 0.1)
