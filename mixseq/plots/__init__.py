@@ -5,10 +5,16 @@ panels of a sheet share one camera and one set of limits, so that they can be co
 """
 
 from mixseq.plots.camera import Limits, View, broadside, shared_limits
+from mixseq.plots.charts import picture_format
 from mixseq.plots.colours import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
+from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
+from mixseq.plots.heat import add_error_bar, draw_vertex_errors
 from mixseq.plots.layout import DPI, Target
+from mixseq.plots.models import KINDS, Kind, check_settings, plot_model
+from mixseq.plots.parts import draw_parts, draw_parts_legend
 from mixseq.plots.sheets import contact_sheet
+from mixseq.plots.signals import draw_coefficients, draw_layout, draw_singular_values, singular_values
 from mixseq.plots.two_sides import draw_segmentation
 
 __all__ = [
@@ -16,14 +22,30 @@ __all__ = [
     "DPI",
     "INK",
     "JOINT_RED",
+    "KINDS",
+    "Kind",
     "Limits",
     "Target",
+    "VertexErrors",
     "View",
+    "add_error_bar",
     "broadside",
+    "check_settings",
     "contact_sheet",
+    "draw_coefficients",
+    "draw_frame_errors",
+    "draw_layout",
     "draw_mesh",
+    "draw_parts",
+    "draw_parts_legend",
     "draw_segmentation",
+    "draw_singular_values",
+    "draw_vertex_errors",
     "part_colours",
+    "picture_format",
+    "plot_model",
     "segmentation_colours",
     "shared_limits",
+    "singular_values",
+    "vertex_errors",
 ]

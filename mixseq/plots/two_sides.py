@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.plots.camera import View, broadside, shared_limits
+from mixseq.plots.camera import Limits, View, broadside, shared_limits
 from mixseq.plots.colours import segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import Sheet, Target
@@ -38,13 +38,43 @@ def draw_segmentation(
         Heading.
     """
     colours = segmentation_colours(part_of_face, joint_of_face)
-    near = broadside(points, up_axis)
-    views = near, View(near.azimuth + 180, near.elevation)
-    boxes = np.array([shared_limits(points, up_axis, view) for view in views]).reshape(2, 2, 2)
-    # both panels get the width and height of the larger one, about their own centres
-    width, height = np.ptp(boxes, axis=2).max(axis=0)
-    sheet = Sheet.of(1, 2, height / width, title or "")
-    for ax, view, (x, y) in zip(sheet.panels[0], views, boxes.mean(axis=2), strict=True):
-        limits = x - width / 2, x + width / 2, y - height / 2, y + height / 2
+    sides = two_sides(points[None], up_axis)
+    sheet = Sheet.of(1, 2, height_per_width(sides), title or "")
+    for ax, (view, limits) in zip(sheet.panels[0], sides[0], strict=True):
         draw_mesh(ax, points, faces, colours, up_axis, view, limits)
     sheet.save(target)
+
+
+def two_sides(poses: FloatArray, up_axis: str = "Y") -> list[list[tuple[View, Limits]]]:
+    """Find cameras and screen rectangles to see poses from two opposite sides.
+
+    Parameters
+    ----------
+    poses : (n, V, 3) float
+        The poses.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+
+    Returns
+    -------
+    list of n lists of two pairs
+        The same two cameras for every pose; all rectangles have one size, each about the middle of what it shows.
+    """
+    near = broadside(poses[0], up_axis)
+    views = near, View(near.azimuth + 180, near.elevation)
+    boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]
+    corners = np.array(boxes).reshape(len(poses), 2, 2, 2)
+    width, height = np.ptp(corners, axis=3).max(axis=(0, 1)) / 2
+    return [
+        [
+            (view, (x - width, x + width, y - height, y + height))
+            for view, (x, y) in zip(views, pair, strict=True)
+        ]
+        for pair in corners.mean(axis=3)
+    ]
+
+
+def height_per_width(sides: list[list[tuple[View, Limits]]]) -> float:
+    """Return the height of the rectangles of `two_sides` divided by their width."""
+    left, right, bottom, top = sides[0][0][1]
+    return (top - bottom) / (right - left)

@@ -1,0 +1,70 @@
+"""Where labels go, so that they cover neither a curve nor each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mixseq.plots.camera import Array, Limits
+
+POINTS = 72.0  # per inch
+DISTANCE = 12.0
+"""Points from a dot to the middle of its label."""
+
+ENOUGH = 5.0
+"""Room around a label, in points, beyond which it had better be outward."""
+
+_CHARACTER = np.array([2.6, 5.0])  # half the width of a character and half the height of a line, in points
+
+
+def free_places(
+    dots: Array, texts: Sequence[str], curve: Array, limits: Limits, inch: float
+) -> list[tuple[float, float]]:
+    """Find a place for the label of each dot, beside it where it is free, rather outward than inward.
+
+    Parameters
+    ----------
+    dots : (n, 2) float
+        What the labels belong to.
+    texts : sequence of n str
+        Labels, in letters of 8 points.
+    curve : (N, 2) float
+        What they had better not cover.
+    limits : (4,) float
+        Left, right, bottom and top of the picture, which they had better stay in.
+    inch : float
+        About how long an inch is in the unit of the dots.
+
+    Returns
+    -------
+    list of (2,) float
+        From each dot to the middle of its label, in points.
+    """
+    scale = POINTS / inch
+    low, high = np.reshape(limits, (2, 2)).T * scale
+    centre = curve.mean(axis=0) * scale
+    angles = np.arange(16) * np.pi / 8
+    compass = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    taken: list[tuple[Array, Array]] = []  # middles and half sizes
+    places = []
+    for dot, text in zip(dots * scale, texts, strict=True):
+        size = _CHARACTER * [len(text), 1]
+        offsets = compass * [DISTANCE + size[0] - _CHARACTER[0], DISTANCE]
+        middles = dot + offsets
+        room = _gaps(middles, size, curve * scale).min(axis=1)
+        inside = np.minimum(middles - size - low, high - middles - size).min(axis=1)
+        room = np.minimum(room, inside)
+        for other, extent in taken:
+            room = np.minimum(room, _gaps(middles, size + extent, other[None])[:, 0])
+        outward = (compass @ (dot - centre)) / (np.linalg.norm(dot - centre) or 1.0)
+        best = int((np.minimum(room, ENOUGH) + outward).argmax())
+        taken.append((middles[best], size))
+        places.append((float(offsets[best, 0]), float(offsets[best, 1])))
+    return places
+
+
+def _gaps(middles: Array, size: Array, points: Array) -> Array:
+    """Distances ``(n, N)`` of points from boxes of a half size; negative inside."""
+    apart = np.abs(points[None] - middles[:, None]) - size
+    return np.asarray(apart.max(axis=2))

@@ -1,0 +1,225 @@
+"""Pictures of a model: of one kind, or all of them on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from mixseq.errors import SettingsError
+from mixseq.plots.charts import Format, chart_style, new_page, picture_format, save_page
+from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
+from mixseq.plots.heat import add_error_bar, draw_vertex_errors, drawn_frames
+from mixseq.plots.layout import Target
+from mixseq.plots.parts import draw_parts, draw_parts_legend, legend_rows
+from mixseq.plots.sections import Section, beside, stacked
+from mixseq.plots.signals import (
+    draw_coefficients,
+    draw_layout,
+    draw_singular_values,
+    existing_frames,
+    layout_limits,
+)
+from mixseq.plots.two_sides import height_per_width, two_sides
+from mixseq.progress import Progress, silent
+from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.signals import Model
+from mixseq.spaces import MixedSpace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
+Kind = Literal["layout", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+MOST_ROWS = 12
+"""So many frames at most are drawn with their errors."""
+
+_HEADING = 0.4  # inches, as are all lengths here
+_LEGEND = 1.75
+
+
+def plot_model(
+    target: Target,
+    model: Model,
+    kind: Kind | None = None,
+    *,
+    against: MeshSequence | None = None,
+    frames: Sequence[int] | None = None,
+    tolerance: float | None = None,
+    file_format: Format | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Draw a model, as PNG or SVG.
+
+    Parameters
+    ----------
+    target : path or binary file
+        Where the picture goes.
+    model : Model
+        The model.
+    kind : str, optional
+        One of `KINDS`; by default all that there are, on one page.
+    against : MeshSequence, optional
+        The original, for errors.
+    frames : sequence of int, optional
+        Frames to number in the layout (by default some), or to draw with the errors of their vertices (by default
+        the worst one).
+    tolerance : float, optional
+        Where to draw a line among the errors of the frames, in diagonals.
+    file_format : {"png", "svg"}, optional
+        By default told by the extension of the target; PNG for files without a name.
+    progress : callable, optional
+        Told about every decoded frame.
+
+    Raises
+    ------
+    SettingsError
+        If the model has no parts to draw, there is no original to measure errors against or it is another mesh,
+        there is no such frame, or a setting has nothing to do with the kind of picture.
+    OutputError
+        If the target is neither PNG nor SVG.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    chosen = picture_format(target, file_format)
+    check_settings(kind, against is not None, frames, tolerance)
+    with chart_style():
+        content = _content(model, kind, against, frames, tolerance, progress)
+        title = model.header.name if kind else summary(model)
+        page = new_page(content.width, content.height + _HEADING, title)
+        content.draw(page)
+        save_page(page, target, chosen)
+
+
+def summary(model: Model) -> str:
+    """Say in one line what a model is."""
+    header, space = model.header, model.space
+    return (
+        f"{header.name}: {_count(header.frame_count, 'frame')} in {model.end - model.start:.3g} s, "
+        f"{_count(header.vertex_count, 'vertex', 'vertices')}; {_count(len(model.shapes), 'key shape')} in a "
+        f"{space.name} space of dimension {space.dim:,}"
+    )
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number:,} {one if number == 1 else many or f'{one}s'}"
+
+
+def check_settings(
+    kind: Kind | None, against: bool, frames: Sequence[int] | None, tolerance: float | None
+) -> None:
+    """Refuse settings of `plot_model` that contradict each other, before the work.
+
+    Raises
+    ------
+    SettingsError
+        If they do.
+    """
+    if kind is not None and kind not in KINDS:
+        raise SettingsError(f"kind is {kind!r}; one of {', '.join(KINDS)} is expected")
+    if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
+        raise SettingsError(
+            f"{kind or 'tolerance'} is about errors; give the original sequence to measure them against"
+        )
+    uses: list[tuple[str, bool, tuple[Kind, ...]]] = [
+        ("against", against, ("error-frames", "error-vertices")),
+        ("frames", frames is not None, ("layout", "error-vertices")),
+        ("tolerance", tolerance is not None, ("error-frames",)),
+    ]
+    for name, given, kinds in uses:
+        if given and kind is not None and kind not in kinds:
+            raise SettingsError(f"{name} is for {' and '.join(kinds)}, not for {kind}; leave it out")
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise SettingsError(f"tolerance is {tolerance}; a positive number of diagonals is expected")
+    if kind == "error-vertices" and frames is not None and not 0 < len(set(frames)) <= MOST_ROWS:
+        raise SettingsError(f"frames are {len(set(frames))}; errors of 1 to {MOST_ROWS} frames fit on a page")
+
+
+def _content(
+    model: Model,
+    kind: Kind | None,
+    against: MeshSequence | None,
+    frames: Sequence[int] | None,
+    tolerance: float | None,
+    progress: Progress,
+) -> Section:
+    """Choose what is on the page, and find what it needs."""
+    match kind:
+        case "layout":
+            return _layout(model, frames)
+        case "coefficients":
+            return _coefficients(model)
+        case "singular-values":
+            return _singular_values(model)
+        case "parts":
+            return _parts(model)
+    rows = []
+    if kind is None:
+        charts = stacked(_coefficients(model, 2.7), _singular_values(model, 2.7))
+        rows.append(beside(_layout(model, frames), charts))
+        if isinstance(model.space, MixedSpace):
+            rows.append(_parts(model, 5.0))
+    if against is not None:
+        own = kind == "error-vertices" and frames is not None
+        single = existing_frames(frames or (), against.frame_count) if own else None
+        errors = vertex_errors(model, against, single or (), progress)
+        by_frame = _frame_errors(errors, against, tolerance)
+        if kind is None:
+            rows.append(beside(by_frame, _vertex_errors(errors, against, None, 3.0)))
+        else:
+            rows.append(by_frame if kind == "error-frames" else _vertex_errors(errors, against, single, 4.5))
+    return stacked(*rows)
+
+
+def _layout(model: Model, frames: Sequence[int] | None) -> Section:
+    left, right, bottom, top = layout_limits(model)
+    height = 4.6 * (top - bottom) / (right - left) + 1.0
+    return Section(6.0, height, lambda page: draw_layout(page.subplots(), model, frames))
+
+
+def _coefficients(model: Model, height: float = 4.0) -> Section:
+    return Section(7.5, height, lambda page: draw_coefficients(page.subplots(), model))
+
+
+def _singular_values(model: Model, height: float = 4.0) -> Section:
+    return Section(7.5, height, lambda page: draw_singular_values(page.subplots(), model))
+
+
+def _parts(model: Model, width: float = 4.5) -> Section:
+    parts, pose = model.decomposition, model(model.start)
+    columns = int(2 * width / _LEGEND)
+    picture = _picture_height(pose[None], model.header.up_axis, width)
+    legend = 0.2 * legend_rows(parts, columns)
+
+    def draw(page: FigureBase) -> None:
+        panels = page.subplot_mosaic([["near", "far"], ["legend", "legend"]], height_ratios=[picture, legend])
+        draw_parts([panels["near"], panels["far"]], model, pose)
+        draw_parts_legend(panels["legend"], parts, columns)
+
+    return Section(2 * width, picture + legend + 0.5, draw)
+
+
+def _frame_errors(errors: VertexErrors, against: MeshSequence, tolerance: float | None) -> Section:
+    return Section(
+        7.5, 4.0, lambda page: draw_frame_errors(page.subplots(), errors, against.times, tolerance)
+    )
+
+
+def _vertex_errors(
+    errors: VertexErrors, against: MeshSequence, frames: Sequence[int] | None, width: float
+) -> Section:
+    def draw(page: FigureBase) -> None:
+        panels = page.subplots(len(shown), 2, squeeze=False)
+        heat = draw_vertex_errors(panels.tolist(), errors, against, frames)
+        add_error_bar(page, panels.ravel().tolist(), heat)
+
+    shown = against.points[drawn_frames(errors, frames)]
+    height = _picture_height(shown, against.up_axis, width)
+    return Section(2 * width + 1.0, len(shown) * (height + 0.4), draw)
+
+
+def _picture_height(poses: FloatArray, up_axis: str, width: float) -> float:
+    """Height of a picture of a mesh that is so wide; a tall one is drawn smaller."""
+    return width * float(np.clip(height_per_width(two_sides(poses, up_axis)), 0.3, 0.9))

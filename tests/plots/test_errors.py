@@ -1,0 +1,89 @@
+"""Errors of a model: distances that are known, and what is drawn of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.errors import SettingsError
+from mixseq.plots.errors import (
+    ROUNDING,
+    draw_frame_errors,
+    vertex_errors,
+)
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Model, fit
+from tests.meshes import bar
+
+FRAMES = 20  # more than one block
+
+
+@pytest.fixture(scope="module")
+def original() -> MeshSequence:
+    return bar(sides=5, rings=4, frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def model(original: MeshSequence) -> Model:
+    """A model whose vertex 3 is off by 0.2 diagonals in frame 11, and by 0.1 in frame 17."""
+    points = original.points.astype(np.float64)
+    points[11, 3] += 0.2 * original.diagonal * np.array([0.6, 0, 0.8])
+    points[17, 3] += 0.1 * original.diagonal * np.array([0, -1, 0])
+    return fit(original.with_points(points), exact=True, space="vertex")
+
+
+def test_errors_that_are_known(model: Model, original: MeshSequence) -> None:
+    errors = vertex_errors(model, original, frames=[2, 17])
+    largest = np.zeros(FRAMES)
+    largest[[11, 17]] = 0.2, 0.1
+    np.testing.assert_allclose(errors.largest, largest, atol=1e-8)
+    np.testing.assert_allclose(errors.rms, largest / np.sqrt(original.vertex_count), atol=1e-8)
+    by_vertex = np.zeros(original.vertex_count)
+    by_vertex[3] = 0.2
+    np.testing.assert_allclose(errors.by_vertex, by_vertex, atol=1e-8)
+    assert errors.worst == 11
+    assert sorted(errors.by_frame) == [2, 11, 17]
+    np.testing.assert_allclose(errors.by_frame[17], by_vertex / 2, atol=1e-8)
+
+
+def test_errors_tell_how_far_they_are(model: Model, original: MeshSequence) -> None:
+    told = []
+    vertex_errors(model, original, progress=lambda done, total, what: told.append((done, total)))
+    assert told == [(8, FRAMES), (16, FRAMES), (FRAMES, FRAMES)]
+
+
+def test_another_mesh_is_refused(model: Model, original: MeshSequence) -> None:
+    turned = MeshSequence.from_arrays(original.points, original.faces[:, ::-1], fps=10)
+    with pytest.raises(SettingsError, match="in another order; errors need one mesh"):
+        vertex_errors(model, turned)
+
+
+def test_times_outside_the_model_are_refused(model: Model, original: MeshSequence) -> None:
+    late = MeshSequence.from_arrays(original.points, original.faces, times=original.times + 1, fps=10)
+    with pytest.raises(SettingsError, match="outside the sequence"):
+        vertex_errors(model, late)
+
+
+def test_chart_of_frames(model: Model, original: MeshSequence, ax: Any) -> None:
+    pytest.importorskip("matplotlib")
+    errors = vertex_errors(model, original)
+    draw_frame_errors(ax, errors, original.times, tolerance=0.05)
+    largest, rms, tolerance, worst = ax.get_lines()
+    np.testing.assert_allclose(largest.get_ydata(), np.maximum(errors.largest, ROUNDING))
+    np.testing.assert_allclose(rms.get_ydata(), np.maximum(errors.rms, ROUNDING))
+    assert set(tolerance.get_ydata()) == {0.05}
+    np.testing.assert_allclose(worst.get_xydata(), [[1.1, 0.2]])
+    assert ax.get_yscale() == "log"
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "vertex error (diagonals)")
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["largest", "root mean square", "tolerance, 0.05", "worst frame, 11"]
+
+
+def test_no_error_at_all_is_drawn(original: MeshSequence, ax: Any) -> None:
+    pytest.importorskip("matplotlib")
+    errors = vertex_errors(fit(original, exact=True, space="vertex"), original)
+    zero = type(errors)(0 * errors.largest, 0 * errors.rms, 0 * errors.by_vertex, 0, errors.by_frame)
+    draw_frame_errors(ax, zero, original.times)
+    assert ax.get_ylim()[0] <= ROUNDING
