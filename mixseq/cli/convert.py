@@ -30,5 +30,5 @@ def command(source: Path, target: Path, reading: dict[str, Any], quiet: bool) ->
     check_target(target, source)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
-        mixseq.write_blocks(target, reader.header, blocks)
+        mixseq.write_blocks(target, reader.header, blocks, reader.velocity_blocks())
     announce(target)

@@ -34,7 +34,7 @@ def _as_seconds(
     epilog=examples(
         "mixseq decode walk.h5 walk48.usdc --fps 48",
         "mixseq decode walk.h5 still.obj --times 0.73",
-        "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1",
+        "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
     ),
 )
 @click.argument("source", metavar="MODEL", type=FILE)
@@ -50,6 +50,12 @@ def _as_seconds(
 )
 @click.option("--start", type=float, metavar="S", help="First time in seconds.  [default: that of the model]")
 @click.option("--end", type=float, metavar="S", help="Last time in seconds.  [default: that of the model]")
+@click.option(
+    "--velocities/--no-velocities",
+    default=False,
+    show_default=True,
+    help="Also write the velocities of all vertices, for motion blur.",
+)
 @quiet_option
 def command(
     source: Path,
@@ -58,6 +64,7 @@ def command(
     times: tuple[float, ...] | None,
     start: float | None,
     end: float | None,
+    velocities: bool,
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -73,7 +80,13 @@ def command(
     else:
         raise SettingsError("--times tells all times; leave out --start and --end")
     with progress_bar(quiet) as progress:
-        mixseq.write_blocks(target, header, model.blocks(header.times, progress=progress))
+        if velocities:
+            from mixseq_io import in_step
+
+            points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
+            mixseq.write_blocks(target, header, points, speeds)
+        else:
+            mixseq.write_blocks(target, header, model.blocks(header.times, progress=progress))
     if not quiet:
         first, last = header.times[[0, -1]]
         print_table(

@@ -20,10 +20,47 @@ if TYPE_CHECKING:
 
 @click.command(
     "encode",
-    epilog=examples("mixseq encode walk.usdc walk.h5", "mixseq encode walk.usdc walk.h5 --parts 12 --check"),
+    epilog=examples(
+        "mixseq encode walk.usdc walk.h5 --check",
+        "mixseq encode walk.usdc walk.h5 --exact",
+        "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
+    ),
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
+@click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="X",
+    help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
+)
+@click.option(
+    "--rank",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Number of shape modes; parts stay in place exactly.",
+)
+@click.option(
+    "--knots",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
+)
+@click.option(
+    "--pose",
+    type=click.Choice(["modes", "keys"]),
+    default="modes",
+    show_default=True,
+    help="Key shapes: the mean and modes, or frames of the sequence.",
+)
+@click.option(
+    "--space",
+    type=click.Choice(["mixed", "vertex"]),
+    default="mixed",
+    show_default=True,
+    help="Shape space: parts and joints, or plain vertices.",
+)
 @click.option(
     "--parts",
     type=click.IntRange(min=1),
@@ -56,6 +93,12 @@ if TYPE_CHECKING:
 def command(
     source: Path,
     target: Path,
+    exact: bool,
+    tolerance: float | None,
+    rank: int | None,
+    knots: int | None,
+    pose: Literal["modes", "keys"],
+    space: Literal["mixed", "vertex"],
     parts: int | None,
     joint_width: int,
     placement: Literal["anchored", "free"],
@@ -65,8 +108,8 @@ def command(
 ) -> None:
     """Turn a sequence into a model.
 
-    SOURCE is a sequence in any format. The model in TARGET, an HDF5 file, reproduces all its frames and can be
-    decoded at any time in between.
+    SOURCE is a sequence in any format. The model in TARGET, an HDF5 file, reproduces its frames within the tolerance
+    and can be decoded at any time in between.
     """
     check_model_target(target, source)
     start = perf_counter()
@@ -75,7 +118,12 @@ def command(
         sequence = read_sequence(source, reading, progress)
         model = mixseq.fit(
             sequence,
-            exact=True,
+            exact=exact,
+            tolerance=tolerance,
+            rank=rank,
+            knots=knots,
+            pose=pose,
+            space=space,
             placement=placement,
             parts=parts,
             joint_width=joint_width,

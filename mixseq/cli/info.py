@@ -69,11 +69,20 @@ def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
 
 
 def _dimensions(model: Model) -> dict[str, Any]:
-    """Count S_m, and the edge-based space S_e of the whole mesh: a length and an angle per edge, and a pose."""
+    """Count the signals; of S_m also its dimension, and that of S_e: a length and an angle per edge, and a pose."""
     edges = 2 * len(mixseq.Topology(model.header.faces, model.header.vertex_count).edges) + 6
+    signals = {
+        "space": model.space.name,
+        "key_shapes": len(model.shapes),
+        "time_knots": len(model.time.times),
+        "placement_knots": len(model.placement.times),
+        "dim": model.space.dim,
+    }
+    if model.space.name != "mixed":
+        return signals
     decomposition = model.decomposition
-    return {
-        "placement": model.space.placement,
+    return signals | {
+        "placement": model.mixed.placement,
         "part_vertices": [len(part) for part in decomposition.parts],
         "joint_free_vertices": [int(joint.free.sum()) for joint in decomposition.joints],
         "dim_mixed": model.space.dim,
@@ -121,8 +130,19 @@ def _topology_rows(report: dict[str, Any]) -> Rows:
 
 
 def _dimension_rows(facts: dict[str, Any]) -> Rows:
+    signals = [
+        ("space", f"{facts['space']}, dim {facts['dim']:,}"),
+        ("key shapes", f"{facts['key_shapes']:,}"),
+        (
+            "knots",
+            f"{facts['time_knots']:,} of the time signal, {facts['placement_knots']:,} of the placement",
+        ),
+    ]
+    if facts["space"] != "mixed":
+        return signals
     parts, joints = facts["part_vertices"], facts["joint_free_vertices"]
     return [
+        *signals,
         ("placement", facts["placement"]),
         ("parts", f"{len(parts)} with {_list(parts)} vertices"),
         ("joints", f"{len(joints)} with {_list(joints)} free vertices" if joints else "none"),

@@ -168,7 +168,7 @@ def test_encode_with_settings(run: Run) -> None:
     assert table["parts"].strip().startswith("3 with ")
     assert "max error" not in table
     model = mixseq.load("old.h5")
-    assert model.space.placement == "free"
+    assert model.mixed.placement == "free"
     assert len(model.decomposition.parts) == 3
 
 

@@ -1,0 +1,103 @@
+"""``mixseq edit``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, print_table, progress_bar
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target
+from mixseq.cli.options import FILE, examples, quiet_option
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.signals import Model
+
+
+SCRIPT = """\b
+A script has a table for every edit:
+  [[edit]]
+  operation = "repeat"
+  start = 0.2
+  end = 0.9
+  times = 3
+\b
+  [[edit]]
+  operation = "transition"
+  b = "slash.h5"
+  at = 1.5
+  duration = 0.25
+
+"""
+
+
+@click.command(
+    "edit",
+    epilog=SCRIPT
+    + examples(
+        "mixseq edit run.h5 attack.h5 --script attack.toml",
+        "mixseq edit walk.h5 long.usdc --script edits.toml --fps 48",
+    ),
+)
+@click.argument("source", metavar="MODEL", type=FILE)
+@click.argument("target", metavar="OUT", type=FILE)
+@click.option("--script", required=True, type=FILE, metavar="FILE", help="The edits, a TOML file.")
+@click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
+    metavar="N",
+    help="Frames per second, where OUT is a sequence.  [default: the frames of the model]",
+)
+@quiet_option
+def command(source: Path, target: Path, script: Path, fps: float | None, quiet: bool) -> None:
+    """Edit the motion of a model by a script.
+
+    OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
+
+    Edits are applied in the order of the script, a TOML file. Operations are cut, repeat, loop, shift, speed,
+    reverse, concatenate, transition, blend, exaggerate, exaggerate_part, hold, smooth, sculpt and sketch; their
+    settings are the parameters of these functions in mixseq.operations. Paths in a script are relative to it.
+    """
+    from mixseq.operations.arguments import Readers
+    from mixseq.operations.script import read_script
+
+    as_model = target.suffix.lower() in MODEL_EXTENSIONS
+    if as_model and fps is not None:
+        raise SettingsError(
+            "--fps is for sequences; a model has all times, decode it at the rate that you want"
+        )
+
+    def unlike_target(path: Path) -> Path:
+        check_target(target, path)
+        return path
+
+    model = mixseq.load(unlike_target(source))
+    edits = read_script(
+        unlike_target(script),
+        Readers(
+            model=lambda path: mixseq.load(unlike_target(path)),
+            mesh=lambda path: mixseq.read(unlike_target(path)),
+        ),
+    )
+    rows = []
+    with progress_bar(quiet) as progress:
+        for edit in edits:
+            progress(edit.number - 1, len(edits), edit.operation)
+            edited = edit(model)
+            rows.append((f"{edit.number}  {edit.operation}", _extent(model), _extent(edited)))
+            model = edited
+        if as_model:
+            mixseq.save(target, model)
+        else:
+            header = model.header_at(fps=fps)
+            mixseq.write_blocks(target, header, model.blocks(header.times, progress=progress))
+    if not quiet:
+        print_table(rows, ("edit", "before", "after"))
+    announce(target)
+
+
+def _extent(model: Model) -> str:
+    return f"{model.start:g} to {model.end:g} s, {model.header.frame_count:,} frames"

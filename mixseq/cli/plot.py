@@ -1,0 +1,101 @@
+"""``mixseq plot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, progress_bar
+from mixseq.cli.files import check_target, read_sequence
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.plots import Kind
+
+# Those of mixseq.plots, which the help would have to import.
+KINDS = ("layout", "coefficients", "singular-values", "parts", "error-frames", "error-vertices")
+
+
+def _as_frames(context: click.Context, option: click.Parameter, value: str | None) -> tuple[int, ...] | None:
+    if value is None:
+        return None
+    try:
+        return tuple(int(item) for item in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not a list of frames such as 0,12,24") from None
+
+
+@click.command(
+    "plot",
+    epilog=examples(
+        "mixseq plot walk.h5 walk.png",
+        "mixseq plot walk.h5 errors.png --kind error-vertices --against walk.usdc",
+        "mixseq plot walk.h5 layout.svg --kind layout --frames 0,12,24,36",
+    ),
+)
+@click.argument("source", metavar="MODEL", type=FILE)
+@click.argument("target", type=FILE)
+@click.option(
+    "--kind", type=click.Choice(KINDS), help="One picture only.  [default: all of them on one page]"
+)
+@click.option(
+    "--against",
+    type=FILE,
+    metavar="SEQUENCE",
+    help="The original in any format, to draw the errors of the model.",
+)
+@click.option(
+    "--frames",
+    callback=_as_frames,
+    metavar="I,I,...",
+    help="Frames to number in the layout, or to draw with the errors of their vertices.  [default: automatic]",
+)
+@click.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
+@reader_options
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    kind: Kind | None,
+    against: Path | None,
+    frames: tuple[int, ...] | None,
+    tolerance: float | None,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Draw a model: its signals, its parts, and how far it is from the original.
+
+    TARGET is a PNG or an SVG file. Without --kind it is a page with the time signal in its default layout, its
+    coefficients, the singular values, parts and joints, and with --against the errors per frame and per vertex.
+    """
+    from mixseq.plots import check_settings, picture_format, plot_model
+    from mixseq_io.atomic import replacing
+
+    picture_format(target)
+    check_target(target, source)
+    check_settings(kind, against is not None, frames, tolerance)
+    if against is None and reading:
+        raise SettingsError(
+            "--prim, --input-fps and --allow-gaps tell how to read a sequence; give --against"
+        )
+    model = mixseq.load(source)
+    with progress_bar(quiet) as progress:
+        original = None
+        if against is not None:
+            check_target(target, against)
+            original = read_sequence(against, reading, progress)
+        with replacing(target) as temporary:
+            plot_model(
+                temporary,
+                model,
+                kind,
+                against=original,
+                frames=frames,
+                tolerance=tolerance,
+                progress=progress,
+            )
+    announce(target)

@@ -1,0 +1,146 @@
+"""``mixseq resample``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, print_table, progress_bar
+from mixseq.cli.files import check_target, is_model, read_sequence
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.operations.resampling import Resampling
+    from mixseq.progress import Progress
+    from mixseq.signals import Model
+
+
+@click.command(
+    "resample",
+    epilog=examples(
+        "mixseq resample walk.usdc walk60.usdc --fps 60",
+        "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
+        "mixseq resample walk.npz back.npz --reverse --tolerance 0.001",
+        "mixseq resample walk.h5 ramp.usdc --retime ramp.csv",
+    ),
+)
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@click.option(
+    "--fps",
+    "rate",
+    type=click.FloatRange(min=0, min_open=True, max=1_000_000),
+    metavar="N",
+    help="Frames per second of TARGET.  [default: those of SOURCE]",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    metavar="X",
+    help="How much faster the motion is; 0.5 lasts twice as long.",
+)
+@click.option("--reverse", is_flag=True, help="Play backwards.")
+@click.option(
+    "--start", type=float, metavar="S", help="Play from this second of SOURCE.  [default: the first]"
+)
+@click.option("--end", type=float, metavar="S", help="Play to this second of SOURCE.  [default: the last]")
+@click.option(
+    "--retime",
+    type=FILE,
+    metavar="FILE",
+    help="Play by a curve instead: lines output,source in seconds (CSV), or TOML.",
+)
+@click.option("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
+@click.option(
+    "--velocities/--no-velocities",
+    default=False,
+    show_default=True,
+    help="Also write the velocities of all vertices, for motion blur.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    help="Fit a sequence only up to this fraction of its diagonal.",
+)
+@click.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
+@reader_options
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    rate: float | None,
+    speed: float,
+    reverse: bool,
+    start: float | None,
+    end: float | None,
+    retime: Path | None,
+    linear: bool,
+    velocities: bool,
+    tolerance: float | None,
+    exact: bool,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Change the frame rate, speed or direction of a sequence.
+
+    SOURCE is a model, or a sequence in any format, which is turned into a model first. TARGET's format follows from
+    its extension, see "mixseq formats"; it is written while frames are decoded.
+
+    Frames of TARGET are at whole multiples of 1/fps: all of those from the start of the output to its end. The
+    table tells what is left over before the first and after the last, if anything is.
+    """
+    if exact and tolerance is not None:
+        raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
+    if linear and retime is None:
+        raise SettingsError("--linear is about the points of --retime; give both, or neither")
+    check_target(target, source)
+    from mixseq.operations.resampling import plan
+    from mixseq.operations.retime import read_retiming
+    from mixseq_io import in_step
+
+    retiming = None if retime is None else read_retiming(retime, smooth=not linear)
+    with progress_bar(quiet) as progress:
+        model = _model(source, tolerance, reading, progress)
+        planned = plan(model, rate, start, end, speed, reverse, retiming)
+        if velocities:
+            points, speeds = in_step(planned.moving_blocks(progress=progress))
+            mixseq.write_blocks(target, planned.header, points, speeds)
+        else:
+            mixseq.write_blocks(target, planned.header, planned.blocks(progress=progress))
+    if not quiet:
+        print_table(_rows(planned))
+    announce(target)
+
+
+def _model(source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress) -> Model:
+    """Load a model, or fit one to a sequence."""
+    if not is_model(source):
+        sequence = read_sequence(source, reading, progress)
+        return mixseq.fit(sequence, exact=tolerance is None, tolerance=tolerance, progress=progress)
+    if tolerance is not None or reading:
+        given = "--tolerance" if tolerance is not None else "the options for reading sequences"
+        raise SettingsError(f"{source} is a model already; leave out {given}")
+    return mixseq.load(source)
+
+
+def _rows(planned: Resampling) -> list[tuple[str, str]]:
+    header, retiming = planned.header, planned.retiming
+    first, last = header.times[[0, -1]]
+    rows = [
+        ("frames", f"{header.frame_count:,}"),
+        ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
+        ("source", f"{planned.sources[0]:g} to {planned.sources[-1]:g} s"),
+    ]
+    rest = 1e-3 / header.fps  # less is a matter of rounding
+    if first - retiming.start > rest:
+        rows.append(("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s"))
+    if retiming.end - last > rest:
+        rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s"))
+    return rows

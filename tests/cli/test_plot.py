@@ -1,0 +1,130 @@
+"""``mixseq plot``: pictures of every kind, and one line about what goes wrong."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.cli.plot import KINDS
+from mixseq.errors import MissingExtraError
+from mixseq.plots import KINDS as DRAWN
+from mixseq.sequence import MeshSequence
+from mixseq.signals import fit
+
+Run = Callable[..., Result]
+Contents = Callable[[], dict[str, bytes | None]]
+
+pytest.importorskip("matplotlib")
+
+
+def test_kinds_are_those_that_are_drawn() -> None:
+    assert KINDS == DRAWN
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_picture(run: Run, kind: str) -> None:
+    against = ("--against", "bar.usdc") if kind.startswith("error") else ()
+    result = run("plot", "model.h5", "new.svg", "--kind", kind, *against)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert re.fullmatch(r"wrote new\.svg \(.* kB\)\n", result.stdout)
+    assert b"<svg" in Path("new.svg").read_bytes()
+
+
+def test_everything_on_one_page(run: Run) -> None:
+    result = run("plot", "model.h5", "old.PNG", "--against", "bar.npz", "--tolerance", "0.001", "-q")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert Path("old.PNG").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_input_gives_the_same_file(run: Run) -> None:
+    for name in ("one.svg", "two.svg"):
+        assert run("plot", "model.h5", name, "--kind", "layout", "--frames", "0,2").exit_code == 0
+    assert Path("one.svg").read_bytes() == Path("two.svg").read_bytes()
+
+
+def test_reader_options_are_for_the_original(run: Run) -> None:
+    arguments = ("plot", "model.h5", "new.png", "--kind", "error-frames", "--against", "bar.npz")
+    assert run(*arguments, "--input-fps", "10").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("plot none.h5 new.png", "none.h5 does not exist"),
+        ("plot bar.npz new.png", "bar.npz is not a model"),
+        ("plot cut_model.h5 new.png", "cut_model.h5"),
+        ("plot model.h5 new.pdf", "new.pdf: pictures are PNG or SVG files; end the name in .png or .svg"),
+        ("plot none.h5 new", "new: pictures are PNG or SVG files"),
+        ("plot model.h5 nowhere/new.png", "nowhere does not exist; make it first"),
+        ("plot model.h5 new.png --kind pie", "--kind.*'pie' is not one of 'layout'"),
+        ("plot model.h5 new.png --kind error-frames", "error-frames is about errors; give the original"),
+        ("plot model.h5 new.png --tolerance 1", "tolerance is about errors; give the original"),
+        ("plot model.h5 new.png --tolerance 0 --against bar.npz", "tolerance is 0.0; a positive number"),
+        ("plot model.h5 new.png --kind parts --against bar.npz", "against is for .* not for parts"),
+        ("plot model.h5 new.png --against none.npz", "none.npz.* does not exist"),
+        ("plot model.h5 new.png --against other.npz", "errors need one mesh"),
+        ("plot model.h5 new.png --frames 0;1", "--frames.*'0;1' is not a list of frames such as 0,12,24"),
+        ("plot model.h5 new.png --frames 0.5", "--frames.*'0.5' is not a list of frames"),
+        ("plot model.h5 new.png --frames 4", "there is no frame 4; frames are 0 to 3"),
+        (
+            "plot model.h5 new.png --frames 1 --kind parts",
+            "frames is for layout and error-vertices, not for parts",
+        ),
+        ("plot model.h5 new.png --input-fps 10", "tell how to read a sequence; give --against"),
+        ("plot model.h5 new.png --against bar.usdc --prim /none", "/none"),
+    ],
+)
+def test_failure(run: Run, contents: Contents, line: str, message: str) -> None:
+    before = contents()
+    result = run(*line.split())
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert re.fullmatch(f"mixseq: error: .*{message}.*\n", result.stderr), result.stderr
+    assert contents() == before
+
+
+def test_a_source_is_not_overwritten(run: Run, contents: Contents, folder: Path) -> None:
+    for name, source in (("model.png", "model.h5"), ("bar.svg", "bar.npz")):
+        (folder / name).symlink_to(folder / source)
+    before = contents()
+    assert "is the source itself" in run("plot", "model.h5", "model.png").stderr
+    assert "is the source itself" in run("plot", "model.h5", "bar.svg", "--against", "bar.npz").stderr
+    assert contents() == before
+
+
+def test_vertex_models_have_no_parts(run: Run, bent_bar: MeshSequence) -> None:
+    mixseq.save("vertex.h5", fit(bent_bar, rank=1, space="vertex"))
+    result = run("plot", "vertex.h5", "new.png", "--kind", "parts")
+    assert result.exit_code == 2
+    assert "the vertex space has no parts" in result.stderr
+    assert not Path("new.png").exists()
+    assert run("plot", "vertex.h5", "new.png").exit_code == 0
+
+
+def test_without_matplotlib(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> NoReturn:
+        raise MissingExtraError("pictures need matplotlib; get it with: pip install 'mixseq[plot]'")
+
+    monkeypatch.setattr("mixseq.plots.charts.matplotlib_module", missing)
+    before = contents()
+    result = run("plot", "model.h5", "new.png")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "pip install 'mixseq[plot]'" in result.stderr
+    assert contents() == before
+
+
+def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> NoReturn:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mixseq_io.atomic._flush", full)
+    before = contents()
+    result = run("plot", "model.h5", "new.png", "--kind", "layout")
+    assert result.exit_code == 2
+    assert re.search("cannot write .*No space left on device; free some space", result.stderr)
+    assert contents() == before

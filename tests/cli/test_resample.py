@@ -1,0 +1,190 @@
+"""``mixseq resample``, and velocities on the command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.sequence import MeshSequence
+
+Run = Callable[..., Result]
+Contents = Callable[[], dict[str, bytes | None]]
+
+
+def succeed(result: Result) -> str:
+    assert (result.exit_code, result.stderr) == (0, "")
+    return result.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "times", "sources"),
+    [
+        ("", np.arange(4) / 10, np.arange(4) / 10),
+        ("--fps 20", np.arange(7) / 20, np.arange(7) / 20),
+        ("--speed 0.5", np.arange(7) / 10, np.arange(7) / 20),
+        ("--reverse", np.arange(4) / 10, 0.3 - np.arange(4) / 10),
+        ("--start 0.1 --end 0.2 --fps 40", 0.1 + np.arange(5) / 40, 0.1 + np.arange(5) / 40),
+        ("--retime ramp.csv", np.arange(3) / 10, [0, 0.05, 0.3]),
+        ("--retime ramp.csv --linear --fps 20", np.arange(5) / 20, [0, 0.025, 0.05, 0.175, 0.3]),
+        ("--retime ramp.toml", [1, 1.1], [0.3, 0]),
+    ],
+)
+def test_times(run: Run, folder: Path, options: str, times: np.ndarray, sources: np.ndarray) -> None:
+    (folder / "ramp.csv").write_text("output,source\n0,0\n0.1,0.05\n0.2,0.3\n")
+    (folder / "ramp.toml").write_text("output = [1, 1.1]\nsource = [0.3, 0]")
+    text = succeed(run("resample", "model.h5", "new.npz", *options.split()))
+    assert f"frames  {len(times)}\n" in text
+    assert text.splitlines()[-1].startswith("wrote new.npz (")
+    new, model = mixseq.read("new.npz"), mixseq.load("model.h5")
+    assert new.times == pytest.approx(np.asarray(times), abs=1e-12)
+    np.testing.assert_allclose(new.points, [model(time) for time in sources], atol=1e-9)
+    assert new.velocities is None
+
+
+@pytest.mark.parametrize("name", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
+def test_sequences_are_fitted_exactly(run: Run, name: str, bent_bar: MeshSequence) -> None:
+    succeed(run("resample", name, "new.npz"))
+    new = mixseq.read("new.npz")
+    assert mixseq.compare(mixseq.read(name), new).max_error < 1e-12
+    succeed(run("resample", name, "new.npz", "--exact", "--reverse"))
+    np.testing.assert_allclose(mixseq.read("new.npz").points, new.points[::-1], atol=1e-9)
+
+
+def test_numbered_files(run: Run, folder: Path, bent_bar: MeshSequence) -> None:
+    (folder / "obj").mkdir()
+    assert run("convert", "bar.npz", "obj/bar_####.obj").exit_code == 0
+    succeed(run("resample", "obj", "new.npz", "--input-fps", "10", "--fps", "20"))
+    new = mixseq.read("new.npz")
+    assert (new.fps, new.frame_count) == (20, 7)
+    np.testing.assert_allclose(new.points[::2], bent_bar.points, atol=1e-9)
+
+
+def test_a_tolerance(run: Run, bent_bar: MeshSequence) -> None:
+    succeed(run("resample", "bar.npz", "new.npz", "--tolerance", "0.01"))
+    assert 1e-6 < mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error <= 0.01
+
+
+def test_the_table_tells_of_every_end(run: Run) -> None:
+    table = succeed(run("resample", "model.h5", "new.npz", "--fps", "8"))
+    assert table.splitlines()[:4] == [
+        "frames     3",
+        "time       0 to 0.25 s at 8 frames per second",
+        "source     0 to 0.25 s",
+        "left over  0.05 s after the last frame, at 0.25 s",
+    ]
+    table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
+    assert table.splitlines()[1:4] == [
+        "time       0.1 to 0.3 s at 10 frames per second",
+        "source     0.25 to 0.05 s",
+        "left over  0.05 s before the first frame, at 0.1 s",
+    ]
+    assert "left over" not in succeed(run("resample", "model.h5", "new.npz", "--fps", "30"))
+
+
+def test_quiet(run: Run) -> None:
+    assert succeed(run("resample", "model.h5", "new.npz", "--quiet")).count("\n") == 1
+
+
+# Velocities -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["new.npz", "new.h5", "new.usdc"])
+def test_velocities(run: Run, name: str) -> None:
+    model = mixseq.load("model.h5")
+    for line, sources, slope in (
+        ("decode model.h5", np.arange(4) / 10, 1.0),
+        ("resample model.h5 --speed 0.5 --reverse", 0.3 - np.arange(7) / 20, -0.5),
+    ):
+        command, source, *options = line.split()
+        succeed(run(command, source, name, "--velocities", *options))
+        got = mixseq.read(name)
+        assert got.velocities is not None
+        expected = np.stack([slope * model.velocity(time) for time in sources])
+        np.testing.assert_allclose(got.velocities, expected, atol=1e-5 * np.abs(expected).max())
+        np.testing.assert_allclose(got.points, [model(time) for time in sources], atol=1e-5)
+
+
+def test_velocities_are_converted(run: Run) -> None:
+    succeed(run("decode", "model.h5", "new.npz", "--velocities"))
+    for before, after in (("new.npz", "new.h5"), ("new.h5", "new.usdc"), ("new.usdc", "newer.npz")):
+        succeed(run("convert", before, after))
+    velocities, expected = mixseq.read("newer.npz").velocities, mixseq.read("new.npz").velocities
+    assert velocities is not None and expected is not None
+    np.testing.assert_array_equal(velocities, expected.astype(np.float32))
+
+
+@pytest.mark.parametrize("command", ["decode", "resample"])
+def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
+    result = run(command, "model.h5", "new_#.obj", "--velocities")
+    assert result.exit_code == 0
+    assert re.fullmatch(
+        r"mixseq: warning: new_#.obj: OBJ files cannot hold 10 frames per second, velocities; .*\n",
+        result.stderr,
+    )
+    assert len(list(Path().glob("new_?.obj"))) == 4
+
+
+# Failures -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("none.npz old.npz", "none.npz.* does not exist"),
+        ("none.h5 old.npz", "none.h5 does not exist"),
+        ("notes.npz old.npz", "notes.npz"),
+        ("cut_model.h5 old.npz", "cut_model.h5"),
+        ("cut_bar.usdc old.npz", "cut_bar.usdc"),
+        ("model.h5 model.h5", "model.h5 is the source itself"),
+        ("model.h5 folder.usdc", "folder.usdc is a folder"),
+        ("model.h5 nowhere/new.usdc", "nowhere does not exist; make it first"),
+        ("model.h5 new.stl", "'.stl' is not known; write one of"),
+        ("bar.npz", "Missing argument 'TARGET'.*see mixseq resample --help"),
+        ("model.h5 old.npz --fps 0", "--fps.*0.* is not in the range"),
+        ("model.h5 old.npz --fps nan", "fps is nan"),
+        ("model.h5 old.npz --speed 0", "--speed.*0.* is not in the range"),
+        ("model.h5 old.npz --speed inf", "speed is inf"),
+        ("model.h5 old.npz --speed 1e-300", "are 3e.* frames, more than"),
+        (
+            "model.h5 old.npz --start -1",
+            "time -1 s is outside the sequence, 0 to 0.3 s; models do not extrapolate",
+        ),
+        ("model.h5 old.npz --end 1e300", "is outside the sequence, 0 to 0.3 s"),
+        ("model.h5 old.npz --start nan", "time nan s is outside"),
+        ("model.h5 old.npz --start 0.2 --end 0.1", "no time between the start, 0.2 s, and the end, 0.1 s"),
+        (
+            "model.h5 old.npz --start 0.12 --end 0.18",
+            "no frame of 10 frames per second is from 0.12 to 0.18 s",
+        ),
+        ("model.h5 old.npz --retime none.csv", "none.csv cannot be read: No such file"),
+        ("model.h5 old.npz --retime notes.txt", "notes.txt, line 1: 'no mesh' is no point of a retiming"),
+        (
+            "model.h5 old.npz --retime far.csv",
+            "asks for more than there is: time 0.35 s is outside the sequence, 0",
+        ),
+        ("model.h5 old.npz --retime good.csv --speed 2", "a retiming tells the range.*; leave out"),
+        ("model.h5 old.npz --retime good.csv --reverse", "a retiming tells the range.*; leave out"),
+        ("model.h5 old.npz --linear", "--linear is about the points of --retime"),
+        ("bar.npz old.npz --exact --tolerance 0.1", "leave out one of them"),
+        ("bar.npz old.npz --tolerance 0", "--tolerance.*0.* is not in the range"),
+        ("model.h5 old.npz --tolerance 0.1", "model.h5 is a model already; leave out --tolerance"),
+        ("model.h5 old.npz --input-fps 10", "model.h5 is a model already; leave out the options for reading"),
+        ("bar.npz old.npz --prim /bar", "npz has no option 'prim'"),
+    ],
+)
+def test_failures(run: Run, folder: Path, contents: Contents, line: str, message: str) -> None:
+    (folder / "good.csv").write_text("0,0\n0.1,0.1\n")
+    (folder / "far.csv").write_text("0,0\n1,0.5\n")
+    before = contents()
+    result = run("resample", *line.split())
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert result.stderr.startswith("mixseq: error: ")
+    assert result.stderr.count("\n") == 1
+    assert re.search(message, result.stderr), result.stderr
+    assert contents() == before
