@@ -48,10 +48,10 @@ def measure(path: Path, first: int, second: int) -> None:
 
     show("vertices", ends.mean(axis=0), 0.0, [])
     for placement in ("free", "anchored"):
-        model = mixseq.fit(sequence, placement=placement)
+        model = mixseq.fit(sequence, exact=True, placement=placement)
         vector = model.space.encode(ends).mean(axis=0, keepdims=True)
         start = time.perf_counter()
-        points, reports = model.space.decode_with_reports(vector)
+        points, reports = model.mixed.decode_with_reports(vector)
         show(f"S_m {placement}", points[0], time.perf_counter() - start, reports[0])
 
 

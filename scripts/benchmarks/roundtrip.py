@@ -64,7 +64,7 @@ def measure(path: Path, placement: Any) -> dict[str, Any]:
         sampled = loaded.sample()
         done = time.perf_counter()
         size = file.stat().st_size
-    edge_space = 2 * len(model.space.topology.edges) + 6
+    edge_space = 2 * len(model.mixed.topology.edges) + 6
     row = {
         "sequence": path.stem,
         "placement": placement,
