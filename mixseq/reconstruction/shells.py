@@ -197,7 +197,7 @@ def fit_shell(
         while True:
             shift = sparse.diags_array(damping * diagonal + 1e-12 * diagonal.max())
             step = -factorise(normal + shift).solve(gradient)
-            promised = -float(gradient @ step)  # twice what the linear model gains, for small damping
+            promised = -float(gradient @ step)  # what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= HELD)
             candidate = points.copy()
