@@ -127,12 +127,10 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
         return np.concatenate([points, added], axis=1)
 
     signal = sampled(held, sites, ACCURACY, shape_measure(wider))
-    whole = placement_of(model)
-    after = continued(model.space, Piece(whole, last, model.end), placement([last])[0], model.times)
     return replace(
         wider,
-        time=_spliced(wider.time, signal, wider.time),
-        placement=stated_placement(model.space, _spliced(whole, placement, after)),
+        time=_spliced(wider, wider.time, signal),
+        placement=stated_placement(model.space, _spliced(wider, placement_of(model), placement, True)),
     )
 
 
@@ -155,18 +153,23 @@ def _sites(model: Model, start: float, end: float, knots: Float | None = None) -
     return sites_of(np.array([start, end]), between(inner, start, end))
 
 
-def _spliced(before: Curve, inside: Curve, after: Curve) -> Curve:
-    """Return a curve that goes on as another one where that begins, and as a third one where it ends.
+def _spliced(model: Model, curve: Curve, inside: Curve, placement: bool = False) -> Curve:
+    """Return a signal of the model, over its time, with another curve instead while that lasts.
 
-    They meet but for the error of interpolation, which `inside` takes up in its first and last interval.
+    They meet but for the error of interpolation, which `inside` takes up in its first and last interval, and, in a
+    placement, for whole turns of rotation vectors.
     """
     first, last = inside.start, inside.end
+    if first == last:
+        return inside
     pieces, fades = [Piece(inside, first, last)], []
-    if before.start < first:
-        pieces.insert(0, Piece(before, before.start, first))
+    if model.start < first:
+        pieces.insert(0, Piece(curve, model.start, first))
         fades.append(Fade(inside.times[2] - first, share=0.0))
-    if last < after.end:
-        pieces.append(Piece(after, last, after.end))
+    if last < model.end:
+        rest = Piece(curve, last, model.end)
+        after = continued(model.space, rest, inside([last])[0], model.times) if placement else curve
+        pieces.append(Piece(after, last, model.end))
         fades.append(Fade(last - inside.times[-3], share=1.0))
     return join(pieces, fades)
 

@@ -126,7 +126,8 @@ def cardinal_weights(places: Float) -> Callable[[Float], Float]:
     inverse = np.linalg.inv(system)[:, :count]
 
     def weights(points: Float) -> Float:
-        return np.asarray(functions(cdist(points, places)) @ inverse)
+        raw = functions(cdist(points, places)) @ inverse
+        return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # rounding, far away
 
     return weights
 

@@ -1,0 +1,218 @@
+"""Limbs that do more, less or nothing: against a chain of bones whose true poses are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from mixseq.errors import SettingsError
+from mixseq.operations.articulated import SHORTEST, exaggerate_part, hold
+from mixseq.operations.limbs import limb_of
+from mixseq.operations.passes import placement_of
+from mixseq.operations.sculpt import smoothstep
+from mixseq.signals import Curve, fit
+from mixseq.signals.placement import stated_placement
+from mixseq.spaces.mixed import MixedSpace
+from tests.meshes import Float, bar
+from tests.operations.chains import TIMES, angles, bone, chain, frames
+
+BETWEEN = np.linspace(0.0, 0.8, 21)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))), ids=str)
+@pytest.mark.parametrize("gain", [2.0, 0.0, -1.0])
+def test_a_joint_bends_by_so_much_more(order: tuple[int, ...], gain: float) -> None:
+    """Whichever way round parts are numbered."""
+    bends = angles(TIMES)
+    mean = bends[:, 0].mean()
+    bends[:, 0] = mean + gain * (bends[:, 0] - mean)
+    edited = exaggerate_part(chain(order), order[1], gain)
+    points, expected = edited.sample().points, frames(bends)
+    for number in range(3):
+        np.testing.assert_allclose(points[:, bone(number)], expected[:, bone(number)], atol=1e-9)
+    assert np.abs(points - expected).max() < 0.1  # in the bends, which are 0.3 long and 0.5 thick
+
+
+def test_only_what_hangs_on_the_part_moves() -> None:
+    model = chain()
+    edited = exaggerate_part(model, 2, 1.7)
+    bends = angles(TIMES)
+    bends[:, 1] = bends[:, 1].mean() + 1.7 * (bends[:, 1] - bends[:, 1].mean())
+    points = edited.sample().points
+    np.testing.assert_allclose(points[:, bone(2)], frames(bends)[:, bone(2)], atol=1e-9)
+    below = model.header.vertex_count - 2 - 18 * 8  # rings under the second joint
+    np.testing.assert_allclose(points[:, :below], model.sample().points[:, :below], atol=1e-9)
+
+
+def test_between_frames_the_rest_hardly_moves() -> None:
+    model, rest = chain(), bone(0)
+    edited = exaggerate_part(model, 1, 2.0)
+    assert np.abs(edited.sample(BETWEEN).points - model.sample(BETWEEN).points)[:, rest].max() < 1e-3
+
+
+@pytest.mark.parametrize("part", [1, 2])
+@pytest.mark.parametrize("knots", [None, 2])
+def test_gain_one_is_the_identity(part: int, knots: int | None) -> None:
+    model = chain()
+    if knots is not None:
+        model = fit(model.sample(), knots=knots, parts=model.decomposition.part_of_face)
+    edited = exaggerate_part(model, part, 1.0)
+    np.testing.assert_allclose(edited.sample(BETWEEN).points, model.sample(BETWEEN).points, atol=1e-9)
+
+
+def test_whole_turns_are_scaled_as_turns() -> None:
+    """A joint that turns by more than a full circle: its vector is unwrapped, and twice as far is twice as far."""
+    model = chain()
+    still = Curve(TIMES, np.repeat(placement_of(model).values[:1], 9, axis=0))
+    limb, stance = limb_of(model, 1), np.zeros((9, 6))
+    stance[:, 0] = np.linspace(0.1, 7.1, 9)
+    wheel = replace(
+        model, placement=stated_placement(model.space, Curve(TIMES, limb.moved(still, TIMES, stance)))
+    )
+    np.testing.assert_allclose(limb.stance(placement_of(wheel), TIMES), stance, atol=1e-9)
+    twice = limb.stance(placement_of(exaggerate_part(wheel, 1, 2.0)), TIMES)
+    np.testing.assert_allclose(twice - twice[0], 2.0 * (stance - stance[0]), atol=1e-9)
+
+
+def test_edges_keep_some_length_whatever_the_gain() -> None:
+    model = chain()
+    assert isinstance(model.space, MixedSpace)
+    count = model.space.sizes[0]
+    before = model.curve(TIMES)[:, :count]
+    after = exaggerate_part(model, 1, 500.0).curve(TIMES)[:, :count]
+    assert (after > (SHORTEST - 1e-9) * before).all()
+    assert (after < 0.3 * before).any()
+
+
+# Hold -----------------------------------------------------------------------------------------------------
+
+
+def held(times: Float, still: float, start: float, end: float, fade: float) -> Float:
+    """Angles with the first joint held."""
+    bends = angles(times)
+    rest = smoothstep(times, start - fade, start) * (1.0 - smoothstep(times, end, end + fade))
+    bends[:, 0] += rest * (angles(np.array([still]))[0, 0] - bends[:, 0])
+    return bends
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)], ids=str)
+def test_a_joint_that_is_held_bends_no_more(order: tuple[int, ...]) -> None:
+    edited = hold(chain(order), order[1], 0.2, 0.3, 0.5, 0.2)
+    points, expected = edited.sample().points, frames(held(TIMES, 0.2, 0.3, 0.5, 0.2))
+    for number in range(3):
+        np.testing.assert_allclose(points[:, bone(number)], expected[:, bone(number)], atol=1e-9)
+
+
+def test_what_is_held_keeps_its_shape() -> None:
+    """From the first bone one sees the frame that is held, the joint too, and between frames."""
+    model, lower = chain(), bone(0)
+    edited = hold(model, 2, 0.2, 0.3, 0.5, 0.2)
+    limb = limb_of(model, 2)
+    times = np.linspace(0.3, 0.5, 11)
+    stance = limb.stance(placement_of(edited), times)
+    still = limb.stance(placement_of(model), np.array([0.2]))
+    np.testing.assert_allclose(stance, np.repeat(still, 11, axis=0), atol=1e-4)
+    upper = np.arange(8 * 30, 8 * 50)  # rings of the second bone and the third
+    here, there = edited(0.4), model(0.2)
+    np.testing.assert_allclose(lengths(here[upper]), lengths(there[upper]), atol=2e-3)
+    np.testing.assert_allclose(edited(0.4)[lower], model(0.4)[lower], atol=1e-9)
+
+
+def lengths(points: Float) -> Float:
+    """Distances between all pairs of points."""
+    return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))
+
+
+def test_before_and_after_nothing_changes() -> None:
+    model = chain()
+    edited = hold(model, 1, 0.35, 0.33, 0.47, 0.11)
+    times = BETWEEN[(BETWEEN <= 0.22) | (BETWEEN >= 0.58)]
+    np.testing.assert_allclose(edited.sample(times).points, model.sample(times).points, atol=1e-9)
+    assert np.abs(edited(0.47) - model(0.47)).max() > 0.1
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.0, 0.4), (0.4, 0.8), (0.0, 0.8)])
+def test_from_the_start_or_to_the_end_it_needs_no_fade(start: float, end: float) -> None:
+    model = chain()
+    edited = hold(model, 1, 0.2, start, end, 0.2)
+    limb = limb_of(model, 1)
+    still = limb.stance(placement_of(model), np.array([0.2]))
+    times = np.linspace(start, end, 9)
+    np.testing.assert_allclose(
+        limb.stance(placement_of(edited), times), np.repeat(still, 9, axis=0), atol=1e-4
+    )
+    assert (edited.start, edited.end) == (model.start, model.end)
+
+
+def test_a_model_of_one_frame_is_at_rest_anyway() -> None:
+    sequence = chain().sample([0.3])
+    model = fit(sequence, exact=True, parts=chain().decomposition.part_of_face)
+    for edited in (hold(model, 1, 0.3, 0.3, 0.3), exaggerate_part(model, 1, 2.0)):
+        np.testing.assert_allclose(edited.sample().points, sequence.points, atol=1e-9)
+
+
+def test_holding_what_is_held_already_changes_nothing() -> None:
+    once = hold(chain(), 1, 0.2, 0.3, 0.5, 0.2)
+    twice = hold(once, 1, 0.4, 0.35, 0.45, 0.05)
+    np.testing.assert_allclose(twice.sample().points, once.sample().points, atol=1e-4)
+
+
+def test_the_model_keeps_its_frames_and_smoothness() -> None:
+    model = chain()
+    edited = hold(model, 1, 0.2, 0.3, 0.5, 0.1)
+    np.testing.assert_array_equal(edited.times, model.times)
+    np.testing.assert_array_equal(edited.shapes[: len(model.shapes)], model.shapes)
+    np.testing.assert_allclose(edited.curve(TIMES[:2]), model.curve(TIMES[:2]), atol=1e-12)
+
+
+# Refusals -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (3, "there is no part 3; the model has 3, from 0 on"),
+        (-1, "there is no part -1"),
+        (0, "part 0 is the root, which others hang on; give a part that hangs on another one"),
+    ],
+)
+def test_parts_that_do_not_turn(part: int, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        exaggerate_part(chain(), part, 2.0)
+    with pytest.raises(SettingsError, match=message):
+        hold(chain(), part, 0.2, 0.1, 0.3)
+
+
+def test_spaces_without_linked_parts() -> None:
+    sequence = bar(sides=5, rings=15, frames=3)
+    with pytest.raises(SettingsError, match="the vertex space has no parts; fit a model with space='mixed'"):
+        exaggerate_part(fit(sequence, exact=True, space="vertex"), 0, 2.0)
+    with pytest.raises(SettingsError, match="parts are linked in the anchored placement only"):
+        exaggerate_part(fit(sequence, exact=True, placement="free"), 0, 2.0)
+    with pytest.raises(SettingsError, match="part 0 has no neighbours"):
+        exaggerate_part(fit(sequence, exact=True, parts=1), 0, 2.0)
+
+
+@pytest.mark.parametrize("gain", [np.nan, np.inf])
+def test_gains_that_are_no_numbers(gain: float) -> None:
+    with pytest.raises(SettingsError, match=f"gain is {gain}; a number is expected"):
+        exaggerate_part(chain(), 1, gain)
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ((0.9, 0.1, 0.3, 0.1), "time is 0.9 s; the model is from 0 to 0.8 s"),
+        ((0.2, -0.1, 0.3, 0.1), "start is -0.1 s"),
+        ((0.2, 0.1, 1.3, 0.1), "end is 1.3 s"),
+        ((0.2, 0.3, 0.1, 0.1), "the start, 0.3 s, is after the end, 0.1 s"),
+        ((0.2, 0.1, 0.3, 0.0), "fade is 0.0; a positive number of seconds"),
+        ((0.2, 0.1, 0.3, np.nan), "fade is nan"),
+    ],
+)
+def test_times_that_make_no_sense(times: tuple[float, float, float, float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        hold(chain(), 1, *times)
