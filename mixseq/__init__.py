@@ -21,18 +21,21 @@ from typing import TYPE_CHECKING, Any
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
+    from mixseq import operations
     from mixseq.metrics import Comparison, compare
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
-    from mixseq.signals import Model, fit
+    from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
     from mixseq_io import open_sequence, read, write, write_blocks
     from mixseq_io.model_h5 import load, save
 
 _HOME = {
     "Comparison": "mixseq.metrics",
+    "Curve": "mixseq.signals",
     "MeshSequence": "mixseq.sequence",
     "Model": "mixseq.signals",
     "Polygons": "mixseq.sequence",
+    "PoseMap": "mixseq.signals",
     "SequenceHeader": "mixseq.sequence",
     "Topology": "mixseq.topology",
     "compare": "mixseq.metrics",
@@ -47,9 +50,11 @@ _HOME = {
 
 __all__ = [
     "Comparison",
+    "Curve",
     "MeshSequence",
     "Model",
     "Polygons",
+    "PoseMap",
     "SequenceHeader",
     "Topology",
     "__version__",
@@ -57,6 +62,7 @@ __all__ = [
     "fit",
     "load",
     "open_sequence",
+    "operations",
     "read",
     "save",
     "write",
@@ -65,6 +71,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "operations":
+        return import_module("mixseq.operations")
     if name not in _HOME:
         raise AttributeError(f"module 'mixseq' has no attribute {name!r}")
     value = getattr(import_module(_HOME[name]), name)

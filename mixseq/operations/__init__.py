@@ -11,6 +11,7 @@ Operations are pure functions from models to a model, which compose::
 
 from mixseq.operations.articulated import exaggerate_part, hold
 from mixseq.operations.exaggeration import exaggerate
+from mixseq.operations.keys import swap_key
 from mixseq.operations.resampling import resample
 from mixseq.operations.retime import Retiming, read_retiming
 from mixseq.operations.sculpt import sculpt
@@ -40,5 +41,6 @@ __all__ = [
     "sketch",
     "smooth",
     "speed",
+    "swap_key",
     "transition",
 ]

@@ -47,6 +47,7 @@ OPERATIONS: Mapping[str, str] = {
     "smooth": "smoothing:smooth",
     "sculpt": "sculpt:sculpt",
     "sketch": "sketch:sketch",
+    "swap_key": "keys:swap_key",
 }
 """Modules of this package and functions in them, by the names of operations; imported when they are asked for."""
 

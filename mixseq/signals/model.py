@@ -11,7 +11,7 @@ Where the parts of the shape are in the world is no matter of shape: the **place
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -190,6 +190,7 @@ class Model:
         fps: float | None = None,
         progress: Progress = silent,
         *,
+        frames: Iterable[int] | None = None,
         velocities: bool = False,
     ) -> MeshSequence:
         """Decode frames.
@@ -203,6 +204,8 @@ class Model:
             on. With `times` it only says which time line they are on.
         progress : callable, optional
             Told about every frame.
+        frames : iterable of int, optional
+            Numbers of the sequence's own frames, increasing, instead of times: ``range(10, 20)``.
         velocities : bool
             Also find `MeshSequence.velocities`, for motion blur.
 
@@ -214,15 +217,25 @@ class Model:
         Raises
         ------
         SettingsError
-            If a time is outside the sequence, or fps is not positive.
+            If a time is outside the sequence, there is no such frame, or fps is not positive.
         """
-        header = self.header_at(times, fps)
+        header = self.header_at(times if frames is None else self._times_of(frames, times), fps)
         if velocities:
             moving = list(self.moving_blocks(header.times, progress=progress))
             points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
             return MeshSequence.from_header(header, points, speeds)
         points = np.concatenate(list(self.blocks(header.times, progress=progress)))
         return MeshSequence.from_header(header, points)
+
+    def _times_of(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
+        numbers = np.fromiter(frames, dtype=np.int64)
+        if times is not None:
+            raise SettingsError("give either times or frames")
+        outside = (numbers < 0) | (numbers >= len(self.times))
+        if outside.any() or not numbers.size:
+            which = f"there is no frame {numbers[outside][0]}" if numbers.size else "no frame is asked for"
+            raise SettingsError(f"{which}; the sequence has frames 0 to {len(self.times) - 1}")
+        return np.asarray(self.times[numbers])
 
     def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
         """Return the header of what `sample` returns, without decoding anything."""

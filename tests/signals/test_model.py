@@ -208,3 +208,13 @@ def test_a_tail_that_twists_by_half_a_turn_goes_on_twisting() -> None:
         far = along == 1
         assert np.abs(model(time)[far] - expected[far]).max() < 1e-3
         assert np.abs(model(time) - expected).max() < 0.05
+
+
+def test_frames_by_number() -> None:
+    model = model_of()
+    np.testing.assert_array_equal(model.sample(frames=range(1, 3)).points, model.sample().points[1:3])
+    for frames in ([5], [-1], []):
+        with pytest.raises(SettingsError, match="the sequence has frames 0 to 4"):
+            model.sample(frames=frames)
+    with pytest.raises(SettingsError, match="either times or frames"):
+        model.sample([0.1], frames=[1])
