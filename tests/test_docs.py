@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,20 @@ import pytest
 from click.testing import CliRunner
 
 import mixseq
+from mixseq import operations
 from mixseq.cli import main
 from mixseq.creature import walk_cycle
+from mixseq.operations.arguments import Readers
+from mixseq.operations.script import OPERATIONS, read_script
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings
+from mixseq.signals.placement import stated_placement, whole_placement
+from mixseq.spaces import MixedSpace
 from mixseq_io import FORMATS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+RESAMPLING = ("Retiming", "read_retiming", "resample")
 COMMANDS = main.list_commands(click.Context(main))
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -58,19 +65,40 @@ def rows(name: str) -> Iterator[list[str]]:
             yield [cell.strip() for cell in line.strip("|").split("|")]
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md", "docs/editing.md", "docs/resampling.md"])
 def test_code_and_commands_run_from_top_to_bottom(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    found = blocks(name, "python", "console")
-    assert {language for language, _ in found} == {"python", "console"}
+    found = blocks(name, "python", "console", "toml", "csv")
+    assert {language for language, _ in found} >= {"python", "console"}
     for number, (language, text) in enumerate(found):
         if language == "python":
             exec(compile(text, f"{name}, block {number}", "exec"), names)
-        else:
+        elif language == "console":
             run_console(text)
+        else:
+            write_text(text, Path(f"block{number}.{language}"))
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write a block to the file that its first line names, if it does; if it is an edit script, run it."""
+    named = re.match(r"# (\S+)\n", text)
+    path = Path(named[1]) if named else path
+    path.write_text(text, encoding="utf-8")
+    if "[[edit]]" in text:
+        model = mixseq.load("walk.h5")
+        for edit in read_script(path, Readers(mixseq.load, mixseq.read)):
+            model = edit(model)
+        model(model.times[0])
+
+
+def test_every_operation_is_explained() -> None:
+    scripts = [tomllib.loads(text) for _, text in blocks("docs/editing.md", "toml")]
+    assert {edit["operation"] for script in scripts for edit in script["edit"]} == set(OPERATIONS)
+    explained = {name for row in rows("docs/editing.md") for name in re.findall(r"`(\w+)`", row[0])}
+    assert {name for name in operations.__all__ if name not in RESAMPLING} <= explained
 
 
 def run_console(text: str) -> None:
@@ -168,16 +196,21 @@ def test_defaults_are_those_of_the_code(name: str, settings: MotionSettings | Sh
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a sequence and models in both placements."""
+    """A folder with a sequence and models in both placements and both spaces."""
     path = tmp_path_factory.mktemp("docs")
     walk = walk_cycle(frames=3)
-    mixseq.write(path / "sequence.h5", walk)
-    mixseq.save(path / "walk.h5", mixseq.fit(walk))
+    moving = mixseq.MeshSequence.from_header(walk.header, walk.points, np.zeros_like(walk.points))
+    mixseq.write(path / "sequence.h5", moving)
+    model = mixseq.fit(walk)
+    stated = stated_placement(model.space, whole_placement(model.space, model.placement))
+    mixseq.save(path / "walk.h5", model)
+    mixseq.save(path / "stated.h5", replace(model, placement=stated))
     mixseq.save(path / "free.h5", mixseq.fit(walk, placement="free"))
+    mixseq.save(path / "vertex.h5", mixseq.fit(walk, space="vertex"))
     return path
 
 
-@pytest.mark.parametrize("name", ["sequence.h5", "walk.h5", "free.h5"])
+@pytest.mark.parametrize("name", ["sequence.h5", "walk.h5", "stated.h5", "free.h5", "vertex.h5"])
 def test_specification_has_every_dataset_and_attribute(name: str, folder: Path) -> None:
     table = {row[0].strip("`"): row for row in rows("docs/file-format.md") if row[0].startswith("`")}
     with h5py.File(folder / name) as file:
@@ -209,22 +242,39 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
 
 def test_specification_has_nothing_else(folder: Path) -> None:
     known: set[str] = {"mixseq-sequence", "mixseq-model"}
-    for name in ("sequence.h5", "walk.h5"):
+    for name in ("sequence.h5", "stated.h5", "vertex.h5"):
         with h5py.File(folder / name) as file:
             for each in contents(file):
                 known |= set(each)
     assert {row[0].strip("`") for row in rows("docs/file-format.md") if row[0].startswith("`")} == known
 
 
+def run_specification(number: int) -> dict[str, Any]:
+    """Run one of the two snippets of the file format: the first edits a model, the second reads its parts."""
+    snippets = blocks("docs/file-format.md", "py")
+    assert len(snippets) == 2
+    names: dict[str, Any] = {}
+    exec(snippets[number][1], names)
+    return names
+
+
 def test_specification_is_enough_to_read_the_parts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    names: dict[str, Any] = {}
-    (_, text), *others = blocks("docs/file-format.md", "py")
-    assert not others
-    exec(text, names)
-    first = walk_cycle(frames=3).points[0]
-    solved = np.isnan(names["points"]).any(axis=1)
+    points = run_specification(1)["points"]
     model = mixseq.load("walk.h5")
+    solved = np.isnan(points).any(axis=1)
     free = np.concatenate([joint.vertices[joint.free] for joint in model.decomposition.joints])
     assert sorted(free) == np.flatnonzero(solved).tolist()
-    np.testing.assert_allclose(names["points"][~solved], first[~solved], atol=1e-12)
+    np.testing.assert_allclose(points[~solved], model(model.times[0])[~solved], atol=1e-9)
+
+
+def test_specification_edits_as_it_says(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    edited, model = run_specification(0)["edited"], mixseq.load("walk.h5")
+    assert isinstance(model.space, MixedSpace)
+    np.testing.assert_array_equal(edited.pose.matrix[0], 1.5 * model.pose.matrix[0])
+    half, last = model.time.times[:2].mean(), model.time.times[-1]
+    np.testing.assert_array_equal(edited.time([half])[0], model.time.values[:2].mean(axis=0))
+    np.testing.assert_array_equal(edited.time([last])[0], 0.5 * model.time.values[-1])
+    moved = (edited(last) - model(last))[model.decomposition.parts[1]].mean(axis=0) / model.space.scale
+    assert 0.45 < moved[0] < 0.55

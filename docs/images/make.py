@@ -1,41 +1,318 @@
-"""Draw the pictures of the documentation: ``python docs/images/make.py``."""
+"""Draw the pictures of the documentation: ``python docs/images/make.py [NAME ...]``, all of them by default."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 import mixseq
-from mixseq.creature import walk_cycle
-from mixseq.plots import contact_sheet, draw_segmentation
+from mixseq.creature import part_of_vertex, walk_cycle
+from mixseq.geometry.rotations import matrices
+from mixseq.operations import (
+    blend,
+    concatenate,
+    cut,
+    exaggerate,
+    exaggerate_part,
+    hold,
+    loop,
+    repeat,
+    reverse,
+    sculpt,
+    shift,
+    sketch,
+    smooth,
+    speed,
+    swap_key,
+    transition,
+)
+from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
+from mixseq.plots import shared_limits as limits_of
+from mixseq.plots.charts import chart_style
+from mixseq.plots.colours import CLAY, INK, JOINT_RED
+from mixseq.plots.layout import Sheet, matplotlib_module
+from mixseq.signals import Curve, Model
+
+Float = NDArray[np.float64]
 
 HERE = Path(__file__).parent
-WIDTH = 1600  # pixels
+WIDTH = 1600  # pixels of large pictures
+SHEET_WIDTH = 1280  # pixels of contact sheets
+COLOURS = 96  # of a contact sheet, which no eye misses and PNG packs well
+FPS = 24
 
 
 def main() -> None:
-    """Draw all pictures."""
-    walk = walk_cycle()
-    model = mixseq.fit(walk)
-    labels = model.decomposition.part_of_face, model.decomposition.joint_of_face
+    """Draw the pictures that are asked for, or all of them."""
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name](HERE / f"{name}.png")
 
+
+# Overviews ------------------------------------------------------------------------------------------------
+
+
+def demo(path: Path) -> None:
+    """Original, parts, reconstruction, new frames and errors of the exact model."""
+    walk = walk_cycle()
+    model = mixseq.fit(walk, exact=True)
+    labels = model.decomposition.part_of_face, model.decomposition.joint_of_face
     page = BytesIO()
     contact_sheet(page, walk, model.sample(fps=2 * walk.fps), *labels)
-    _save(page, HERE / "demo.png")
+    save(page, path, WIDTH, 256)
 
+
+def parts(path: Path) -> None:
+    """Parts and joints from two sides."""
+    walk = walk_cycle()
+    model = mixseq.fit(walk, exact=True)
     page = BytesIO()
+    labels = model.decomposition.part_of_face, model.decomposition.joint_of_face
     draw_segmentation(page, walk.points[0], walk.faces, *labels)
-    _save(page, HERE / "parts.png")
+    save(page, path, WIDTH, 256)
 
 
-def _save(page: BytesIO, path: Path) -> None:
-    """Shrink a page to `WIDTH`, and to 86 levels of each colour, which no eye misses and PNG packs better."""
+def plot(path: Path) -> None:
+    """The page of ``mixseq plot``."""
+    page = BytesIO()
+    plot_model(page, walk_model())
+    save(page, path, SHEET_WIDTH, 256)
+
+
+def layout(path: Path) -> None:
+    """The picture of ``mixseq plot --kind layout``."""
+    page = BytesIO()
+    plot_model(page, walk_model(), "layout")
+    save(page, path, 800, 256)
+
+
+# Motions --------------------------------------------------------------------------------------------------
+
+
+@cache
+def walk_model() -> Model:
+    """One cycle of the walk, from 0 to 1 s, whose last frame is the first one again."""
+    walk = walk_cycle(frames=FPS, fps=FPS)
+    points = np.concatenate([walk.points, walk.points[:1]])
+    return mixseq.fit(mixseq.MeshSequence.from_arrays(points, walk.polygons, fps=FPS, name="fox"))
+
+
+@cache
+def leap_model() -> Model:
+    """A leap of one second, on the spot."""
+    slow = walk_cycle(frames=3 * FPS, fps=FPS)
+    time = np.linspace(0, 1, FPS + 1)
+    turns = matrices(np.stack([0 * time, 0 * time, 0.5 * np.sin(2 * np.pi * time)], axis=1))
+    points = np.einsum("tij,tvj->tvi", turns, slow.points[: FPS + 1])
+    points[..., 1] += (0.5 * np.sin(np.pi * time) ** 2)[:, None]
+    return mixseq.fit(mixseq.MeshSequence.from_arrays(points, slow.polygons, fps=FPS, name="leap"))
+
+
+def part_of(model: Model, name: str) -> int:
+    """Return the part that a bone of the fox moves most."""
+    bone, names = part_of_vertex()
+    shares = [np.mean(bone[vertices] == names.index(name)) for vertices in model.decomposition.parts]
+    return int(np.argmax(shares))
+
+
+def hump(points: Float) -> Float:
+    """Return the fox with a hump on its back."""
+    away = np.linalg.norm(points - [-0.02, 0.68, 0.0], axis=1)
+    return points + np.exp(-0.5 * np.square(away / 0.07))[:, None] * [0.0, 0.18, 0.0]
+
+
+# Edits ----------------------------------------------------------------------------------------------------
+
+
+def timing(path: Path) -> None:
+    """Where frames go."""
+    walk = walk_model()
+    rows = {
+        "walk": walk,
+        "cut\n0.25 to 0.75 s": cut(walk, 0.25, 0.75),
+        "shift\nby 0.5 s": shift(walk, 0.5),
+        "speed\n2": speed(walk, 2.0),
+        "reverse": reverse(walk),
+    }
+    sheet(path, rows, np.arange(7) / 4)
+
+
+def repeated(path: Path) -> None:
+    """A section twice."""
+    walk = walk_model()
+    rows = {"walk": walk, "repeat\n0.25 to 0.75 s,\ntwice": repeat(walk, 0.25, 0.75, times=2)}
+    sheet(path, rows, np.arange(7) / 4)
+
+
+def looped(path: Path) -> None:
+    """Half of a cycle, whose end meets its start."""
+    part = cut(walk_model(), 0.0, 0.5)
+    sheet(path, {"walk\n0 to 0.5 s": part, "loop": loop(part)}, np.arange(7) / 12, against=part)
+
+
+def two_motions(path: Path) -> None:
+    """From one motion into another."""
+    walk, leap = walk_model(), leap_model()
+    rows = {
+        "walk": walk,
+        "leap": leap,
+        "concatenate": concatenate(walk, leap),
+        "transition\nat 0.5 s,\n0.5 s long": transition(walk, leap, at=0.5, duration=0.5),
+        "blend\nweight 0.5": blend(walk, leap, 0.5),
+    }
+    sheet(path, rows, np.arange(9) / 4)
+
+
+def exaggerated(path: Path) -> None:
+    """More of the shape, more of a part, less of a part."""
+    walk = walk_model()
+    arm = part_of(walk, "arm.r")
+    plain = mixseq.fit(walk.sample(), space="vertex")
+    rows = {
+        "walk": walk,
+        "exaggerate\ngain 1.5": exaggerate(walk, 1.5),
+        "exaggerate\ngain 1.5,\nvertex space": exaggerate(plain, 1.5),
+        "exaggerate_part\ngain 1.8": exaggerate_part(walk, arm, 1.8),
+        "hold\nas at 0 s, from\n0.25 to 0.75 s": hold(walk, arm, 0.0, 0.25, 0.75),
+    }
+    sheet(path, rows, np.arange(7) / 6, against=walk)
+
+
+def smoothed(path: Path) -> None:
+    """Without what is fast."""
+    walk = walk_model()
+    rows = {"walk": walk, "smooth\n0.5 s": smooth(walk, 0.5), "smooth\n1.5 s": smooth(walk, 1.5)}
+    sheet(path, rows, np.arange(7) / 6, against=walk)
+
+
+def sculpted(path: Path) -> None:
+    """A hump made at 0.5 s, shown in three ways."""
+    walk = walk_model()
+    points = hump(walk(0.5))
+    rows = {
+        "walk": walk,
+        "everywhere": sculpt(walk, 0.5, points),
+        "window\n0.2 to 0.8 s": sculpt(walk, 0.5, points, where="window", start=0.2, end=0.8),
+        "similar\nradius 0.5": sculpt(walk, 0.5, points, where="similar", radius=0.5),
+    }
+    sheet(path, rows, np.arange(7) / 6, against=walk)
+
+
+def swapped(path: Path) -> None:
+    """A hump on one key shape."""
+    model = mixseq.fit(walk_model().sample(), pose="keys", rank=5)
+    weights = model.pose.weights(model.time(model.times))
+    frame = int(np.linalg.norm(weights - np.eye(6)[0], axis=1).argmin())
+    points = hump(model(model.times[frame]))
+    rows = {
+        "walk": model,
+        f"swap_key\n(frame {frame}, {model.times[frame]:.2f} s)": swap_key(model, 0, points),
+    }
+    sheet(path, rows, np.arange(7) / 6, against=model)
+
+
+def sketched(path: Path) -> None:
+    """A curve in the layout, and the motion that it tells."""
+    walk = walk_model()
+    angles = np.linspace(0, 2 * np.pi, 13)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    curve = 0.12 * circle
+    drawn = sketch(walk, curve, duration=1.0)
+    times = np.arange(6) / 6
+    with chart_style():
+        figure = matplotlib_module("figure").Figure(figsize=(12, 4.6))
+        ax = figure.add_axes((0.06, 0.12, 0.38, 0.78))
+        draw_layout(ax, walk, [])
+        ax.set_title("Layout of the walk; the drawn curve in red")
+        ax.plot(
+            *Curve(angles, curve)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5
+        )
+        view, limits, ground = camera([drawn.sample(times).points])
+        for number, (time, place) in enumerate(zip(times, curve[::2], strict=False)):
+            ax.plot(*place, "o", color=JOINT_RED, markersize=7, zorder=6)
+            text, offset = f"{time:.2f} s", -22 * circle[2 * number]
+            ax.annotate(
+                text, place, offset, textcoords="offset points", color=JOINT_RED, ha="center", va="center"
+            )
+            panel = figure.add_axes((0.54 + 0.153 * (number % 3), 0.5 - 0.47 * (number // 3), 0.15, 0.45))
+            draw_mesh(panel, drawn(time), drawn.header.faces, CLAY, "Y", view, limits, ground)
+            panel.set_title(text, fontsize=9, color=INK)
+        page = BytesIO()
+        figure.savefig(page, format="png", dpi=150)
+    save(page, path, SHEET_WIDTH, 256)
+
+
+PICTURES: Mapping[str, Callable[[Path], None]] = {
+    "demo": demo,
+    "parts": parts,
+    "plot": plot,
+    "layout": layout,
+    "edit-timing": timing,
+    "edit-repeat": repeated,
+    "edit-loop": looped,
+    "edit-two-motions": two_motions,
+    "edit-limbs": exaggerated,
+    "edit-smooth": smoothed,
+    "edit-sculpt": sculpted,
+    "edit-swap": swapped,
+    "edit-sketch": sketched,
+}
+
+
+# Sheets ---------------------------------------------------------------------------------------------------
+
+
+def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | None = None) -> None:
+    """Draw models one below the other, at the same times in each column where they last.
+
+    Vertices that are not where another model has them are red.
+    """
+    poses = {
+        (row, column): model(time)
+        for row, model in enumerate(rows.values())
+        for column, time in enumerate(times)
+        if model.start - 1e-9 <= time <= model.end + 1e-9
+    }
+    view, limits, ground = camera([points[None] for points in poses.values()])
+    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
+    page = Sheet.of(len(rows), len(times), aspect, "", left=1.4)
+    faces = next(iter(rows.values())).header.faces
+    for number, label in enumerate(rows):
+        page.label_row(number, label)
+    for (row, column), points in poses.items():
+        ax, colours = page.panels[row][column], np.tile(CLAY, (len(faces), 1))
+        if against is not None and row:
+            off = np.linalg.norm(points - against(times[column]), axis=1)[faces].mean(axis=1)
+            share = np.clip(off / 0.05, 0, 1)[:, None]
+            colours = (1 - share) * colours + share * np.array(JOINT_RED)
+        draw_mesh(ax, points, faces, colours, "Y", view, limits, ground)
+    for column, time in enumerate(times):
+        page.panels[0][column].set_title(f"{time:.3g} s", fontsize=9, color=INK, pad=2)
+    stream = BytesIO()
+    page.save(stream)
+    save(stream, path, SHEET_WIDTH, COLOURS)
+
+
+def camera(poses: list[Float]) -> tuple[object, tuple[float, float, float, float], float]:
+    """Return a view, limits and a ground for all poses ``(T, V, 3)`` together."""
+    points = np.concatenate(poses)
+    view = broadside(points[0])
+    return view, limits_of(points, "Y", view), float(points[..., 1].min())
+
+
+def save(page: BytesIO, path: Path, width: int, colours: int) -> None:
+    """Shrink a page to a width and to so many colours."""
     picture = Image.open(page).convert("RGB")
-    height = round(WIDTH * picture.height / picture.width)
-    smaller = picture.resize((WIDTH, height), Image.Resampling.LANCZOS)
-    smaller.point([3 * round(level / 3) for level in range(256)] * 3).save(path, optimize=True)
+    smaller = picture.resize((width, round(width * picture.height / picture.width)), Image.Resampling.LANCZOS)
+    packed = smaller.quantize(colours, method=Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    packed.save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

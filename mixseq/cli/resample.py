@@ -14,6 +14,9 @@ from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mixseq.operations.resampling import Resampling
     from mixseq.progress import Progress
     from mixseq.signals import Model
@@ -130,13 +133,20 @@ def _model(source: Path, tolerance: float | None, reading: dict[str, Any], progr
     return mixseq.load(source)
 
 
+def _span(sources: NDArray[np.float64]) -> str:
+    """Where playing starts and ends, and how far it goes in between."""
+    first, last, low, high = sources[0], sources[-1], sources.min(), sources.max()
+    beyond = f", between {low:g} and {high:g} s" if low < min(first, last) or high > max(first, last) else ""
+    return f"{first:g} to {last:g} s{beyond}"
+
+
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
     rows = [
         ("frames", f"{header.frame_count:,}"),
         ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
-        ("source", f"{planned.sources[0]:g} to {planned.sources[-1]:g} s"),
+        ("source", _span(planned.sources)),
     ]
     rest = 1e-3 / header.fps  # less is a matter of rounding
     if first - retiming.start > rest:

@@ -55,6 +55,9 @@ class Curve:
         object.__setattr__(self, "times", frozen(times))
         object.__setattr__(self, "values", frozen(values))
 
+    def __repr__(self) -> str:
+        return f"Curve({len(self.times)} knots, {self.start:g} to {self.end:g} s, {self.dim} coordinates)"
+
     @property
     def start(self) -> float:
         """First knot in seconds."""
