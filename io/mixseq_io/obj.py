@@ -235,7 +235,9 @@ def _warn_of_losses(path: Path, header: SequenceHeader, moving: bool) -> None:
     still = header.frame_count == 1  # a single frame has no rate
     if header.fps != DEFAULT_FPS and not still:
         lost.append(f"{header.fps:g} frames per second")
-    if not still and not np.allclose(header.times * header.fps, np.arange(header.frame_count), rtol=1e-9, atol=1e-9):
+    if not still and not np.allclose(
+        header.times * header.fps, np.arange(header.frame_count), rtol=1e-9, atol=1e-9
+    ):
         lost.append("the times of the frames")
     if header.up_axis != "Y":
         lost.append(f"{header.up_axis} up")
