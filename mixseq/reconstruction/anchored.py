@@ -15,7 +15,7 @@ from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.placement import JointRows, MixedFrame, concatenate
 from mixseq.reconstruction.shells import NO_PULL, Pull, ShellReport, ShellSettings
 from mixseq.reconstruction.velocity import JointRates, joint_velocity
-from mixseq.segmentation.joints import Decomposition
+from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -91,25 +91,20 @@ class AnchoredPlacement:
             for joint, patch in zip(rows.joints, rows.patches, strict=True)
         )
 
+    @cached_property
+    def _solved(self) -> list[tuple[Joint, Patch, slice, slice, slice, Blend]]:
+        """The joints that are solved, with the places of their lengths, angles and free vertices."""
+        rows = self.rows
+        slices = rows.edge_slices, rows.hinge_slices, rows.free_slices
+        return list(zip(rows.joints, rows.patches, *slices, self._blends, strict=True))
+
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `Placement.assemble`; a vertex that several parts share is where they put it on average."""
         points = self._on_average(self._turned(frame.rotations, frame.parts), frame.translations)
         moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []
-        rows = self.rows
-        for joint, patch, edges, hinges, free, blend in zip(
-            rows.joints,
-            rows.patches,
-            rows.edge_slices,
-            rows.hinge_slices,
-            rows.free_slices,
-            self._blends,
-            strict=True,
-        ):
-            guess, pull = blend.place(moves, shifts), NO_PULL
-            if frame.holds.size:
-                guess = guess + _turned(frame.rotations[blend.nearest], frame.offsets[free])
-                pull = Pull(guess, frame.holds[free])
+        for joint, patch, edges, hinges, free, blend in self._solved:
+            guess, pull = _expected(blend, moves, shifts, frame, free)
             solved, report = rebuild(
                 patch,
                 frame.lengths[edges],
@@ -157,24 +152,15 @@ class AnchoredPlacement:
         velocities = self._on_average(turning, rates.translations)
         moves, shifts = self._moves(frame.rotations, frame.translations)
         move_rates, shift_rates = self._moves(rates.rotations, rates.translations)
-        rows = self.rows
-        for joint, patch, edges, hinges, free, blend in zip(
-            rows.joints,
-            rows.patches,
-            rows.edge_slices,
-            rows.hinge_slices,
-            rows.free_slices,
-            self._blends,
-            strict=True,
-        ):
-            pull, places = NO_PULL, np.zeros((0, 3))
+        for joint, patch, edges, hinges, free, blend in self._solved:
+            _, pull = _expected(blend, moves, shifts, frame, free)
+            places = np.zeros((0, 3))
             if frame.holds.size:
-                near = blend.nearest
-                at = blend.place(moves, shifts) + _turned(frame.rotations[near], frame.offsets[free])
-                pull = Pull(at, frame.holds[free])
-                places = blend.place(move_rates, shift_rates)
-                places = places + _turned(rates.rotations[near], frame.offsets[free])
-                places = places + _turned(frame.rotations[near], rates.offsets[free])
+                places = (
+                    blend.place(move_rates, shift_rates)
+                    + _turned(rates.rotations[blend.nearest], frame.offsets[free])
+                    + _turned(frame.rotations[blend.nearest], rates.offsets[free])
+                )
             moving = JointRates(
                 rates.lengths[edges], rates.angles[hinges], velocities[joint.vertices], places
             )
@@ -207,6 +193,17 @@ class AnchoredPlacement:
         turns, centres = self._reference_poses
         moves = rotations @ np.swapaxes(turns, 1, 2)
         return moves, translations - _turned(moves, centres)
+
+
+def _expected(
+    blend: Blend, moves: Float, shifts: Float, frame: MixedFrame, free: slice
+) -> tuple[Float, Pull]:
+    """Where the free vertices ``(f, 3)`` of a joint may be, and the pull towards it: where offsets tell it."""
+    carried = blend.place(moves, shifts)
+    if not frame.holds.size:
+        return carried, NO_PULL
+    places = carried + _turned(frame.rotations[blend.nearest], frame.offsets[free])
+    return places, Pull(places, frame.holds[free])
 
 
 def _turned(matrices: Float, vectors: Float) -> Float:
