@@ -88,7 +88,7 @@ def write_text(text: str, path: Path) -> None:
     path = Path(named[1]) if named else path
     path.write_text(text, encoding="utf-8")
     if "[[edit]]" in text:
-        model = mixseq.load("walk.h5")
+        model = mixseq.load("keyed.h5" if "swap_key" in text else "walk.h5")
         for edit in read_script(path, Readers(mixseq.load, mixseq.read)):
             model = edit(model)
         model(model.times[0])

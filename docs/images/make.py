@@ -207,9 +207,8 @@ def sculpted(path: Path) -> None:
 def swapped(path: Path) -> None:
     """A hump on one key shape."""
     model = mixseq.fit(walk_model().sample(), pose="keys", rank=5)
-    weights = model.pose.weights(model.time(model.times))
-    frame = int(np.linalg.norm(weights - np.eye(6)[0], axis=1).argmin())
-    points = hump(model(model.times[frame]))
+    frame = int(model.key_frames[0])
+    points = hump(model(float(model.times[frame])))
     rows = {
         "walk": model,
         f"swap_key\n(frame {frame}, {model.times[frame]:.2f} s)": swap_key(model, 0, points),

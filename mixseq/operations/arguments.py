@@ -135,7 +135,8 @@ def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path} cannot be read: {error}") from error
+        reason = (error.strerror if isinstance(error, OSError) else None) or error
+        raise FormatError(f"{path} cannot be read: {reason}") from error
     pairs = _as_pairs([line.split(",") for line in lines if line.strip()])
     if pairs is None:
         raise FormatError(f"{path} is not CSV with two numbers on each line")

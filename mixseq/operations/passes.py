@@ -23,6 +23,9 @@ Index = NDArray[np.int64]
 SLACK = 1e-3
 """Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""
 
+SHORTEST = 1e-6
+"""Shortest fade, as a fraction of the longest: in a shorter one the digits of times do not tell its knots apart."""
+
 DENSE = 8
 """A curve that is no cubic spline is made one by so many knots for each that it had."""
 
@@ -183,10 +186,11 @@ def fade_of(fade: float | None, longest: float) -> float:
     Raises
     ------
     SettingsError
-        If it is not positive, or longer than possible.
+        If it is too short to tell from a jump, or longer than possible.
     """
     if fade is None:
         return longest / 4
-    if not 0 < fade <= longest * (1 + 1e-9):
-        raise SettingsError(f"fade is {fade:g} s; more than 0 and at most {longest:g} s is expected")
+    shortest = SHORTEST * longest
+    if not shortest <= fade <= longest * (1 + 1e-9):
+        raise SettingsError(f"fade is {fade:g} s; {shortest:g} to {longest:g} s are expected")
     return min(float(fade), longest)

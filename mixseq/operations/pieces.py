@@ -118,7 +118,8 @@ def sites_of(edges: Float, inner: Float) -> Float:
     """
     inner = np.unique(inner)
     close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
-    nearest = np.abs(inner[:, None] - edges).min(axis=1, initial=np.inf) if len(inner) else inner
+    after = np.clip(np.searchsorted(edges, inner), 1, len(edges) - 1)
+    nearest = np.minimum(np.abs(inner - edges[after - 1]), np.abs(inner - edges[after]))
     inner = inner[nearest > close]
     inner = inner[np.diff(inner, prepend=-np.inf) > close]
     breaks = np.sort(np.concatenate([edges, inner]))

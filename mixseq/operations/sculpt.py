@@ -81,8 +81,8 @@ def sculpt(
     """
     _check(where, start, end, radius)
     time = snapped(model, time)
-    edited = _edited(points, model.header.vertex_count)
-    difference = _difference(model, time, edited)
+    edited = checked_points(points, model.header.vertex_count)
+    difference = difference_of(model, time, edited)
     if where == "window":
         return _added(model, difference, _window(model, time, start, end))
     if where == "similar":
@@ -103,7 +103,8 @@ def _check(where: Where, start: float | None, end: float | None, radius: float |
         raise SettingsError(f"radius is {radius}; a positive fraction of the largest distance is expected")
 
 
-def _edited(points: ArrayLike, vertex_count: int) -> Float:
+def checked_points(points: ArrayLike, vertex_count: int) -> Float:
+    """Return the edited mesh ``(V, 3)``; refuse what is none of the model."""
     edited = np.asarray(points, dtype=np.float64)
     if edited.shape != (vertex_count, 3):
         raise InvalidSequenceError(
@@ -116,7 +117,7 @@ def _edited(points: ArrayLike, vertex_count: int) -> Float:
     return edited
 
 
-def _difference(model: Model, time: float, edited: Float) -> Float:
+def difference_of(model: Model, time: float, edited: Float) -> Float:
     """What the edit of a frame adds to a key shape and its offsets ``(S + O,)``."""
     space, vector, before = model.space, model.curve([time]), model(time)
     shape = space.shape_difference(vector[0], before, edited)

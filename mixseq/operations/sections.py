@@ -25,6 +25,9 @@ from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 
+MOST = 10_000
+"""More passes of a section would be a slip."""
+
 
 def cut(model: Model, start: float, end: float, at: float | None = None) -> Model:
     """Return a section of a model.
@@ -84,8 +87,8 @@ def repeat(
         placement that could travel.
     """
     first, last = section_of(model, start, end)
-    if times < 1:
-        raise SettingsError(f"times is {times}; a section is shown once or more often")
+    if not 1 <= times <= MOST:
+        raise SettingsError(f"times is {times}; a section is shown 1 to {MOST:,} times")
     seconds = fade_of(fade, last - first)
     step = _travelled(model, first, last) if travel else np.zeros(3)
     passes = []

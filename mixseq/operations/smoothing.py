@@ -30,6 +30,9 @@ Float = NDArray[np.float64]
 FEWEST = 5
 """Values that a smoothing spline needs."""
 
+LONGEST = 1e9
+"""Periods of more steps all leave a line."""
+
 
 def smooth(model: Model, seconds: float) -> Model:
     """Return the model without changes that are faster than a period: all its signals, shape and placement.
@@ -72,9 +75,20 @@ def smoothed(curve: Curve, frames: Float, seconds: float) -> Curve:
         return curve
     steps = np.diff(times)
     lasting = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2  # seconds that every value stands for
-    strength = (np.sqrt(2.0) - 1.0) * (seconds / (2.0 * np.pi)) ** 4
     # The unit of time is the mean step, for the sake of the digits.
     unit = float(steps.mean())
-    spline = make_smoothing_spline(times / unit, curve(times), lasting / unit, strength / unit**4)
+    strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), LONGEST) ** 4
+    line, values = _line(times, curve(times), lasting), curve(times)
+    spline = make_smoothing_spline(times / unit, values - line(times), lasting / unit, strength)
     sites = sites_of(ends, times[1:-1])
-    return Curve(sites, np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim))
+    return Curve(sites, line(sites) + np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim))
+
+
+def _line(times: Float, values: Float, weights: Float) -> Curve:
+    """Return the line next to values: what smoothing leaves alone, and would lose digits of if it were strong."""
+    middle = np.average(times, weights=weights)
+    mean = np.average(values, axis=0, weights=weights)
+    away = weights * (times - middle)
+    slope = away @ (values - mean) / (away @ (times - middle))
+    ends = times[[0, -1]]
+    return Curve(ends, mean + (ends - middle)[:, None] * slope)

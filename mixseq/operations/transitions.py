@@ -98,6 +98,8 @@ def transition(a: Model, b: Model, at: float, duration: float) -> Model:
             )
     later = shifted(b, at - b.start)
     end = min(snapped(later, at + duration), a.end, later.end)
+    if not end - at > SLACK / a.header.fps:
+        raise SettingsError(f"duration is {duration:g} s, next to no time; give more, or concatenate")
     middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
     passes = [Pass(a, a.start, at), Pass(middle, at, end), Pass(later, end, later.end)]
     # What little the points leave of jumps is taken up next to the ends of the middle, not to touch what is outside.

@@ -171,8 +171,11 @@ class Model:
 
     def _blended(self, weights: Float) -> Float:
         """Return sums of key shapes ``(N, S)``, one by one: a frame is the same whatever is asked with it."""
+        blended = np.empty((len(weights), self.shapes.shape[1]))
         with one_blas_thread():
-            return np.stack([row @ self.shapes for row in weights])
+            for row, weight in zip(blended, weights, strict=True):
+                row[:] = weight @ self.shapes
+        return blended
 
     @property
     def vectors(self) -> Float:
@@ -264,6 +267,17 @@ class Model:
             (vectors, offsets), (rates, offset_rates) = self._at(some), self._rates_at(some)
             yield self.space.decode_moving(vectors, rates, offsets, offset_rates)
             progress(min(start + size, len(inside)), len(inside), "decoding frames")
+
+    @property
+    def key_frames(self) -> NDArray[np.int64]:
+        """Frames ``(K,)`` that are a key shape and nothing else, -1 for key shapes that are no frame."""
+        weights = self.pose.weights(self.time(self.times))
+        frames = np.full(len(self.shapes), -1, dtype=np.int64)
+        for key, only in enumerate(np.eye(len(self.shapes))):
+            apart = np.abs(weights - only).max(axis=1)
+            if apart.min() < 1e-6:
+                frames[key] = apart.argmin()
+        return frames
 
     def layout(self, times: ArrayLike) -> Float:
         """Return where the model is ``(N, 2)`` in the plane that shows most of its motion, in diagonals.

@@ -76,7 +76,10 @@ class PoseMap:
     def rates(self, velocities: Float) -> Float:
         """Return how the weights ``(N, K)`` change where points move with velocities ``(N, k)``."""
         # Row by row: products of many rows are summed in another order than those of one.
-        return np.stack([row @ self.matrix for row in velocities])
+        rates = np.empty((len(velocities), len(self.offset)))
+        for row, velocity in zip(rates, velocities, strict=True):
+            row[:] = velocity @ self.matrix
+        return rates
 
     @classmethod
     def of_weights(cls, count: int) -> PoseMap:

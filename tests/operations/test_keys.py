@@ -12,7 +12,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.operations import swap_key
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from tests.meshes import bar, rotation
+from tests.meshes import bar
 
 SEQUENCE: MeshSequence = bar(sides=5, rings=15, frames=6)
 
@@ -30,9 +30,24 @@ def test_the_same_key_changes_nothing(space: str) -> None:
         np.testing.assert_allclose(swapped.sample().points, SEQUENCE.points, atol=1e-9)
 
 
-def test_where_a_key_stands_does_not_matter() -> None:
-    moved: NDArray[np.float64] = SEQUENCE.points[2] @ rotation((0.3, -1.0, 0.5)).T + [5.0, 6, 7]
-    np.testing.assert_allclose(swap_key(keyed("mixed"), 2, moved).sample().points, SEQUENCE.points, atol=1e-8)
+def test_vertices_that_were_not_moved_stay() -> None:
+    """In a model of few keys too, in the frame of the key; the others follow by their weight."""
+    model = fit(SEQUENCE, rank=3, pose="keys")
+    assert len(model.key_frames) == 4
+    frame = int(model.key_frames[1])
+    x = model(float(model.times[frame]))
+    bump = 0.2 * np.exp(-20 * np.square(x - x[10]).sum(axis=1))[:, None] * [1.0, 0, 0]
+    swapped = swap_key(model, 1, x + bump)
+    np.testing.assert_allclose(swapped(float(model.times[frame])), x + bump, atol=1e-6)
+    other = int(model.key_frames[3])
+    np.testing.assert_allclose(swapped.sample().points[other], model.sample().points[other], atol=1e-9)
+
+
+def test_keys_that_are_no_frames_are_refused() -> None:
+    model = fit(SEQUENCE, rank=2)
+    assert (model.key_frames == -1).all()
+    with pytest.raises(SettingsError, match="key shape 1 is no frame of the model; fit one with pose='keys'"):
+        swap_key(model, 1, SEQUENCE.points[0])
 
 
 def test_a_new_key_shows_in_its_frame_and_no_other() -> None:
@@ -53,5 +68,5 @@ def test_unknown_keys_are_refused(key: int) -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((4, 3)), np.full((67, 3), np.nan)])
 def test_other_meshes_are_refused(points: NDArray[np.float64]) -> None:
-    with pytest.raises(InvalidSequenceError, match="new key shape"):
+    with pytest.raises(InvalidSequenceError, match="sculpted points"):
         swap_key(keyed("vertex"), 0, points)

@@ -180,9 +180,11 @@ def test_a_spinning_body_loops_as_it_is() -> None:
         ({"end": np.nan}, r"end is nan s; the model is from"),
         ({"start": 0.6}, r"no time between the start, 0.6 s, and the end, 0.6 s"),
         ({"start": 0.7}, r"no time between the start, 0.7 s, and the end, 0.6 s"),
-        ({"times": 0}, r"times is 0; a section is shown once or more often"),
-        ({"fade": 0.0}, r"fade is 0 s; more than 0 and at most 0.4 s"),
-        ({"fade": 0.5}, r"fade is 0.5 s; more than 0 and at most 0.4 s"),
+        ({"times": 0}, r"times is 0; a section is shown 1 to 10,000 times"),
+        ({"times": 10**8}, r"times is 100000000; a section is shown 1 to 10,000 times"),
+        ({"fade": 0.0}, r"fade is 0 s; 4e-07 to 0.4 s"),
+        ({"fade": 1e-9}, r"fade is 1e-09 s; 4e-07 to 0.4 s"),
+        ({"fade": 0.5}, r"fade is 0.5 s; 4e-07 to 0.4 s"),
         ({"fade": np.nan}, r"fade is nan s"),
     ],
 )
@@ -197,7 +199,7 @@ def test_what_has_no_placement_does_not_travel() -> None:
 
 
 def test_other_refusals() -> None:
-    with pytest.raises(SettingsError, match=r"fade is 0.5 s; more than 0 and at most 0.4 s"):
+    with pytest.raises(SettingsError, match=r"fade is 0.5 s; 4e-07 to 0.4 s"):
         loop(bar_motion(), 0.5)
     with pytest.raises(SettingsError, match="no time between"):
         loop(bar_motion(frames=1))

@@ -83,6 +83,17 @@ def test_very_short_periods_change_nothing() -> None:
     np.testing.assert_allclose(smooth(model, 1e-4).vectors, model.vectors, atol=1e-9)
 
 
+@pytest.mark.parametrize("seconds", [1e4, 1e6, 1e100])
+def test_very_long_periods_leave_the_line_of_least_squares(seconds: float) -> None:
+    rng = np.random.default_rng(2)
+    times = np.linspace(3, 13, 501)
+    values = 5 + 2 * times[:, None] + rng.normal(size=(501, 1))
+    weights = np.where((times == 3) | (times == 13), 0.5, 1.0)  # what the values stand for
+    line = np.polynomial.Polynomial.fit(times, values[:, 0], 1, w=np.sqrt(weights))
+    found = smoothed(Curve(times, values), times, seconds)
+    np.testing.assert_allclose(found(times)[:, 0], line(times), atol=1e-8)
+
+
 def test_refusals() -> None:
     for seconds in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(SettingsError, match=r"seconds is .*; a positive period is expected"):

@@ -171,6 +171,7 @@ def test_turns_go_on_in_a_transition() -> None:
         (0.1, 0.6, "duration is 0.6 s; the second model lasts for 0.5 s"),
         (0.1, 0.0, "duration is 0.0; a positive number"),
         (0.1, np.nan, "duration is nan; a positive number"),
+        (0.1, 1e-6, "duration is 1e-06 s, next to no time"),
         (np.nan, 0.1, "at is nan s"),
     ],
 )

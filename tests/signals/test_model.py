@@ -154,6 +154,12 @@ def test_blocks_are_the_sample(size: int) -> None:
     assert len(told) == len(blocks)
 
 
+def test_no_times_give_nothing() -> None:
+    model = fit(bar(sides=5, rings=9, frames=3), exact=True)
+    assert model.curve([]).shape == model.rates([]).shape == (0, model.space.dim)
+    assert model.layout([]).shape == (0, 2)
+
+
 def test_repr_tells_what_it_is() -> None:
     model = model_of("free")
     assert repr(model) == (
