@@ -29,7 +29,13 @@ def test_fit_tells_its_stages(bent_bar: MeshSequence) -> None:
     heard = Heard()
     fit(bent_bar, parts=2, progress=heard)
     heard.check()
-    stages = ["finding parts", "growing joints", "registering parts", "encoding frames"]
+    stages = [
+        "finding parts",
+        "growing joints",
+        "registering parts",
+        "encoding frames",
+        "choosing modes and knots",
+    ]
     assert list(dict.fromkeys(what for _, _, what in heard.calls)) == stages
 
 

@@ -115,13 +115,12 @@ def _model(value: Any, folder: Path, readers: Readers) -> Model:
     return readers.model(_path(value, folder))
 
 
-def _points(value: Any, folder: Path, readers: Readers) -> Float:
+def _mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
     path = _path(value, folder)
     mesh = readers.mesh(path)
     if mesh.frame_count != 1:
         raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
-    points: Float = mesh.points[0].astype(np.float64)
-    return points
+    return mesh
 
 
 def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
@@ -160,7 +159,7 @@ def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
 
 FILES: Mapping[str, tuple[str, str, Read]] = {
     "b": ("b", "the file of a model", _model),
-    "points": ("mesh", "the file of a mesh", _points),
+    "points": ("mesh", "the file of a mesh", _mesh),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs),
     "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
 }

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.operations.sculpt import checked_points, difference_of
+from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 
 
-def swap_key(model: Model, key: int, points: ArrayLike) -> Model:
+def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Put an edited mesh in the place of a key shape.
 
     For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: an artist takes the frame of a key,
@@ -24,7 +25,7 @@ def swap_key(model: Model, key: int, points: ArrayLike) -> Model:
         The motion.
     key : int
         Number of the key shape, from 0 on. `Model.key_frames` tells its frame.
-    points : (V, 3) array_like
+    points : (V, 3) array_like or MeshSequence of one frame
         That frame with vertices moved, in the units of the sequence. Vertices that were not moved stay where they are.
 
     Raises
@@ -41,7 +42,8 @@ def swap_key(model: Model, key: int, points: ArrayLike) -> Model:
         raise SettingsError(
             f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
         )
-    edited = checked_points(points, model.header.vertex_count)
+    time = float(model.times[frame])
+    edited = checked_points(points, model, time)
     shapes = np.array(model.shapes)
-    shapes[key] += difference_of(model, float(model.times[frame]), edited)
+    shapes[key] += difference_of(model, time, edited)
     return replace(model, shapes=shapes)

@@ -18,16 +18,18 @@ similar
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.operations.passes import snapped
 from mixseq.operations.pieces import breakpoints, refined, sites_of
 from mixseq.operations.sampling import sampled, shape_measure
+from mixseq.sequence import MeshSequence, Polygons, bounding_diagonal
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -35,6 +37,9 @@ from mixseq.signals.pose import PoseMap
 Float = NDArray[np.float64]
 Where = Literal["everywhere", "window", "similar"]
 WHERE: tuple[Where, ...] = ("everywhere", "window", "similar")
+
+MOVED, MOST = 1e-3, 0.9
+"""A vertex has moved if it did by more than this, in diagonals; a sculpt is doubtful if more than this share has."""
 
 RADIUS = 0.25
 """Default radius of what is similar, as a fraction of the distance to the shape that is least so."""
@@ -46,7 +51,7 @@ ACCURACY = 1e-3
 def sculpt(
     model: Model,
     time: float,
-    points: ArrayLike,
+    points: ArrayLike | MeshSequence,
     where: Where = "everywhere",
     start: float | None = None,
     end: float | None = None,
@@ -60,7 +65,7 @@ def sculpt(
         The motion.
     time : float
         Time of the frame in seconds; any time, not only one of the frames.
-    points : (V, 3) array_like
+    points : (V, 3) array_like or MeshSequence of one frame
         The edited mesh, in the file's units: ``model(time)`` with vertices moved. Vertices that were not moved stay
         where they are. The order of the vertices is the model's.
     where : {"everywhere", "window", "similar"}
@@ -81,7 +86,7 @@ def sculpt(
     """
     _check(where, start, end, radius)
     time = snapped(model, time)
-    edited = checked_points(points, model.header.vertex_count)
+    edited = checked_points(points, model, time)
     difference = difference_of(model, time, edited)
     if where == "window":
         return _added(model, difference, _window(model, time, start, end))
@@ -103,18 +108,52 @@ def _check(where: Where, start: float | None, end: float | None, radius: float |
         raise SettingsError(f"radius is {radius}; a positive fraction of the largest distance is expected")
 
 
-def checked_points(points: ArrayLike, vertex_count: int) -> Float:
-    """Return the edited mesh ``(V, 3)``; refuse what is none of the model."""
-    edited = np.asarray(points, dtype=np.float64)
-    if edited.shape != (vertex_count, 3):
+def checked_points(points: ArrayLike | MeshSequence, model: Model, time: float) -> Float:
+    """Return the edited mesh ``(V, 3)``; refuse what is none of the model, warn of what is hardly its frame."""
+    count = model.header.vertex_count
+    if isinstance(points, MeshSequence):
+        if points.frame_count != 1:
+            raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
+        if points.vertex_count == count and not _same_surface(points.polygons, model.header.polygons):
+            raise InvalidSequenceError(
+                "the edited mesh has other edges than the model: vertices must keep their order; look for such a "
+                "setting in the program that wrote it"
+            )
+    edited = np.asarray(points.points[0] if isinstance(points, MeshSequence) else points, dtype=np.float64)
+    if edited.shape != (count, 3):
         raise InvalidSequenceError(
-            f"the sculpted points have shape {edited.shape}; ({vertex_count}, 3) is expected: move the vertices of the "
+            f"the sculpted points have shape {edited.shape}; ({count}, 3) is expected: move the vertices of the "
             "decoded frame, but add none, take none away and keep their order"
         )
     if not np.isfinite(edited).all():
         vertex = int(np.flatnonzero(~np.isfinite(edited).all(axis=1))[0])
         raise InvalidSequenceError(f"vertex {vertex} of the sculpted points is not finite")
+    before = model(time)
+    apart = np.linalg.norm(edited - before, axis=1) / (bounding_diagonal(before) or 1.0)
+    moved = int(np.count_nonzero(apart > MOVED))
+    if moved > MOST * count:
+        warnings.warn(
+            f"{moved:,} of {count:,} vertices moved, by up to {apart.max():.2g} diagonals; is the mesh the frame at "
+            f"{time:g} s, in the axes and units of the model?",
+            MixseqWarning,
+            stacklevel=3,
+        )
     return edited
+
+
+def _same_surface(one: Polygons, other: Polygons) -> bool:
+    """Whether polygons have the same edges, but for diagonals of those that one of them has cut into triangles."""
+    whole, cut = ({tuple(e) for e in _sides(p).tolist()} for p in (one, other))
+    return whole <= cut or cut <= whole
+
+
+def _sides(polygons: Polygons) -> NDArray[np.int64]:
+    """The sides of polygons ``(E, 2)``, smaller vertex first."""
+    ends = np.cumsum(polygons.counts)
+    following = np.arange(1, len(polygons.indices) + 1)
+    following[ends - 1] = ends - polygons.counts
+    pairs = np.stack([polygons.indices, polygons.indices[following]], axis=1)
+    return np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int64)
 
 
 def difference_of(model: Model, time: float, edited: Float) -> Float:

@@ -19,6 +19,7 @@ from mixseq.operations.passes import (
 )
 from mixseq.operations.pieces import Fade
 from mixseq.operations.timing import shift
+from mixseq.sequence import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.placement import stated_placement
@@ -77,8 +78,8 @@ def repeat(
         Seconds before and after every seam over which jumps are taken up, at most the section; by default a quarter
         of it.
     travel : bool
-        Whether every pass starts where the one before got to: it is moved by the mean of what the parts moved by.
-        It is not turned.
+        Whether every pass starts where the one before got to: it is moved along the ground by the mean of what the
+        parts moved by. It is not turned, nor moved up or down. A section should be a whole cycle.
 
     Raises
     ------
@@ -136,14 +137,15 @@ def loop(model: Model, fade: float | None = None) -> Model:
 
 
 def _travelled(model: Model, start: float, end: float) -> Float:
-    """Return the mean of what the parts moved by ``(3,)``, in the space's unit."""
+    """Return the mean of what the parts moved by along the ground ``(3,)``, in the space's unit."""
     columns = translation_columns(model.space)
     if not len(columns):
         raise SettingsError(
             f"the {model.space.name} space does not say where parts are, so nothing can travel; leave out travel"
         )
     places = model.placement([start, end])[:, columns].mean(axis=1)
-    return np.asarray(places[1] - places[0])
+    along_ground = np.array([axis != model.header.up_axis for axis in UP_AXES])
+    return np.asarray((places[1] - places[0]) * along_ground)
 
 
 def _translated(model: Model, offset: Float) -> Model:

@@ -144,7 +144,7 @@ def test_progress_on_a_terminal_only(folder: Path, terminal: Terminal) -> None:
     with start(terminal, folder, "encode", "bar.npz", "new.h5") as process:
         process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
-    assert "encoding frames" in terminal.shown()
+    assert "choosing modes and knots" in terminal.shown()
     quiet = subprocess.run(
         [MIXSEQ, "encode", "bar.npz", "new.h5"], cwd=folder, capture_output=True, timeout=PATIENCE
     )

@@ -197,8 +197,8 @@ def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
         "start": ("start", False, "a number"),
     }
     readers = Readers(load, read)
-    points = keys["mesh"].read("one.obj", tmp_path, readers)
-    np.testing.assert_array_equal(points, bar(5, 15, frames=1).points[0])
+    mesh = keys["mesh"].read("one.obj", tmp_path, readers)
+    np.testing.assert_array_equal(mesh.points[0], bar(5, 15, frames=1).points[0])
     with pytest.raises(SettingsError, match=r"three.obj has 3 frames; a file with one is expected"):
         keys["mesh"].read("three.obj", tmp_path, readers)
     np.testing.assert_array_equal(

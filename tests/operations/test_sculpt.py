@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.geometry.rigid import kabsch
 from mixseq.operations.sculpt import Where, sculpt, smoothstep
+from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
@@ -273,3 +274,31 @@ def test_a_bump_on_the_flank_of_the_horse(data: Path) -> None:
         now = float(model.times[frame])
         moved = (sculpted(now) - model(now))[bump] @ turn_of(model, trunk, now)
         np.testing.assert_allclose(moved, inside, atol=1e-6 * sequence.diagonal)
+
+
+def test_meshes_with_other_edges_are_refused() -> None:
+    """Renumbered vertices are told by the faces; triangulated polygons are fine."""
+    sequence = bar(sides=5, rings=15, frames=4)
+    model = fit(sequence, exact=True, space="vertex")
+    frame = MeshSequence.from_arrays(sequence.points[:1], sequence.polygons)
+    same = sculpt(model, float(model.times[0]), frame)
+    np.testing.assert_allclose(same.sample().points, sequence.points, atol=1e-9)
+    order = np.random.default_rng(0).permutation(sequence.vertex_count)
+    place = np.argsort(order)
+    renumbered = MeshSequence.from_arrays(sequence.points[:1, order], place[sequence.faces])
+    with pytest.raises(
+        InvalidSequenceError, match="other edges than the model: vertices must keep their order"
+    ):
+        sculpt(model, 0.0, renumbered)
+    with pytest.raises(SettingsError, match="has 4 frames; one is expected"):
+        sculpt(model, 0.0, sequence)
+
+
+def test_a_mesh_that_is_not_the_frame_is_doubted() -> None:
+    sequence = bar(sides=5, rings=15, frames=4)
+    model = fit(sequence, exact=True, space="vertex")
+    turned = sequence.points[0][:, [0, 2, 1]]
+    with pytest.warns(
+        MixseqWarning, match=r"vertices moved, by up to .* diagonals; is the mesh the frame at 0 s"
+    ):
+        sculpt(model, 0.0, turned)
