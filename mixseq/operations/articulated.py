@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.limbs import Limb, limb_of
 from mixseq.operations.passes import continued, placement_of, snapped
 from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, sites_of
@@ -67,8 +68,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
         If the model has no linked parts, the part is none of them or hangs on no other, or the gain is not finite.
     """
     limb = limb_of(model, part)
-    if not np.isfinite(gain):
-        raise SettingsError(f"gain is {gain}; a number is expected")
+    check_gain(gain)
     mean = limb.stance(placement_of(model), model.times).mean(axis=0)
     sites = _sites(model, model.start, model.end)
     whole = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))

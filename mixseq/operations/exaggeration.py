@@ -11,6 +11,9 @@ from mixseq.errors import SettingsError
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
+LARGEST = 1000.0
+"""Largest gain."""
+
 
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
     r"""Return the model with its change of shape exaggerated or damped.
@@ -34,8 +37,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     SettingsError
         If the gain is not finite, or there is no such mode.
     """
-    if not np.isfinite(gain):
-        raise SettingsError(f"gain is {gain}; a number is expected")
+    check_gain(gain)
     count = model.time.dim
     wanted = range(count) if modes is None else modes
     for mode in wanted:
@@ -46,3 +48,9 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     mean = model.time(model.times).mean(axis=0)
     values = np.where(gains == 1.0, model.time.values, mean + gains * (model.time.values - mean))
     return replace(model, time=Curve(model.time.times, values))
+
+
+def check_gain(gain: float) -> None:
+    """Refuse what no motion survives."""
+    if not abs(gain) <= LARGEST:
+        raise SettingsError(f"gain is {gain}; a number is expected, at most {LARGEST:g} in size")

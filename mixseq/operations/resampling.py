@@ -19,15 +19,12 @@ from mixseq.errors import SettingsError
 from mixseq.operations.retime import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
-from mixseq.signals.model import Model
+from mixseq.signals.model import MOST_FRAMES, Model
 
 Float = NDArray[np.float64]
 
 SLACK = 1e-3
 """Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""
-
-MOST_FRAMES = 10_000_000
-"""More would be a slip of the speed or of the rate."""
 
 
 @dataclass(frozen=True, eq=False)

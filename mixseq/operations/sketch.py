@@ -30,7 +30,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.passes import placement_of
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.signals.curve import Curve
-from mixseq.signals.model import Model
+from mixseq.signals.model import MOST_FRAMES, Model
 from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
@@ -83,6 +83,10 @@ def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
+    if duration * model.header.fps >= MOST_FRAMES:
+        raise SettingsError(
+            f"duration is {duration:g} s, which makes more than {MOST_FRAMES:,} frames; give less"
+        )
     drawn = _drawn(curve, float(duration))
     frames = _frames_apart(model)
     times = model.times[frames]

@@ -33,6 +33,10 @@ from mixseq.threads import one_blas_thread
 Float = NDArray[np.float64]
 
 
+MOST_FRAMES = 10_000_000
+"""More would be a slip of the rate or of the speed."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -246,6 +250,10 @@ class Model:
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         if times is None and fps is not None:
             first, last = self.times[0], self.times[-1]
+            if (last - first) * fps >= MOST_FRAMES:
+                raise SettingsError(
+                    f"fps is {fps:g}, which makes more than {MOST_FRAMES:,} frames; give less"
+                )
             times = np.minimum(first + np.arange(int(np.floor((last - first) * fps + 1e-6)) + 1) / fps, last)
         return self.header.with_times(self.times if times is None else self.inside(times), fps)
 

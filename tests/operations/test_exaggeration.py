@@ -7,6 +7,7 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.operations import exaggerate
+from mixseq.operations.exaggeration import check_gain
 from tests.operations.motions import bar_motion
 
 
@@ -49,3 +50,9 @@ def test_refusals() -> None:
     for mode in (-1, 99):
         with pytest.raises(SettingsError, match=f"there is no mode {mode}; the model has 8, from 0 on"):
             exaggerate(bar_motion(), 2.0, modes=[0, mode])
+
+
+@pytest.mark.parametrize("gain", [1001.0, -1e200, np.inf, np.nan])
+def test_gains_that_no_motion_survives_are_refused(gain: float) -> None:
+    with pytest.raises(SettingsError, match="a number is expected, at most 1000 in size"):
+        check_gain(gain)

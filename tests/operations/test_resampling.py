@@ -9,11 +9,12 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.operations.resampling import MOST_FRAMES, plan, resample
+from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retime import Retiming
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals import Model, fit
 from mixseq.signals.curve import Curve
+from mixseq.signals.model import MOST_FRAMES
 from tests.meshes import bar
 
 Float = NDArray[np.float64]

@@ -224,3 +224,8 @@ def test_frames_by_number() -> None:
             model.sample(frames=frames)
     with pytest.raises(SettingsError, match="either times or frames"):
         model.sample([0.1], frames=[1])
+
+
+def test_rates_that_make_too_many_frames_are_refused() -> None:
+    with pytest.raises(SettingsError, match="makes more than 10,000,000 frames"):
+        model_of().header_at(fps=1e12)
