@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target
+from mixseq.cli.files import check_target, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option
 from mixseq.errors import SettingsError
 
@@ -80,13 +80,7 @@ def command(
     else:
         raise SettingsError("--times tells all times; leave out --start and --end")
     with progress_bar(quiet) as progress:
-        if velocities:
-            from mixseq_io import in_step
-
-            points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
-            mixseq.write_blocks(target, header, points, speeds)
-        else:
-            mixseq.write_blocks(target, header, model.blocks(header.times, progress=progress))
+        write_frames(target, model, header, velocities, progress)
     if not quiet:
         first, last = header.times[[0, -1]]
         print_table(

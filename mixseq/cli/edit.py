@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option
 from mixseq.errors import SettingsError
 
@@ -51,8 +51,16 @@ A script has a table for every edit:
     metavar="N",
     help="Frames per second, where OUT is a sequence.  [default: the frames of the model]",
 )
+@click.option(
+    "--velocities/--no-velocities",
+    default=False,
+    show_default=True,
+    help="Also write the velocities of all vertices, where OUT is a sequence.",
+)
 @quiet_option
-def command(source: Path, target: Path, script: Path, fps: float | None, quiet: bool) -> None:
+def command(
+    source: Path, target: Path, script: Path, fps: float | None, velocities: bool, quiet: bool
+) -> None:
     """Edit the motion of a model by a script.
 
     OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
@@ -65,9 +73,9 @@ def command(source: Path, target: Path, script: Path, fps: float | None, quiet: 
     from mixseq.operations.script import read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
-    if as_model and fps is not None:
+    if as_model and (fps is not None or velocities):
         raise SettingsError(
-            "--fps is for sequences; a model has all times, decode it at the rate that you want"
+            f"--{'velocities' if fps is None else 'fps'} is for sequences; a model has all times, decode or resample it"
         )
 
     def unlike_target(path: Path) -> Path:
@@ -93,7 +101,7 @@ def command(source: Path, target: Path, script: Path, fps: float | None, quiet: 
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            mixseq.write_blocks(target, header, model.blocks(header.times, progress=progress))
+            write_frames(target, model, header, velocities, progress)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
     announce(target)

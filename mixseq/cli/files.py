@@ -13,7 +13,8 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
-    from mixseq.sequence import FloatArray, MeshSequence
+    from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+    from mixseq.signals import Model
 
 MODEL_EXTENSIONS = (".h5", ".hdf5")
 
@@ -47,6 +48,19 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
         yield block
         done += len(block)
         progress(done, frames, what)
+
+
+def write_frames(
+    path: Path, model: Model, header: SequenceHeader, velocities: bool, progress: Progress
+) -> None:
+    """Decode the frames of a header and write them as they come, with velocities or without."""
+    from mixseq_io import in_step
+
+    if velocities:
+        points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
+        mixseq.write_blocks(path, header, points, speeds)
+    else:
+        mixseq.write_blocks(path, header, model.blocks(header.times, progress=progress))
 
 
 def check_target(path: Path, source: Path) -> None:

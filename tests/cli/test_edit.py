@@ -63,6 +63,10 @@ def test_a_model_becomes_a_sequence(run: Run, script: Path, bar_model: Model) ->
     found = mixseq.read("new.npz")
     assert (found.fps, found.frame_count) == (20, 15)
     np.testing.assert_allclose(found.points, expected.sample(fps=20).points, atol=1e-9)
+    run("edit", "model.h5", "new.npz", "--script", "edits.toml", "--velocities")
+    moving = expected.sample(velocities=True).velocities
+    assert moving is not None
+    np.testing.assert_allclose(mixseq.read("new.npz").velocities, moving, atol=1e-9)
 
 
 def test_files_are_found_from_the_script(run: Run, folder: Path, bar_model: Model) -> None:
@@ -96,6 +100,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
         ("none.h5 new.h5 --script edits.toml", REPEAT, "none.h5 does not exist"),
         ("bar.npz new.h5 --script edits.toml", REPEAT, "bar.npz is not a model"),
         ("model.h5 new.h5 --script edits.toml --fps 24", REPEAT, "--fps is for sequences"),
+        ("model.h5 new.h5 --script edits.toml --velocities", REPEAT, "--velocities is for sequences"),
         ("model.h5 new.stl --script edits.toml", REPEAT, "'.stl' is not known; write one of"),
         ("model.h5 model.h5 --script edits.toml", REPEAT, "is the source itself and would be lost"),
         ("model.h5 edits.toml --script edits.toml", REPEAT, "is the source itself and would be lost"),
