@@ -65,8 +65,10 @@ def test_a_model_becomes_a_sequence(run: Run, script: Path, bar_model: Model) ->
     np.testing.assert_allclose(found.points, expected.sample(fps=20).points, atol=1e-9)
     run("edit", "model.h5", "new.npz", "--script", "edits.toml", "--velocities")
     moving = expected.sample(velocities=True).velocities
+    written = mixseq.read("new.npz").velocities
     assert moving is not None
-    np.testing.assert_allclose(mixseq.read("new.npz").velocities, moving, atol=1e-9)
+    assert written is not None
+    np.testing.assert_allclose(written, moving, atol=1e-9)
 
 
 def test_files_are_found_from_the_script(run: Run, folder: Path, bar_model: Model) -> None:
