@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.operations.sculpt import checked_points, difference_of
+from mixseq.operations.edited import edited_difference
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 
@@ -42,8 +42,6 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
         raise SettingsError(
             f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
         )
-    time = float(model.times[frame])
-    edited = checked_points(points, model, time)
     shapes = np.array(model.shapes)
-    shapes[key] += difference_of(model, time, edited)
+    shapes[key] += edited_difference(model, float(model.times[frame]), points)
     return replace(model, shapes=shapes)

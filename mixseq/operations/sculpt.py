@@ -18,18 +18,18 @@ similar
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
+from mixseq.errors import SettingsError
+from mixseq.operations.edited import edited_difference
 from mixseq.operations.passes import snapped
 from mixseq.operations.pieces import breakpoints, refined, sites_of
 from mixseq.operations.sampling import sampled, shape_measure
-from mixseq.sequence import MeshSequence, Polygons, bounding_diagonal
+from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -37,9 +37,6 @@ from mixseq.signals.pose import PoseMap
 Float = NDArray[np.float64]
 Where = Literal["everywhere", "window", "similar"]
 WHERE: tuple[Where, ...] = ("everywhere", "window", "similar")
-
-MOVED, MOST = 1e-3, 0.9
-"""A vertex has moved if it did by more than this, in diagonals; a sculpt is doubtful if more than this share has."""
 
 RADIUS = 0.25
 """Default radius of what is similar, as a fraction of the distance to the shape that is least so."""
@@ -86,8 +83,7 @@ def sculpt(
     """
     _check(where, start, end, radius)
     time = snapped(model, time)
-    edited = checked_points(points, model, time)
-    difference = difference_of(model, time, edited)
+    difference = edited_difference(model, time, points)
     if where == "window":
         return _added(model, difference, _window(model, time, start, end))
     if where == "similar":
@@ -106,62 +102,6 @@ def _check(where: Where, start: float | None, end: float | None, radius: float |
         raise SettingsError(f"radius tells what is similar; leave it out, or where={where!r}")
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise SettingsError(f"radius is {radius}; a positive fraction of the largest distance is expected")
-
-
-def checked_points(points: ArrayLike | MeshSequence, model: Model, time: float) -> Float:
-    """Return the edited mesh ``(V, 3)``; refuse what is none of the model, warn of what is hardly its frame."""
-    count = model.header.vertex_count
-    if isinstance(points, MeshSequence):
-        if points.frame_count != 1:
-            raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
-        if points.vertex_count == count and not _same_surface(points.polygons, model.header.polygons):
-            raise InvalidSequenceError(
-                "the edited mesh has other edges than the model: vertices must keep their order; look for such a "
-                "setting in the program that wrote it"
-            )
-    edited = np.asarray(points.points[0] if isinstance(points, MeshSequence) else points, dtype=np.float64)
-    if edited.shape != (count, 3):
-        raise InvalidSequenceError(
-            f"the sculpted points have shape {edited.shape}; ({count}, 3) is expected: move the vertices of the "
-            "decoded frame, but add none, take none away and keep their order"
-        )
-    if not np.isfinite(edited).all():
-        vertex = int(np.flatnonzero(~np.isfinite(edited).all(axis=1))[0])
-        raise InvalidSequenceError(f"vertex {vertex} of the sculpted points is not finite")
-    before = model(time)
-    apart = np.linalg.norm(edited - before, axis=1) / (bounding_diagonal(before) or 1.0)
-    moved = int(np.count_nonzero(apart > MOVED))
-    if moved > MOST * count:
-        warnings.warn(
-            f"{moved:,} of {count:,} vertices moved, by up to {apart.max():.2g} diagonals; is the mesh the frame at "
-            f"{time:g} s, in the axes and units of the model?",
-            MixseqWarning,
-            stacklevel=3,
-        )
-    return edited
-
-
-def _same_surface(one: Polygons, other: Polygons) -> bool:
-    """Whether polygons have the same edges, but for diagonals of those that one of them has cut into triangles."""
-    whole, cut = ({tuple(e) for e in _sides(p).tolist()} for p in (one, other))
-    return whole <= cut or cut <= whole
-
-
-def _sides(polygons: Polygons) -> NDArray[np.int64]:
-    """The sides of polygons ``(E, 2)``, smaller vertex first."""
-    ends = np.cumsum(polygons.counts)
-    following = np.arange(1, len(polygons.indices) + 1)
-    following[ends - 1] = ends - polygons.counts
-    pairs = np.stack([polygons.indices, polygons.indices[following]], axis=1)
-    return np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int64)
-
-
-def difference_of(model: Model, time: float, edited: Float) -> Float:
-    """What the edit of a frame adds to a key shape and its offsets ``(S + O,)``."""
-    space, vector, before = model.space, model.curve([time]), model(time)
-    shape = space.shape_difference(vector[0], before, edited)
-    offsets = space.offsets(np.stack([before, edited]), np.repeat(vector, 2, axis=0))
-    return np.concatenate([shape, offsets[1] - offsets[0]])
 
 
 def _added(model: Model, difference: Float, weight: Curve) -> Model:

@@ -68,5 +68,5 @@ def test_unknown_keys_are_refused(key: int) -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((4, 3)), np.full((67, 3), np.nan)])
 def test_other_meshes_are_refused(points: NDArray[np.float64]) -> None:
-    with pytest.raises(InvalidSequenceError, match="sculpted points"):
+    with pytest.raises(InvalidSequenceError, match="edited points"):
         swap_key(keyed("vertex"), 0, points)

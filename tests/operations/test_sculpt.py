@@ -241,7 +241,7 @@ def test_points_of_another_mesh() -> None:
         sculpt(model, 0.2, model(0.2)[:-1])
     broken = model(0.2).copy()
     broken[7, 1] = np.nan
-    with pytest.raises(InvalidSequenceError, match="vertex 7 of the sculpted points is not finite"):
+    with pytest.raises(InvalidSequenceError, match="vertex 7 of the edited points is not finite"):
         sculpt(model, 0.2, broken)
 
 

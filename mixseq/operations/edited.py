@@ -1,0 +1,100 @@
+"""A frame that somebody edited by hand: whether it is the model's, and what was changed."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
+from mixseq.polygons import Polygons
+from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
+from mixseq.signals.model import Model
+
+Float = NDArray[np.float64]
+
+MOVED, MOST = 1e-3, 0.9
+"""A vertex has moved if it did by more than this, in diagonals; an edit is doubtful if more than this share has."""
+
+
+def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
+    """Return what the edit of a frame adds to key shapes and their offsets ``(S + O,)``; zeros if nothing was moved.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    time : float
+        Time of the frame in seconds.
+    points : (V, 3) array_like or MeshSequence of one frame
+        ``model(time)`` with vertices moved. Faces of a mesh tell whether its vertices are in the model's order.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the points are not those of the mesh, or not finite.
+    SettingsError
+        If there are several frames.
+
+    Warns
+    -----
+    MixseqWarning
+        If nearly all vertices moved.
+    """
+    edited = _checked(points, model.header)
+    space, vector, before = model.space, model.curve([time]), model(time)
+    _doubt(before, edited, time)
+    shape = space.shape_difference(vector[0], before, edited)
+    offsets = space.offsets(np.stack([before, edited]), np.repeat(vector, 2, axis=0))
+    return np.concatenate([shape, offsets[1] - offsets[0]])
+
+
+def _checked(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
+    if isinstance(points, MeshSequence):
+        if points.frame_count != 1:
+            raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
+        if points.vertex_count == header.vertex_count and not _same_surface(points.polygons, header.polygons):
+            raise InvalidSequenceError(
+                "the edited mesh has other edges than the model: vertices must keep their order; look for such a "
+                "setting in the program that wrote it"
+            )
+        points = points.points[0]
+    edited = np.asarray(points, dtype=np.float64)
+    if edited.shape != (header.vertex_count, 3):
+        raise InvalidSequenceError(
+            f"the edited points have shape {edited.shape}; ({header.vertex_count}, 3) is expected: move the vertices "
+            "of the decoded frame, but add none, take none away and keep their order"
+        )
+    if not np.isfinite(edited).all():
+        vertex = int(np.flatnonzero(~np.isfinite(edited).all(axis=1))[0])
+        raise InvalidSequenceError(f"vertex {vertex} of the edited points is not finite")
+    return edited
+
+
+def _doubt(before: Float, edited: Float, time: float) -> None:
+    """Warn if an edit is hardly one of this frame."""
+    apart = np.linalg.norm(edited - before, axis=1) / (bounding_diagonal(before) or 1.0)
+    moved = int(np.count_nonzero(apart > MOVED))
+    if moved > MOST * len(edited):
+        warnings.warn(
+            f"{moved:,} of {len(edited):,} vertices moved, by up to {apart.max():.2g} diagonals; is the mesh the frame "
+            f"at {time:g} s, in the axes and units of the model?",
+            MixseqWarning,
+            stacklevel=4,
+        )
+
+
+def _same_surface(one: Polygons, other: Polygons) -> bool:
+    """Whether polygons have the same edges, but for diagonals of those that one of them has cut into triangles."""
+    whole, cut = ({tuple(side) for side in _sides(polygons).tolist()} for polygons in (one, other))
+    return whole <= cut or cut <= whole
+
+
+def _sides(polygons: Polygons) -> NDArray[np.int64]:
+    """The sides of polygons ``(E, 2)``, smaller vertex first."""
+    ends = np.cumsum(polygons.counts)
+    following = np.arange(1, len(polygons.indices) + 1)
+    following[ends - 1] = ends - polygons.counts
+    pairs = np.stack([polygons.indices, polygons.indices[following]], axis=1)
+    return np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int64)
