@@ -38,8 +38,8 @@ class Polygons:
     indices: IntArray
 
     def __post_init__(self) -> None:
-        counts = _as_indices(self.counts, "polygon corner counts").reshape(-1)
-        indices = _as_indices(self.indices, "polygon corners").reshape(-1)
+        counts = as_indices(self.counts, "polygon corner counts").reshape(-1)
+        indices = as_indices(self.indices, "polygon corners").reshape(-1)
         if counts.size and counts.min() < 3:
             bad = int(np.argmax(counts < 3))
             raise InvalidSequenceError(
@@ -55,7 +55,7 @@ class Polygons:
     @classmethod
     def from_triangles(cls, faces: ArrayLike) -> Polygons:
         """Make polygons of an ``(F, 3)`` array of triangles."""
-        triangles = _as_indices(faces, "faces")
+        triangles = as_indices(faces, "faces")
         if triangles.ndim != 2 or triangles.shape[1] != 3:
             raise InvalidSequenceError(f"faces have shape {triangles.shape}; (F, 3) is expected")
         return cls(np.full(len(triangles), 3, dtype=np.int32), triangles.reshape(-1))
@@ -91,7 +91,8 @@ class Polygons:
         return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
-def _as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
+def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
+    """Return whole numbers as int32, or raise an error that says what they should have been."""
     array = np.asarray(values)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise InvalidSequenceError(f"{what} have type {array.dtype}; integers are expected")

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import FloatArray, IntArray, Polygons, frozen
+from mixseq.surface import MeshObject, Surface
 
 __all__ = [
     "FloatArray",
@@ -55,6 +56,8 @@ class SequenceHeader:
         Length of one unit of `points` in metres.
     name : str
         Name of the mesh.
+    surface : Surface
+        Texture coordinates, creases, face sets, objects, and the file it came from.
 
     Raises
     ------
@@ -69,6 +72,7 @@ class SequenceHeader:
     up_axis: str = "Y"
     metres_per_unit: float = 1.0
     name: str = "mesh"
+    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, dtype=np.float64).reshape(-1)
@@ -87,6 +91,12 @@ class SequenceHeader:
     def frame_count(self) -> int:
         """Number of frames T."""
         return int(self.times.size)
+
+    @property
+    def objects(self) -> tuple[MeshObject, ...]:
+        """The meshes that the sequence joins, at least one: the sequence itself if nothing else is known."""
+        whole = MeshObject(self.name, "", self.vertex_count, len(self.polygons.counts))
+        return self.surface.objects or (whole,)
 
     def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
         """Return the header of the same mesh with other frames."""
@@ -305,6 +315,7 @@ def _check_header(header: SequenceHeader) -> None:
             raise InvalidSequenceError(f"{label} is {value}; a positive number is expected")
     if "\0" in header.name or any("\ud800" <= letter <= "\udfff" for letter in header.name):
         raise InvalidSequenceError(f"the name {header.name!r} has characters that no file can hold")
+    header.surface.check(header.polygons, header.vertex_count)
     if header.up_axis not in UP_AXES:
         raise InvalidSequenceError(f"up axis is {header.up_axis!r}; one of {', '.join(UP_AXES)} is expected")
 

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("errors", "progress", "threads", "version"),
     ("polygons",),
+    ("surface",),
     ("sequence",),
     ("topology", "geometry"),
     ("segmentation",),
@@ -82,7 +83,7 @@ def test_layers_stand_on_those_before(file: Path) -> None:
         ("import mixseq.spaces.mixed", {"spaces"}),
         ("from mixseq.signals import fit", {"signals"}),
         ("from mixseq import topology", {"topology"}),
-        ("def f():\n    from mixseq_io.h5 import whole", {"mixseq_io"}),
+        ("def f():\n    from mixseq_io.hdf5.files import whole", {"mixseq_io"}),
         ("import numpy as np, mixseq", set()),
     ],
 )

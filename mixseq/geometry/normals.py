@@ -1,0 +1,93 @@
+"""Normals of corners, with creases where the author wanted them.
+
+Normals move with the points, so they are computed for every frame: the normal ``n_g`` of a group ``g`` of corners
+sums over its corners ``c`` the normals of their polygons, weighted by the polygons' areas,
+
+    n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
+
+where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Which corners share a normal is a
+matter of the surface (`mixseq.surface.Surface.creases`), not of the frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.polygons import FloatArray, IntArray, Polygons
+
+
+def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
+    """Return the vector areas ``(T, P, 3)`` of the polygons in frames of points ``(T, V, 3)``.
+
+    Examples
+    --------
+    >>> square = np.array([[[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]])
+    >>> vector_areas(square, Polygons(np.array([4]), np.array([0, 1, 2, 3]))).tolist()
+    [[[0.0, 0.0, 4.0]]]
+    """
+    starts = np.cumsum(polygons.counts) - polygons.counts
+    first = np.repeat(starts, polygons.counts)
+    step = np.arange(polygons.indices.size) - first
+    following = first + (step + 1) % np.repeat(polygons.counts, polygons.counts)
+    # About the polygon's first corner, not the origin: far from it the products would cancel.
+    centre = points[:, polygons.indices[first]].astype(np.float64)
+    here = points[:, polygons.indices] - centre
+    there = points[:, polygons.indices[following]] - centre
+    return np.add.reduceat(np.cross(here, there), starts, axis=1) / 2
+
+
+def shared_normals(
+    points: FloatArray, polygons: Polygons, groups: IntArray | None = None
+) -> NDArray[np.float32]:
+    """Return one normal per group of corners.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float
+        Frames.
+    polygons : Polygons
+        Faces, counter-clockwise seen from outside.
+    groups : (sum of counts,) int, optional
+        Group of every corner, from 0 on; by default the corner's vertex.
+
+    Returns
+    -------
+    (T, G, 3) float32
+        Unit vectors; (0, 0, 1) where a group has no area.
+    """
+    of_corner = polygons.indices if groups is None else groups
+    count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
+    areas = vector_areas(points, polygons)
+    of_polygon = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    sums = np.zeros((len(points), count, 3))
+    for frame, total in enumerate(sums):
+        for axis in range(3):
+            total[:, axis] = np.bincount(of_corner, areas[frame, of_polygon, axis], minlength=count)
+    lengths = np.linalg.norm(sums, axis=2, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
+
+
+def creases_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
+    """Find which corners share a normal: those of one vertex whose authored normals are equal.
+
+    Parameters
+    ----------
+    polygons : Polygons
+        Faces.
+    normals : (sum of counts, 3) float
+        The authored normal of every corner, in one frame.
+
+    Returns
+    -------
+    (sum of counts,) int32, or None
+        Group of every corner, see `shared_normals`; None if every vertex has a single normal.
+    """
+    # To three digits: exporters recompute normals of one vertex face by face.
+    keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])
+    groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    if groups.max(initial=-1) + 1 == np.unique(polygons.indices).size:
+        return None
+    return groups.astype(np.int32)

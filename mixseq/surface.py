@@ -1,0 +1,210 @@
+"""What a mesh has besides its faces: texture coordinates, creases, face sets, the objects it consists of.
+
+None of it takes part in any computation: it is carried from file to file, so that a character comes back with its
+textures and materials. The field's terms differ from format to format:
+
+==================  ========================  =====================  ==========================
+here                USD                       Alembic                glTF
+==================  ========================  =====================  ==========================
+`FaceSet`           GeomSubset                face set               primitive
+`MeshObject`        Mesh                      PolyMesh, SubD         node with a mesh
+`Surface.uvs`       ``primvars:st``           UV parameter           ``TEXCOORD_0``, upside down
+`Surface.creases`   normals, face-varying     normals, face-varying  vertices split by normals
+==================  ========================  =====================  ==========================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.polygons import FloatArray, IntArray, Polygons, as_indices, frozen
+
+SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
+
+
+@dataclass(frozen=True, eq=False)
+class CornerValues:
+    """Values at the corners of polygons: corner ``c`` has ``values[indices[c]]``.
+
+    Parameters
+    ----------
+    values : (n, k) float32
+        The values, each stored once.
+    indices : (sum of counts,) int32
+        Row of `values` for every corner, in the order of `Polygons.indices`.
+    """
+
+    values: FloatArray
+    indices: IntArray
+
+    def __post_init__(self) -> None:
+        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "indices", _flat(self.indices, "values of corners"))
+        if values.ndim != 2:
+            raise InvalidSequenceError(f"values of corners have shape {values.shape}; (n, k) is expected")
+
+    @property
+    def at_corners(self) -> FloatArray:
+        """The values ``(sum of counts, k)``, one per corner."""
+        return self.values[self.indices]
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSet:
+    """A named set of polygons.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    polygons : (n,) int32
+        Indices of the polygons, increasing.
+    material : str
+        Name or path of the material on it, "" if there is none.
+    """
+
+    name: str
+    polygons: IntArray
+    material: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "polygons", frozen(np.unique(_flat(self.polygons, "polygons of a face set")))
+        )
+
+
+@dataclass(frozen=True)
+class MeshObject:
+    """One of the meshes that a sequence joins: a run of its vertices, and the run of polygons on them.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    path : str
+        Where it is in the file it came from: the path of a USD prim, Alembic object or glTF node.
+    vertex_count, polygon_count : int
+        How many vertices and polygons are its own.
+    """
+
+    name: str
+    path: str
+    vertex_count: int
+    polygon_count: int
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The file that a sequence was read from, on which a writer of the same format may lay new points.
+
+    Parameters
+    ----------
+    format : str
+        Name of the format in `mixseq_io.FORMATS`.
+    path : str
+        Absolute path of the file.
+    """
+
+    format: str
+    path: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """What a mesh has besides its faces.
+
+    Parameters
+    ----------
+    uvs : CornerValues, optional
+        Texture coordinates (u, v), v upwards.
+    creases : (sum of counts,) int32, optional
+        Normals are not stored, because they move with the points. This tells how to compute them: corners with
+        the same number share one normal. Without it all corners of a vertex do.
+    face_sets : tuple of FaceSet
+        Named sets of polygons, with their materials.
+    objects : tuple of MeshObject
+        The meshes that the sequence joins, in order; empty if nothing is known of them.
+    subdivision : {"none", "catmullClark", "loop", "bilinear"}
+        How renderers subdivide the mesh.
+    origin : Origin, optional
+        The file it was read from.
+    """
+
+    uvs: CornerValues | None = None
+    creases: IntArray | None = None
+    face_sets: tuple[FaceSet, ...] = ()
+    objects: tuple[MeshObject, ...] = ()
+    subdivision: str = "none"
+    origin: Origin | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "face_sets", tuple(self.face_sets))
+        object.__setattr__(self, "objects", tuple(self.objects))
+        if self.creases is not None:
+            object.__setattr__(self, "creases", _flat(self.creases, "creases"))
+        if self.subdivision not in SUBDIVISIONS:
+            raise InvalidSequenceError(
+                f"subdivision is {self.subdivision!r}; one of {', '.join(SUBDIVISIONS)} is expected"
+            )
+
+    def check(self, polygons: Polygons, vertex_count: int) -> None:
+        """Check that everything fits the mesh.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If there are more or fewer values than corners, or a face set or an object goes beyond the mesh.
+        """
+        corners = polygons.indices.size
+        if self.uvs is not None:
+            _check_corners("texture coordinates", self.uvs.indices, corners, len(self.uvs.values))
+            if self.uvs.values.shape[1] != 2:
+                raise InvalidSequenceError(
+                    f"texture coordinates have shape {self.uvs.values.shape}, not (n, 2)"
+                )
+        if self.creases is not None:
+            _check_corners("creases", self.creases, corners, None)
+        for face_set in self.face_sets:
+            outside = face_set.polygons[(face_set.polygons < 0) | (face_set.polygons >= len(polygons.counts))]
+            if outside.size:
+                raise InvalidSequenceError(
+                    f"face set {face_set.name!r} has polygon {outside[0]}, but polygons are 0 to "
+                    f"{len(polygons.counts) - 1}"
+                )
+        if self.objects:
+            _check_objects(self.objects, polygons, vertex_count)
+
+
+def _flat(indices: ArrayLike, what: str) -> IntArray:
+    return frozen(as_indices(indices, what).reshape(-1))
+
+
+def _check_corners(what: str, indices: IntArray, corners: int, limit: int | None) -> None:
+    if indices.size != corners:
+        raise InvalidSequenceError(f"there are {indices.size} {what} for {corners} corners of polygons")
+    if indices.size and (indices.min() < 0 or (limit is not None and indices.max() >= limit)):
+        raise InvalidSequenceError(
+            f"{what} of a corner are number {indices.min()} to {indices.max()} of {limit}"
+        )
+
+
+def _check_objects(objects: tuple[MeshObject, ...], polygons: Polygons, vertex_count: int) -> None:
+    counts = np.array([(each.vertex_count, each.polygon_count) for each in objects])
+    if (counts < 0).any() or counts.sum(axis=0).tolist() != [vertex_count, len(polygons.counts)]:
+        vertices, faces = counts.sum(axis=0).tolist()
+        raise InvalidSequenceError(
+            f"the objects have {vertices} vertices and {faces} polygons, the mesh {vertex_count} and "
+            f"{len(polygons.counts)}"
+        )
+    last = np.cumsum(counts[:, 0])
+    of_polygon = np.repeat(np.arange(len(objects)), counts[:, 1])
+    of_corner = np.repeat(of_polygon, polygons.counts)
+    astray = np.searchsorted(last, polygons.indices, side="right") != of_corner
+    if astray.any():
+        name = objects[of_corner[int(np.argmax(astray))]].name
+        raise InvalidSequenceError(f"a polygon of the object {name!r} uses vertices of another object")

@@ -1,0 +1,79 @@
+"""What lies on a mesh must fit it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.polygons import Polygons
+from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+
+QUAD_TRIANGLE = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 4, 5, 6]))
+
+
+def header(**surface: Any) -> SequenceHeader:
+    return SequenceHeader(
+        polygons=QUAD_TRIANGLE, vertex_count=7, times=np.arange(2.0), surface=Surface(**surface)
+    )
+
+
+def uvs(corners: int = 7, values: int = 2) -> CornerValues:
+    return CornerValues(np.eye(2, dtype=np.float32)[:values], np.arange(corners) % 2)
+
+
+def test_values_at_corners() -> None:
+    assert uvs(3).at_corners.tolist() == [[1, 0], [0, 1], [1, 0]]
+
+
+def test_everything_is_read_only() -> None:
+    surface = header(uvs=uvs(), creases=np.arange(7), face_sets=[FaceSet("a", np.array([1, 0]))]).surface
+    assert surface.uvs is not None and surface.creases is not None
+    for array in (surface.uvs.values, surface.uvs.indices, surface.creases, surface.face_sets[0].polygons):
+        assert not array.flags.writeable
+
+
+def test_face_sets_are_sorted_and_without_doubles() -> None:
+    assert FaceSet("a", np.array([3, 1, 3])).polygons.tolist() == [1, 3]
+
+
+def test_a_mesh_is_its_own_object() -> None:
+    assert header().objects == (MeshObject("mesh", "", 7, 2),)
+    two = (MeshObject("a", "/a", 4, 1), MeshObject("b", "/b", 3, 1))
+    assert header(objects=two).objects == two
+
+
+@pytest.mark.parametrize(
+    ("surface", "message"),
+    [
+        ({"uvs": uvs(6)}, "6 texture coordinates for 7 corners"),
+        ({"uvs": uvs(values=1)}, "texture coordinates of a corner are number 0 to 1 of 1"),
+        ({"uvs": CornerValues(np.zeros((2, 3)), np.zeros(7, int))}, r"shape \(2, 3\), not \(n, 2\)"),
+        ({"creases": np.zeros(8, int)}, "8 creases for 7 corners"),
+        ({"creases": -np.arange(7)}, "creases of a corner are number -6 to 0"),
+        ({"face_sets": [FaceSet("head", np.array([0, 2]))]}, "'head' has polygon 2, but polygons are 0 to 1"),
+        ({"objects": [MeshObject("a", "", 7, 1)]}, "7 vertices and 1 polygons, the mesh 7 and 2"),
+        (
+            {"objects": [MeshObject("a", "", 3, 1), MeshObject("b", "", 4, 1)]},
+            "a polygon of the object 'a' uses vertices of another",
+        ),
+        ({"creases": np.zeros(7)}, "creases have type float64; integers are expected"),
+        ({"subdivision": "butterfly"}, "subdivision is 'butterfly'; one of none, catmullClark"),
+    ],
+    ids=["few", "range", "three", "creases", "negative", "polygon", "count", "astray", "floats", "scheme"],
+)
+def test_refusals(surface: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSequenceError, match=message):
+        header(**surface)
+
+
+def test_the_surface_stays_with_the_sequence() -> None:
+    surface = Surface(uvs=uvs(), origin=Origin("USD", "/walk.usd"))
+    points = np.random.default_rng(0).normal(size=(2, 7, 3))
+    sequence = replace(MeshSequence.from_arrays(points, QUAD_TRIANGLE), surface=surface)
+    assert sequence.header.with_times([0.0, 1.0, 2.0]).surface is surface
+    assert sequence.with_points(points + 1).surface is surface
