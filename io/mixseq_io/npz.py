@@ -15,6 +15,7 @@ array               shape                 meaning
 ``name``            str                   optional, the file's name
 ==================  ====================  =====================================================
 
+and those of `mixseq_io.surface_arrays`: texture coordinates, creases, face sets, objects.
 Points keep their precision, float32 or float64. Objects (pickles) are not read.
 
 Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
@@ -45,6 +46,7 @@ from mixseq.sequence import DEFAULT_FPS, FloatArray, Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
 from mixseq_io.reader import SequenceReader, naming, reading
+from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
 
 # What zipfile, zlib and numpy raise at damaged input.
 _DAMAGE = (
@@ -84,7 +86,7 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
                 f"{path} has the arrays {', '.join(sorted(members)) or 'none'}; `points`, and `faces` or "
                 "`face_counts` with `face_indices`, are needed"
             )
-        small = {name: _read_array(archive, name) for name in _SMALL if name in members}
+        small = {name: _read_array(archive, name) for name in (*_SMALL, *SURFACE_ARRAYS) if name in members}
         with archive.open("points.npy") as stream:
             shape, _, _ = _read_array_header(path, stream, archive.getinfo("points.npy").file_size)
         with naming(path):
@@ -152,6 +154,7 @@ def _header(
         up_axis=str(small["up_axis"].item()) if "up_axis" in small else "Y",
         metres_per_unit=float(small["metres_per_unit"].item()) if "metres_per_unit" in small else 1.0,
         name=str(small["name"].item()) if "name" in small else path.stem,
+        surface=surface_of_arrays(small),
     )
 
 
@@ -236,6 +239,7 @@ def write_npz(
     else:
         arrays["face_counts"] = header.polygons.counts
         arrays["face_indices"] = header.polygons.indices
+    arrays |= surface_arrays(header.surface)
     method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", method) as archive:
         dtype, numbered = checked(header, blocks, velocities)

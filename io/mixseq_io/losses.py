@@ -1,0 +1,54 @@
+"""What a format has no place for, in words, for the one warning that its writer gives."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq_io.blocks import warn
+
+
+def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
+    """Return what is lost where up axis, units and velocities are."""
+    lost = []
+    if header.up_axis != "Y":
+        lost.append(f"{header.up_axis} up")
+    if header.metres_per_unit != 1.0:
+        lost.append(f"{header.metres_per_unit:g} metres per unit")
+    if moving:
+        lost.append("velocities")
+    return lost
+
+
+def lost_times(header: SequenceHeader) -> list[str]:
+    """Return what is lost where frames only have numbers, and are read at 24 frames per second."""
+    if header.frame_count == 1:  # a single frame has no rate
+        return []
+    lost = []
+    if header.fps != DEFAULT_FPS:
+        lost.append(f"{header.fps:g} frames per second")
+    if not np.allclose(header.times * header.fps, np.arange(header.frame_count), rtol=1e-9, atol=1e-9):
+        lost.append("the times of the frames")
+    return lost
+
+
+def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str]:
+    """Return which fields of `mixseq.surface.Surface` are lost where only those in `held` are kept."""
+    surface = header.surface
+    present = {
+        "uvs": surface.uvs is not None and "texture coordinates",
+        "creases": surface.creases is not None and "creases",
+        "face_sets": bool(surface.face_sets) and "face sets",
+        "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
+        "subdivision": surface.subdivision != "none" and f"{surface.subdivision} subdivision",
+    }
+    return [words for name, words in present.items() if words and name not in held]
+
+
+def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
+    """Warn once of all that files of a kind ("OBJ files") cannot hold, if there is anything."""
+    if lost:
+        warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can")

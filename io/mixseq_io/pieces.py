@@ -1,0 +1,167 @@
+"""Several meshes of a file as one sequence, and that sequence as several meshes again.
+
+Readers of scenes make one `Piece` per mesh and `join` them; writers `split` a header into the pieces that it
+joins. Points go along: object ``i`` owns the vertices ``piece.vertices`` of every frame.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.polygons import IntArray, Polygons
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq_io.blocks import warn
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Piece:
+    """One mesh: its polygons by its own vertices, and what is on them.
+
+    Parameters
+    ----------
+    name, path : str
+        See `MeshObject`.
+    vertices : slice
+        Its vertices among those of the sequence.
+    polygons : Polygons
+        Its faces; indices count from its own first vertex.
+    uvs, creases, face_sets, subdivision
+        See `Surface`, with indices of its own polygons. A face set of all polygons is a material on the whole mesh.
+    """
+
+    name: str
+    path: str
+    vertices: slice
+    polygons: Polygons
+    uvs: CornerValues | None = None
+    creases: IntArray | None = None
+    face_sets: tuple[FaceSet, ...] = ()
+    subdivision: str = "none"
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of its vertices."""
+        return int(self.vertices.stop - self.vertices.start)
+
+
+def join(path: Path, pieces: Sequence[Piece], origin: Origin | None) -> tuple[Polygons, Surface]:
+    """Join meshes, whose vertices follow each other, into one.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for warnings.
+    pieces : sequence of Piece
+        The meshes, at least one.
+    origin : Origin or None
+        What the surface shall tell about the file.
+
+    Warns
+    -----
+    MixseqWarning
+        If some of the meshes are subdivided differently; the sequence has what most have.
+    """
+    polygons = Polygons(
+        np.concatenate([piece.polygons.counts for piece in pieces]),
+        np.concatenate([piece.polygons.indices + piece.vertices.start for piece in pieces]),
+    )
+    first_polygon = np.cumsum([0, *(len(piece.polygons.counts) for piece in pieces)])
+    schemes = Counter(piece.subdivision for piece in pieces)
+    if len(schemes) > 1:
+        warn(
+            f"{path}: its meshes are subdivided differently; {schemes.most_common(1)[0][0]!r} is kept for all"
+        )
+    surface = Surface(
+        uvs=_joined_uvs(pieces),
+        creases=_joined_creases(pieces),
+        face_sets=tuple(
+            FaceSet(each.name, each.polygons + first, each.material)
+            for piece, first in zip(pieces, first_polygon, strict=False)
+            for each in piece.face_sets
+        ),
+        objects=tuple(
+            MeshObject(piece.name, piece.path, piece.vertex_count, len(piece.polygons.counts))
+            for piece in pieces
+        ),
+        subdivision=schemes.most_common(1)[0][0],
+        origin=origin,
+    )
+    return polygons, surface
+
+
+def _joined_uvs(pieces: Sequence[Piece]) -> CornerValues | None:
+    """Put the coordinates one after the other; meshes without any get (0, 0)."""
+    if all(piece.uvs is None for piece in pieces):
+        return None
+    values, indices, count = [], [], 0
+    for piece in pieces:
+        uvs = piece.uvs or CornerValues(
+            np.zeros((1, 2), dtype=np.float32), np.zeros(piece.polygons.indices.size, dtype=np.int32)
+        )
+        values.append(uvs.values)
+        indices.append(uvs.indices + count)
+        count += len(uvs.values)
+    return CornerValues(np.concatenate(values), np.concatenate(indices))
+
+
+def _joined_creases(pieces: Sequence[Piece]) -> IntArray | None:
+    """Number the normals on from piece to piece; meshes without creases have one normal per vertex."""
+    if all(piece.creases is None for piece in pieces):
+        return None
+    joined, count = [], 0
+    for piece in pieces:
+        creases = piece.polygons.indices if piece.creases is None else piece.creases
+        joined.append(creases + count)
+        count += int(creases.max(initial=-1)) + 1
+    return np.concatenate(joined)
+
+
+def split(header: SequenceHeader) -> list[Piece]:
+    """Return the meshes that a sequence joins, in order; their vertices follow each other."""
+    surface, polygons = header.surface, header.polygons
+    corners = np.concatenate([[0], np.cumsum(polygons.counts)])
+    pieces, vertex, polygon = [], 0, 0
+    for each in header.objects:
+        end = polygon + each.polygon_count
+        inside = slice(int(corners[polygon]), int(corners[end]))
+        pieces.append(
+            Piece(
+                name=each.name,
+                path=each.path,
+                vertices=slice(vertex, vertex + each.vertex_count),
+                polygons=Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex),
+                uvs=None if surface.uvs is None else _used(surface.uvs.values, surface.uvs.indices[inside]),
+                creases=None if surface.creases is None else _renumbered(surface.creases[inside]),
+                face_sets=tuple(_inside(surface.face_sets, polygon, end)),
+                subdivision=surface.subdivision,
+            )
+        )
+        vertex, polygon = vertex + each.vertex_count, end
+    return pieces
+
+
+def _used(values: NDArray[np.float32], indices: IntArray) -> CornerValues:
+    rows, used = np.unique(indices, return_inverse=True)
+    return CornerValues(values[rows], used)
+
+
+def _renumbered(creases: IntArray) -> IntArray:
+    return np.unique(creases, return_inverse=True)[1].astype(np.int32)
+
+
+def _inside(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:
+    """Return what face sets have of the polygons from `first` to before `end`."""
+    cut = [
+        FaceSet(
+            each.name, each.polygons[(each.polygons >= first) & (each.polygons < end)] - first, each.material
+        )
+        for each in face_sets
+    ]
+    return [each for each in cut if each.polygons.size]

@@ -1,0 +1,137 @@
+"""A `Surface` as named arrays, for formats that hold any arrays: npz, HDF5.
+
+========================  ====================  =====================================================
+array                     shape                 meaning
+========================  ====================  =====================================================
+``uv_values``             (n, 2) float32        texture coordinates, v upwards
+``uv_indices``            (corners,) int32      row of ``uv_values`` for every corner of the polygons
+``creases``               (corners,) int32      corners with the same number share a normal
+``face_set_names``        (S,) str              names of the face sets
+``face_set_materials``    (S,) str              their materials, "" for none
+``face_set_sizes``        (S,) int32            number of their polygons
+``face_set_polygons``     (sum of sizes,) int32 the polygons
+``object_names``          (M,) str              the meshes that the sequence joins
+``object_paths``          (M,) str              where they are in the file they came from
+``object_sizes``          (M, 2) int32          numbers of their vertices and polygons
+``subdivision``           (1,) str              how renderers subdivide, absent for "none"
+``origin``                (2,) str              format and path of the file that it was read from
+========================  ====================  =====================================================
+
+All are optional; those that begin with the same word come together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+
+Arrays = dict[str, NDArray[Any]]
+
+_GROUPS = (
+    ("uv_values", "uv_indices"),
+    ("creases",),
+    ("face_set_names", "face_set_materials", "face_set_sizes", "face_set_polygons"),
+    ("object_names", "object_paths", "object_sizes"),
+    ("subdivision",),
+    ("origin",),
+)
+SURFACE_ARRAYS = tuple(name for group in _GROUPS for name in group)
+
+
+def surface_arrays(surface: Surface) -> Arrays:
+    """Return what a surface has as arrays; strings as NumPy's Unicode."""
+    arrays: Arrays = {}
+    if surface.uvs is not None:
+        arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
+    if surface.creases is not None:
+        arrays["creases"] = surface.creases
+    sets = surface.face_sets
+    if sets:
+        arrays |= {
+            "face_set_names": np.array([each.name for each in sets]),
+            "face_set_materials": np.array([each.material for each in sets]),
+            "face_set_sizes": np.array([each.polygons.size for each in sets], dtype=np.int32),
+            "face_set_polygons": np.concatenate([each.polygons for each in sets]),
+        }
+    objects = surface.objects
+    if objects:
+        arrays |= {
+            "object_names": np.array([each.name for each in objects]),
+            "object_paths": np.array([each.path for each in objects]),
+            "object_sizes": np.array(
+                [(each.vertex_count, each.polygon_count) for each in objects], dtype=np.int32
+            ),
+        }
+    if surface.subdivision != "none":
+        arrays["subdivision"] = np.array([surface.subdivision])
+    if surface.origin is not None:
+        arrays["origin"] = np.array([surface.origin.format, surface.origin.path])
+    return arrays
+
+
+def surface_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> Surface:
+    """Make a surface of what `surface_arrays` returned.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If an array of a group is missing, or does not fit the others.
+    """
+    for group in _GROUPS:
+        missing = [name for name in group if name not in arrays]
+        if missing and len(missing) < len(group):
+            raise InvalidSequenceError(f"{', '.join(missing)} of the surface are missing")
+    uvs = None
+    if "uv_values" in arrays:
+        uvs = CornerValues(arrays["uv_values"], _whole_numbers(arrays, "uv_indices"))
+    origin = None
+    if "origin" in arrays:
+        if arrays["origin"].size != 2:
+            raise InvalidSequenceError("the origin of the surface is not a format and a path")
+        origin = Origin(*map(str, arrays["origin"].reshape(-1)))
+    return Surface(
+        uvs=uvs,
+        creases=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
+        face_sets=_face_sets(arrays) if "face_set_names" in arrays else (),
+        objects=_objects(arrays) if "object_names" in arrays else (),
+        subdivision=str(arrays["subdivision"].item()) if "subdivision" in arrays else "none",
+        origin=origin,
+    )
+
+
+def _face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
+    names, materials = arrays["face_set_names"].reshape(-1), arrays["face_set_materials"].reshape(-1)
+    sizes, polygons = _whole_numbers(arrays, "face_set_sizes"), _whole_numbers(arrays, "face_set_polygons")
+    if not len(names) == len(materials) == len(sizes) or (sizes < 0).any() or sizes.sum() != polygons.size:
+        raise InvalidSequenceError(
+            "the face sets' names, materials, sizes and polygons do not fit each other"
+        )
+    lists = np.split(polygons, np.cumsum(sizes))
+    return tuple(
+        FaceSet(str(name), each, str(material))
+        for name, each, material in zip(names, lists, materials, strict=False)
+    )
+
+
+def _objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
+    names, paths = arrays["object_names"].reshape(-1), arrays["object_paths"].reshape(-1)
+    sizes = _whole_numbers(arrays, "object_sizes")
+    if not len(names) == len(paths) == len(sizes) or sizes.shape[1:] != (2,):
+        raise InvalidSequenceError("the objects' names, paths and sizes do not fit each other")
+    return tuple(
+        MeshObject(str(name), str(path), int(vertices), int(polygons))
+        for name, path, (vertices, polygons) in zip(names, paths, sizes, strict=True)
+    )
+
+
+def _whole_numbers(arrays: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.int64]:
+    array = arrays[name]
+    if array.dtype.kind not in "iu":
+        raise InvalidSequenceError(f"{name} of the surface are {array.dtype}; integers are expected")
+    return array.astype(np.int64)
