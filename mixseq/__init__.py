@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
     from mixseq_io import open_sequence, read, write, write_blocks
-    from mixseq_io.model_h5 import load, save
+    from mixseq_io.hdf5.model import load, save
 
 _HOME = {
     "Comparison": "mixseq.metrics",
@@ -40,10 +40,10 @@ _HOME = {
     "Topology": "mixseq.topology",
     "compare": "mixseq.metrics",
     "fit": "mixseq.signals",
-    "load": "mixseq_io.model_h5",
+    "load": "mixseq_io.hdf5.model",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
-    "save": "mixseq_io.model_h5",
+    "save": "mixseq_io.hdf5.model",
     "write": "mixseq_io",
     "write_blocks": "mixseq_io",
 }

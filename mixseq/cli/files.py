@@ -25,7 +25,7 @@ def is_model(path: Path) -> bool:
         return False
     import h5py
 
-    from mixseq_io.h5 import MODEL_FORMAT, reading_h5
+    from mixseq_io.hdf5.files import MODEL_FORMAT, reading_h5
 
     with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
         return bool(file.attrs.get("format") == MODEL_FORMAT)
@@ -51,16 +51,21 @@ def counted(blocks: Iterable[FloatArray], frames: int, what: str, progress: Prog
 
 
 def write_frames(
-    path: Path, model: Model, header: SequenceHeader, velocities: bool, progress: Progress
+    path: Path,
+    model: Model,
+    header: SequenceHeader,
+    velocities: bool,
+    writing: Mapping[str, Any],
+    progress: Progress,
 ) -> None:
     """Decode the frames of a header and write them as they come, with velocities or without."""
     from mixseq_io import in_step
 
     if velocities:
         points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
-        mixseq.write_blocks(path, header, points, speeds)
+        mixseq.write_blocks(path, header, points, speeds, **writing)
     else:
-        mixseq.write_blocks(path, header, model.blocks(header.times, progress=progress))
+        mixseq.write_blocks(path, header, model.blocks(header.times, progress=progress), **writing)
 
 
 def check_target(path: Path, source: Path) -> None:

@@ -28,6 +28,8 @@ from mixseq.signals import Curve, Model
 from mixseq.signals.placement import StatedPlacement, stated_placement, whole_placement
 from mixseq.spaces import MixedSpace, VertexSpace
 from mixseq.spaces.mixed import PLACEMENTS
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq_io.surface_arrays import surface_arrays
 from tests.meshes import SEQUENCES, bar
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -222,6 +224,15 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     sequence = MeshSequence.from_arrays(
         points, Polygons(counts, corners), [0.1, 0.25, 7 / 3], 29.97, "Z", 0.01, "走る Männchen"
     )
+    surface = Surface(
+        uvs=CornerValues(points[0, :, :2], corners),
+        creases=np.arange(11),
+        face_sets=(FaceSet("Kopf", np.array([1]), "/Looks/皮"), FaceSet("empty", np.array([], dtype=int))),
+        objects=(MeshObject("körper", "/world/körper", 7, 3),),
+        subdivision="catmullClark",
+        origin=Origin("USD", "/shots/walk.usd"),
+    )
+    sequence = replace_fields(sequence, surface=surface)
     shell = ShellSettings(bending=1 / 3, iterations=5, tolerance=1e-3, exact=1e-7)
     original = mixseq.fit(sequence, shell=shell)
     mixseq.save(tmp_path / "model.h5", original)
@@ -230,6 +241,10 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     assert isinstance(loaded.space, MixedSpace)
     assert loaded.space.settings == shell
     assert not loaded.header.polygons.only_triangles
+    ours, theirs = surface_arrays(surface), surface_arrays(loaded.header.surface)
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        np.testing.assert_array_equal(array, theirs[name], err_msg=name)
 
 
 def with_stated_placement(model: Model) -> Model:
@@ -308,7 +323,7 @@ def test_a_failed_save_leaves_the_old_file(model: Model, copy: Path, monkeypatch
     def fail(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mixseq_io.model_h5.write_signals", fail)
+    monkeypatch.setattr("mixseq_io.hdf5.model.write_signals", fail)
     with pytest.raises(OutputError, match=r"bar\.h5"):
         mixseq.save(copy, model)
     assert copy.read_bytes() == before

@@ -78,7 +78,7 @@ def test_missing_pieces(path: Path, plain: MeshSequence, missing: str) -> None:
 def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
     write(path, plain)
     with h5py.File(path, "a") as file:
-        file["polygons/indices"][3] = 99
+        file["polygons/indices"][2] = 99
     with pytest.raises(InvalidSequenceError, match=r"walk\.h5: face 0 uses vertex 99"):
         read(path)
 
@@ -86,9 +86,9 @@ def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
 def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(path, "w") as file:
         file.attrs["format"] = "mixseq-model"
-    stub = ModuleType("mixseq_io.model_h5")
+    stub = ModuleType("mixseq_io.hdf5.model")
     stub.load = lambda path: SimpleNamespace(sample=lambda: plain)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mixseq_io.model_h5", stub)
+    monkeypatch.setitem(sys.modules, "mixseq_io.hdf5.model", stub)
     np.testing.assert_array_equal(read(path).points, plain.points)
 
 

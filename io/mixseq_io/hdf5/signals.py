@@ -13,8 +13,8 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.placement import StatedPlacement
 from mixseq.signals.pose import PoseMap
-from mixseq_io.h5_arrays import Float, floats, increasing, put
-from mixseq_io.model_space import StoredSpace, shape_blocks
+from mixseq_io.hdf5.arrays import Float, floats, increasing, put
+from mixseq_io.hdf5.space import StoredSpace, shape_blocks
 
 POSES = ("rotations", "translations")
 LINKS = ("turns", "gaps")

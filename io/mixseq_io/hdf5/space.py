@@ -18,7 +18,7 @@ from mixseq.sequence import SequenceHeader
 from mixseq.spaces import MixedSpace, ShapeSpace, VertexSpace
 from mixseq.spaces.mixed import PLACEMENTS
 from mixseq.topology import Topology
-from mixseq_io.h5_arrays import Float, floats, get_lists, integers, put, put_lists
+from mixseq_io.hdf5.arrays import Float, floats, get_lists, integers, put, put_lists
 
 StoredSpace = MixedSpace | VertexSpace
 

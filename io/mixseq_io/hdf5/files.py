@@ -21,6 +21,7 @@ from mixseq.errors import FormatError
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.reader import brief, reading
+from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
 """The root attribute `format` of a model."""
@@ -61,6 +62,12 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     file.attrs["metres_per_unit"] = header.metres_per_unit
     file.create_dataset("polygons/counts", data=header.polygons.counts, chunks=True, **CHECKED)
     file.create_dataset("polygons/indices", data=header.polygons.indices, chunks=True, **CHECKED)
+    for name, array in surface_arrays(header.surface).items():
+        if array.dtype.kind == "U":
+            # Fixed length: strings of any length lie outside the dataset and its checksum.
+            array = np.char.encode(array, "utf-8")
+        storage = CHECKED | {"chunks": True} if array.size else {}
+        file.create_dataset(f"surface/{name}", data=array, **storage)
 
 
 def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
@@ -73,7 +80,17 @@ def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[n
         up_axis=str(file.attrs["up_axis"]),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=str(file.attrs["name"]),
+        surface=surface_of_arrays(_surface_arrays(path, file)),
     )
+
+
+def _surface_arrays(path: Path, file: h5py.File) -> dict[str, NDArray[Any]]:
+    names = [name for name in SURFACE_ARRAYS if f"surface/{name}" in file]
+    arrays = {name: np.asarray(whole(path, file, f"surface/{name}")) for name in names}
+    return {
+        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+        for name, array in arrays.items()
+    }
 
 
 @contextmanager

@@ -25,7 +25,7 @@ import numpy as np
 from mixseq.errors import FormatError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from mixseq_io.blocks import checked
-from mixseq_io.h5 import (
+from mixseq_io.hdf5.files import (
     CHECKED,
     MODEL_FORMAT,
     Store,
@@ -67,7 +67,7 @@ def open_h5(path: Path) -> SequenceReader:
 
 
 def _sampled_model(path: Path) -> MeshSequence:
-    from mixseq_io.model_h5 import load  # models build on formats, not formats on models
+    from mixseq_io.hdf5.model import load  # models build on formats, not formats on models
 
     sequence: MeshSequence = load(path).sample()
     return sequence

@@ -12,10 +12,10 @@ from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
 from mixseq.spaces import mixed_space
 from mixseq.threads import one_blas_thread
-from mixseq_io.h5 import read_header
-from mixseq_io.h5_arrays import increasing
-from mixseq_io.model_signals import read_poses, read_shapes
-from mixseq_io.model_space import mixed_blocks, read_mixed_space
+from mixseq_io.hdf5.arrays import increasing
+from mixseq_io.hdf5.files import read_header
+from mixseq_io.hdf5.signals import read_poses, read_shapes
+from mixseq_io.hdf5.space import mixed_blocks, read_mixed_space
 
 
 def read_v1(path: Path, file: h5py.File) -> Model:

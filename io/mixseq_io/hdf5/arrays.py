@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.h5 import CHECKED, whole
+from mixseq_io.hdf5.files import CHECKED, whole
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -25,11 +25,18 @@ import h5py
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, ReconstructionError, SettingsError
 from mixseq.signals.model import Model
 from mixseq.version import __version__
-from mixseq_io.h5 import MODEL_FORMAT, check_version, creating_h5, read_header, reading_h5, write_header
-from mixseq_io.h5_arrays import increasing
-from mixseq_io.model_signals import read_signals, write_signals
-from mixseq_io.model_space import read_space, storable, write_space
-from mixseq_io.model_v1 import read_v1
+from mixseq_io.hdf5.arrays import increasing
+from mixseq_io.hdf5.files import (
+    MODEL_FORMAT,
+    check_version,
+    creating_h5,
+    read_header,
+    reading_h5,
+    write_header,
+)
+from mixseq_io.hdf5.signals import read_signals, write_signals
+from mixseq_io.hdf5.space import read_space, storable, write_space
+from mixseq_io.hdf5.version1 import read_v1
 from mixseq_io.registry import PathLike
 
 VERSION = 2

@@ -1,0 +1,1 @@
+"""Our own files: sequences and models in HDF5."""
