@@ -1,0 +1,202 @@
+"""Readers in a process of their own, for formats that are parsed by C++ libraries.
+
+A damaged file can make such a library crash, hang, or ask for all memory; none of that can be caught where it
+happens. So these readers run in a worker (`mixseq_io.worker`), a second Python with limits on its memory and on the
+processor time of each answer. When it dies, the file is to blame and the user gets an error as from any other
+format. Workers are reused, because starting one takes half a second.
+
+The limits can be raised by the environment variables ``MIXSEQ_READER_MEMORY`` (GiB, 4) and ``MIXSEQ_READER_SECONDS``
+(120).
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import FormatError
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq_io.blocks import warn
+from mixseq_io.reader import SequenceReader
+
+_MOST_IDLE = 2
+
+
+def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
+    """Open a file in a worker.
+
+    Parameters
+    ----------
+    reader : str
+        ``"module:function"`` that opens it.
+    path : Path
+        The file.
+    options : dict
+        The function's options.
+
+    Raises
+    ------
+    MixseqError
+        As the function.
+    FormatError
+        If the worker dies or exceeds its limits.
+    """
+    with ExitStack() as resources:
+        worker = _hire()
+        resources.callback(_dismiss, worker)
+        header, moving = worker.ask(path, "open", reader, str(path), options, str(Path.cwd()))
+        return _IsolatedReader(path, _frozen(header), worker, resources.pop_all(), moving)
+
+
+def can_isolate() -> bool:
+    """Whether a second Python can be started: applications that embed Python have no executable for it."""
+    return "python" in Path(sys.executable or "").name.lower()
+
+
+class _IsolatedReader(SequenceReader):
+    def __init__(
+        self, path: Path, header: SequenceHeader, worker: _Worker, resources: ExitStack, moving: bool
+    ) -> None:
+        super().__init__(path, header, resources, moving)
+        self._worker = worker
+        self._numbers = count()
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._read("points", size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read("velocities", size)
+
+    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
+        number = next(self._numbers)
+        self._worker.ask(self.path, "iterate", number, what, size)
+        while True:
+            block = self._worker.ask(self.path, "next", number)
+            if block is None:
+                return
+            yield block
+
+
+class _Worker:
+    """A child process that answers one question at a time."""
+
+    def __init__(self) -> None:
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mixseq_io.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
+            env=environment,
+        )
+        self._lock = threading.Lock()
+
+    def ask(self, path: Path, *question: Any) -> Any:
+        """Return the answer to a question about a file; raise the error, and repeat the warnings, that it made."""
+        try:
+            with self._lock:
+                pickle.dump(question, self._stdin)
+                self._stdin.flush()
+                answer, error, warnings = pickle.load(self._stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            raise FormatError(self._obituary(path)) from None
+        for message in warnings:
+            warn(message)
+        if error is not None:
+            raise error
+        return answer
+
+    def close(self) -> None:
+        """Let the process end."""
+        with suppress(OSError):
+            self._stdin.close()
+        self._stdout.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked again."""
+        return self._process.poll() is None
+
+    @property
+    def _stdin(self) -> Any:
+        return self._process.stdin
+
+    @property
+    def _stdout(self) -> Any:
+        return self._process.stdout
+
+    def _obituary(self, path: Path) -> str:
+        try:
+            code = self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        import signal
+
+        if code == -getattr(signal, "SIGPROF", 0):
+            return (
+                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of processor "
+                "time, must be raised"
+            )
+        return f"{path}: the library that reads it crashed; it is damaged, export it again"
+
+
+_idle: list[_Worker] = []
+_lock = threading.Lock()
+
+
+def _hire() -> _Worker:
+    with _lock:
+        while _idle:
+            worker = _idle.pop()
+            if worker.alive:
+                return worker
+            worker.close()
+    return _Worker()
+
+
+def _dismiss(worker: _Worker) -> None:
+    """Keep a worker for the next file, if it is well and there are not enough already."""
+    with suppress(FormatError):
+        if worker.alive:
+            worker.ask(Path(), "close")
+    with _lock:
+        if worker.alive and len(_idle) < _MOST_IDLE:
+            _idle.append(worker)
+            return
+    worker.close()
+
+
+@atexit.register
+def _dismiss_all() -> None:
+    while _idle:
+        _idle.pop().close()
+
+
+def _frozen(header: SequenceHeader) -> SequenceHeader:
+    """Make the arrays of a header that came through a pipe read-only again."""
+    surface = header.surface
+    return replace(
+        header,
+        polygons=replace(header.polygons),
+        surface=replace(
+            surface,
+            uvs=None if surface.uvs is None else replace(surface.uvs),
+            face_sets=tuple(replace(face_set) for face_set in surface.face_sets),
+        ),
+    )

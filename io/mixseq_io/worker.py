@@ -1,0 +1,128 @@
+"""The other side of `mixseq_io.isolation`: a process that opens one file at a time and answers questions about it.
+
+Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder)`` gives the header
+and whether there are velocities, ``("iterate", number, what, size)`` starts an iteration over points or velocities,
+``("next", number)`` gives its next block or None, ``("close",)`` ends with the file. An answer is a triple of the
+value, the exception that was raised or None, and the warnings. The process ends when stdin does.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import FormatError, MixseqError
+from mixseq_io.reader import SequenceReader
+
+_MEMORY = float(os.environ.get("MIXSEQ_READER_MEMORY", "4"))
+_SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
+
+
+class Worker:
+    """The open file and the iterations over it."""
+
+    def __init__(self) -> None:
+        self._reader: SequenceReader | None = None
+        self._iterations: dict[int, Iterator[Any]] = {}
+        self._path = ""
+
+    def answer(self, kind: str, *arguments: Any) -> Any:
+        """Answer a question; see the head of the module."""
+        return getattr(self, f"_{kind}")(*arguments)
+
+    def _open(self, reader: str, path: str, options: dict[str, Any], folder: str) -> Any:
+        self._path = path
+        os.chdir(folder)
+        module, function = reader.split(":")
+        self._reader = getattr(import_module(module), function)(Path(path), **options)
+        return self._reader.header, self._reader.has_velocities
+
+    def _iterate(self, number: int, what: str, size: int) -> None:
+        assert self._reader is not None
+        read = self._reader._read_blocks if what == "points" else self._reader._read_velocities
+        self._iterations[number] = iter(read(size))
+
+    def _next(self, number: int) -> Any:
+        block = next(self._iterations[number], None)
+        if block is None:
+            del self._iterations[number]
+        return block
+
+    def _close(self) -> None:
+        self._iterations.clear()
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = None
+
+    def guarded(self, question: tuple[Any, ...]) -> tuple[Any, Exception | None, list[str]]:
+        """Answer a question, and return what it raised and warned."""
+        answer: Any = None
+        error: Exception | None = None
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                answer = self.answer(*question)
+            except MixseqError as raised:
+                error = raised
+            except MemoryError:
+                error = FormatError(
+                    f"{self._path}: reading needs more than {_MEMORY:g} GiB of memory; it is damaged, or "
+                    "MIXSEQ_READER_MEMORY, the limit, must be raised"
+                )
+            except Exception:  # a bug: the other side shows where it was
+                error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
+        return answer, error, [str(warning.message) for warning in caught]
+
+
+def limit_memory() -> None:
+    """Let allocations beyond the limit fail; files that are mapped into memory do not count."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    most = int(_MEMORY * (1 << 30))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (most if hard < 0 else min(most, hard), hard))
+
+
+def limit_time(seconds: float) -> None:
+    """End the process when it has computed for so long; 0 takes the limit away."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+def main() -> None:
+    """Answer questions until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the other side, which closes stdin
+    questions = sys.stdin.buffer
+    # C++ libraries print to stdout, too; it is kept for answers under another number.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    limit_memory()
+    worker = Worker()
+    while True:
+        try:
+            question = pickle.load(questions)
+        except EOFError:
+            break
+        limit_time(_SECONDS)
+        answer = worker.guarded(question)
+        limit_time(0)
+        try:
+            pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
+            answers.flush()
+        except BrokenPipeError:
+            break
+    os._exit(0)  # without the destructors of C++ libraries, which a damaged file may have left in disorder
+
+
+if __name__ == "__main__":
+    main()

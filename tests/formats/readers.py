@@ -1,0 +1,63 @@
+"""Readers that misbehave as C++ libraries do, for `test_isolation`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.errors import InvalidSequenceError, MixseqWarning
+from mixseq.polygons import Polygons
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq_io.reader import SequenceReader
+
+HEADER = SequenceHeader(
+    polygons=Polygons(np.array([3]), np.array([0, 1, 2])), vertex_count=3, times=np.arange(4.0)
+)
+
+
+def open_file(path: Path, how: str = "well", when: str = "opening") -> SequenceReader:
+    """Open a file; do something `how` when `opening` or `reading`."""
+    if when == "opening":
+        misbehave(how, path)
+    return _Reader(path, how if when == "reading" else "well")
+
+
+class _Reader(SequenceReader):
+    def __init__(self, path: Path, how: str) -> None:
+        super().__init__(path, HEADER, has_velocities=True)
+        self._how = how
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        for start in range(0, 4, size):
+            if start:
+                misbehave(self._how, self.path)
+            yield np.full((min(size, 4 - start), 3, 3), start, dtype=np.float32)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        for block in self._read_blocks(size):
+            yield -block
+
+
+def misbehave(how: str, path: Path) -> None:
+    """Crash, hang, take memory, grumble, warn, or fail."""
+    if how == "crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    elif how == "hang":
+        while True:
+            pass
+    elif how == "memory":
+        np.zeros(1 << 40)
+    elif how == "print":
+        os.write(1, b"Coding Error: in C++")
+        os.write(2, b"Coding Error: in C++")
+    elif how == "warn":
+        warnings.warn("something is lost", MixseqWarning, stacklevel=2)
+    elif how == "error":
+        raise InvalidSequenceError(f"{path}: it is unsound")
+    elif how == "bug":
+        raise ZeroDivisionError("by our own mistake")

@@ -1,0 +1,116 @@
+"""Readers in a process of their own: the same sequence, and whatever happens there is an error here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
+from mixseq_io import isolation
+from mixseq_io.isolation import open_isolated
+from mixseq_io.reader import SequenceReader
+
+FILE = Path("walk.abc")
+
+
+def opened(how: str = "well", when: str = "opening") -> SequenceReader:
+    return open_isolated("tests.formats.readers:open_file", FILE, {"how": how, "when": when})
+
+
+@pytest.fixture
+def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """Let no worker of another test answer, and end those of this one."""
+    monkeypatch.setattr(isolation, "_idle", [])
+    yield monkeypatch
+    isolation._dismiss_all()
+
+
+def test_the_same_sequence_comes_through() -> None:
+    with opened() as reader:
+        assert reader.header.times.tolist() == [0, 1, 2, 3]
+        assert not reader.header.times.flags.writeable
+        assert not reader.header.polygons.indices.flags.writeable
+        assert [block[:, 0, 0].tolist() for block in reader.blocks(3)] == [[0, 0, 0], [3]]
+        velocities = reader.velocity_blocks(2)
+        assert velocities is not None
+        assert [block[:, 0, 0].tolist() for block in velocities] == [[0, 0], [-2, -2]]
+
+
+def test_iterations_and_files_do_not_disturb_each_other() -> None:
+    with opened() as one, opened() as other:
+        a, b, c = one.blocks(2), one.blocks(3), other.blocks(1)
+        next(a), next(b), next(c)
+        assert (next(a)[0, 0, 0], next(b)[0, 0, 0], next(c)[0, 0, 0]) == (2, 3, 1)
+
+
+def test_a_worker_is_used_again(new_workers: pytest.MonkeyPatch) -> None:
+    with opened() as reader:
+        process = reader._worker._process.pid  # type: ignore[attr-defined]
+    with opened() as reader:
+        assert reader._worker._process.pid == process  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("when", ["opening", "reading"])
+def test_crash(when: str) -> None:
+    with (
+        pytest.raises(FormatError, match=r"walk.abc: the library that reads it crashed; .* export it again"),
+        opened("crash", when) as reader,
+    ):
+        list(reader.blocks(1))
+    with opened() as reader:  # life goes on
+        assert len(list(reader.blocks(1))) == 4
+
+
+@pytest.mark.parametrize("when", ["opening", "reading"])
+def test_endless_loop(when: str, new_workers: pytest.MonkeyPatch) -> None:
+    new_workers.setenv("MIXSEQ_READER_SECONDS", "0.2")
+    with (
+        pytest.raises(FormatError, match=r"walk.abc: reading takes too long; .*MIXSEQ_READER_SECONDS"),
+        opened("hang", when) as reader,
+    ):
+        list(reader.blocks(1))
+
+
+@pytest.mark.parametrize("when", ["opening", "reading"])
+def test_absurd_allocation(when: str, new_workers: pytest.MonkeyPatch) -> None:
+    new_workers.setenv("MIXSEQ_READER_MEMORY", "1")
+    with (
+        pytest.raises(FormatError, match=r"walk.abc: reading needs more than 1 GiB of memory; it is damaged"),
+        opened("memory", when) as reader,
+    ):
+        list(reader.blocks(1))
+
+
+@pytest.mark.parametrize("when", ["opening", "reading"])
+def test_errors_are_the_same_as_here(when: str) -> None:
+    with (
+        pytest.raises(InvalidSequenceError, match=r"walk.abc: it is unsound"),
+        opened("error", when) as reader,
+    ):
+        list(reader.blocks(1))
+
+
+def test_bugs_are_shown() -> None:
+    with pytest.raises(RuntimeError, match=r"(?s)readers.py.*by our own mistake"):
+        opened("bug")
+
+
+def test_warnings_are_the_same_as_here() -> None:
+    with pytest.warns(MixseqWarning, match="something is lost") as caught, opened("warn"):
+        pass
+    assert len(caught) == 1
+
+
+def test_what_libraries_print_is_not_seen(capfd: pytest.CaptureFixture[str]) -> None:
+    with opened("print", "reading") as reader:
+        np.concatenate(list(reader.blocks(1)))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_application_that_embeds_python_reads_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert isolation.can_isolate()
+    monkeypatch.setattr("sys.executable", "/opt/modeller/bin/modeller")
+    assert not isolation.can_isolate()
