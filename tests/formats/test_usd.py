@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.sequence import MeshSequence, Polygons
-from mixseq_io import open_sequence, read, write
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
+from mixseq.sequence import MeshSequence
+from mixseq_io import read
 
 # Not in the type stubs yet.
 Ts: Any = import_module("pxr.Ts")
-UsdValidation: Any = import_module("pxr.UsdValidation")
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)]
 
@@ -154,37 +153,8 @@ def test_a_transform_that_starts_to_mirror(path: Path) -> None:
     scale.Set(Gf.Vec3f(-1, 1, 1), 3)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 2 \(time code 3\) of /mesh: the transform mirrors"
+        InvalidSequenceError, match=r"frame 2 \(time code 3\): the transform of /mesh mirrors"
     ):
-        read(path)
-
-
-def test_the_choice_of_a_mesh(path: Path) -> None:
-    stage = make_stage(path)
-    add_mesh(stage, "/set/floor", ())
-    add_mesh(stage, "/hero/body")
-    stage.Save()
-    assert read(path).name == "body"  # the only one that is animated
-    assert read(path, prim="/set/floor").name == "floor"
-    assert read(path, prim="/set").name == "floor"
-    add_mesh(stage, "/hero/hat", (1, 2))
-    stage.Save()
-    with pytest.raises(AmbiguousError) as caught:
-        read(path)
-    assert "2 animated meshes; choose one by its path with prim=... (--prim" in str(caught.value)
-    assert "\n  /hero/body (5 vertices, animated)\n  /hero/hat (5 vertices, animated)" in str(caught.value)
-    assert read(path, prim="/hero/hat").frame_count == 2
-    for wrong in ("/hero/shoe", "hero hat", "/hero/ha"):
-        with pytest.raises(FormatError, match=r"no mesh at or below .* its meshes are\n  /set/floor \(5"):
-            read(path, prim=wrong)
-
-
-def test_several_still_meshes(path: Path) -> None:
-    stage = make_stage(path)
-    for number in range(30):
-        add_mesh(stage, f"/mesh{number}", ())
-    stage.Save()
-    with pytest.raises(AmbiguousError, match=r"30 meshes;(.|\n)*still\)\n  and 10 more"):
         read(path)
 
 
@@ -208,7 +178,7 @@ def test_changing_faces(path: Path) -> None:
     indices.Set([0, 1, 2, 3, 4, 2, 1], 3)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"/mesh.faceVertexIndices changes at time code 3 \(frame 2\)"
+        InvalidSequenceError, match=r"/mesh: faceVertexIndices changes at time code 3 \(frame 2\)"
     ):
         read(path)
 
@@ -219,7 +189,7 @@ def test_changing_number_of_points(path: Path) -> None:
     points.Set(Vt.Vec3fArray(6), 3)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 2 \(time code 3\) of /mesh has 6 points, the first fr"
+        InvalidSequenceError, match=r"frame 2 \(time code 3\): /mesh has 6 points, the first fr"
     ):
         read(path)
 
@@ -228,7 +198,7 @@ def test_blocked_points(path: Path) -> None:
     stage = make_stage(path)
     add_mesh(stage, "/mesh").GetPointsAttr().Set(Sdf.ValueBlock(), 2)
     stage.Save()
-    with pytest.raises(InvalidSequenceError, match=r"frame 1 \(time code 2\) of /mesh has no points"):
+    with pytest.raises(InvalidSequenceError, match=r"frame 1 \(time code 2\): /mesh has no points"):
         read(path)
 
 
@@ -238,7 +208,7 @@ def test_faces_out_of_range_and_too_small(path: Path) -> None:
     mesh.GetFaceVertexIndicesAttr().Set([0, 1, 2, 3, 1, 5, 2])
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"stage\.usda: face 1 uses vertex 5, but vertices are 0 to 4"
+        InvalidSequenceError, match=r"stage\.usda: /mesh: face 1 uses vertex 5, but vertices are 0 to 4"
     ):
         read(path)
     mesh.GetFaceVertexCountsAttr().Set([5, 2])
@@ -252,15 +222,6 @@ def test_nan(path: Path) -> None:
     add_mesh(stage, "/mesh").GetPointsAttr().Set([Gf.Vec3f(0, 0, float("nan"))] * 5, 2)
     stage.Save()
     with pytest.raises(InvalidSequenceError, match=r"stage\.usda: frame 1: vertex 0 is"):
-        read(path)
-
-
-def test_skinned_mesh(path: Path) -> None:
-    stage = make_stage(path)
-    mesh = add_mesh(stage, "/model/mesh", ())
-    UsdSkel.BindingAPI.Apply(mesh.GetPrim()).CreateJointIndicesPrimvar(False, 1).Set([0] * 5)
-    stage.Save()
-    with pytest.raises(FormatError, match=r"/model/mesh is moved by a skeleton .* bake"):
         read(path)
 
 
@@ -308,70 +269,3 @@ def test_usdz(path: Path) -> None:
     stage.Save()
     UsdUtils.CreateNewUsdzPackage(str(path.with_suffix(".usdc")), str(path.with_suffix(".usdz")))
     assert read(path.with_suffix(".usdz")).frame_count == 3
-    with pytest.raises(OutputError, match=r"\.usdz files are only read"):
-        write(path.with_suffix(".usdz"), read(path.with_suffix(".usdz")))
-
-
-@pytest.mark.parametrize("extension", ["usda", "usdc", "usd"])
-@pytest.mark.parametrize("name", ["walker", "Männchen", "1st try.001", ""])
-def test_what_is_written_is_a_valid_asset(
-    plain: MeshSequence, tmp_path: Path, extension: str, name: str
-) -> None:
-    path = tmp_path / f"asset.{extension}"
-    write(path, MeshSequence.from_arrays(plain.points, plain.polygons, name=name, up_axis="Z"))
-    stage = Usd.Stage.Open(str(path))
-    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    errors = UsdValidation.ValidationContext(validators).Validate(stage)
-    assert [error.GetErrorAsString() for error in errors] == []
-    root = stage.GetDefaultPrim()
-    assert Usd.ModelAPI(root).GetKind() == "component"
-    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, 4)
-    (prim,) = root.GetChildren()
-    mesh = UsdGeom.Mesh(prim)
-    assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
-    counts, indices = mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
-    assert UsdGeom.Mesh.ValidateTopology(indices, counts, plain.vertex_count) == (True, "")
-    assert mesh.GetPointsAttr().GetTimeSamples() == mesh.GetExtentAttr().GetTimeSamples() == [0, 1, 2, 3, 4]
-    extents = np.array([mesh.GetExtentAttr().Get(code) for code in range(5)])
-    np.testing.assert_array_equal(extents[:, 0], plain.points.min(axis=1))
-    np.testing.assert_array_equal(extents[:, 1], plain.points.max(axis=1))
-
-
-@pytest.mark.parametrize("fps", [24.0, 23.976, 30000 / 1001, 59.94, 1 / 3])
-def test_whole_time_codes_stay_whole(tmp_path: Path, fps: float) -> None:
-    points = np.zeros((500, 3, 3), np.float32)
-    written = MeshSequence.from_arrays(points, [[0, 1, 2]], times=(1001 + np.arange(500)) / fps, fps=fps)
-    write(tmp_path / "long.usdc", written)
-    stage = Usd.Stage.Open(str(tmp_path / "long.usdc"))
-    samples = UsdGeom.Mesh(stage.GetPrimAtPath("/mesh/mesh")).GetPointsAttr().GetTimeSamples()
-    assert samples == list(range(1001, 1501))
-    np.testing.assert_array_equal(read(tmp_path / "long.usdc").times, written.times)
-
-
-def test_times_that_are_closer_than_the_rounding(tmp_path: Path) -> None:
-    times = np.array([1.0, 1.0 + 1e-11, 1.0 + 2e-11])
-    points = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
-    write(tmp_path / "close.usdc", MeshSequence.from_arrays(points, [[0, 1, 2]], times=times))
-    np.testing.assert_array_equal(read(tmp_path / "close.usdc").points, points)
-
-
-def test_values_beyond_float32(tmp_path: Path) -> None:
-    points = np.zeros((3, 4, 3))
-    points[2, 1, 0] = 1e39
-    with pytest.raises(InvalidSequenceError, match=r"frame 2: vertex 1 is .* too large for USD"):
-        write(tmp_path / "large.usdc", MeshSequence.from_arrays(points, [[0, 1, 2]]))
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_x_up_has_no_place(plain: MeshSequence, tmp_path: Path) -> None:
-    sequence = MeshSequence.from_arrays(plain.points, plain.polygons, up_axis="X")
-    with pytest.raises(OutputError, match="USD stages have Y or Z up, this mesh has X"):
-        write(tmp_path / "x.usda", sequence)
-
-
-def test_a_file_that_is_saved_in_several_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mixseq_io.usd_writer._BYTES_BETWEEN_SAVES", 100)
-    points = np.random.default_rng(0).normal(size=(40, 6, 3)).astype(np.float32)
-    write(tmp_path / "parts.usdc", MeshSequence.from_arrays(points, Polygons.from_triangles([[0, 1, 2]])))
-    with open_sequence(tmp_path / "parts.usdc") as reader:
-        np.testing.assert_array_equal(np.concatenate(list(reader.blocks())), points)

@@ -1,0 +1,1 @@
+"""Pixar's Universal Scene Description."""

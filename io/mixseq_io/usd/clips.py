@@ -1,0 +1,155 @@
+"""USD, writing: samples in several files, stitched together by value clips.
+
+A long shot is easier to copy, to resume and to load in pieces. Clip ``i`` holds the frames from its first one to the
+first one of clip ``i + 1``, which both have: between the two, USD interpolates within clip ``i``. Times in clips are
+those of the stage (no ``clipTimes``: the mapping is the identity, without rounding). A manifest tells which
+attributes are in clips, so that USD does not open all of them to find out.
+
+Specification: https://openusd.org/release/api/_usd__page__value_clips.html
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pxr import Sdf, Vt
+
+from mixseq.errors import OutputError
+from mixseq_io.usd.frames import Cast, Frame
+from mixseq_io.usd.layers import Samples, declare
+
+_CLIP_SET = "mixseq"
+"""Not "default", which the file below may have: sets of one name are merged key by key."""
+
+
+def save_in_clips(
+    layer: Sdf.Layer, cast: Cast, frames: Iterable[Frame], length: int, folder: NewFolder
+) -> None:
+    """Write frames into clips, and save a layer that tells how they follow each other.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        What the clips belong to.
+    cast : Cast
+        Whose frames.
+    frames : iterable of Frame
+        The frames.
+    length : int
+        Frames per clip.
+    folder : NewFolder
+        Where the clips go.
+    """
+    starts: list[float] = []
+    clip: Samples | None = None
+    for number, frame in enumerate(frames):
+        if number % length == 0:
+            starts.append(frame[0])
+            if clip:
+                clip.put(frame)
+                clip.save()
+            clip = Samples(_empty(folder.path / folder.clip(len(starts)), cast, layer.timeCodesPerSecond))
+        if clip:
+            clip.put(frame)
+    if clip:
+        clip.save()
+    _empty(folder.path / folder.manifest, cast, layer.timeCodesPerSecond).Save()
+    assets = Sdf.AssetPathArray(
+        [Sdf.AssetPath(folder.asset(folder.clip(number + 1))) for number in range(len(starts))]
+    )
+    for path in [*(mesh.path for mesh in cast.meshes), *(bounds.path for bounds in cast.bounds)]:
+        description = {
+            "assetPaths": assets,
+            "active": Vt.Vec2dArray([(start, float(number)) for number, start in enumerate(starts)]),
+            "primPath": path,
+            "manifestAssetPath": Sdf.AssetPath(folder.asset(folder.manifest)),
+        }
+        layer.GetPrimAtPath(path).SetInfo("clips", {_CLIP_SET: description})
+    layer.Save()
+
+
+def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
+    layer = Sdf.Layer.CreateNew(str(file))
+    layer.timeCodesPerSecond = rate
+    declare(layer, cast)
+    return layer
+
+
+class NewFolder:
+    """A folder that is written under another name, and takes its place when it is complete."""
+
+    def __init__(self, target: Path) -> None:
+        token = secrets.token_hex(4)
+        self.target = target
+        self.path = target.with_name(f".{target.stem[:40]}.{token}.new")
+        self._old = target.with_name(f".{target.stem[:40]}.{token}.old")
+        self._installed = False
+
+    @property
+    def manifest(self) -> str:
+        """File name of the manifest."""
+        return f"{self.target.stem}.manifest.usdc"
+
+    def clip(self, number: int) -> str:
+        """Return the file name of a clip, counted from 1."""
+        return f"{self.target.stem}.{number:04d}.usdc"
+
+    def asset(self, name: str) -> str:
+        """Return what a layer beside the folder calls a file in it."""
+        return f"./{self.target.name}/{name}"
+
+    def make(self) -> None:
+        """Make it, empty."""
+        if self.target.exists() and not _is_of_clips(self.target):
+            raise OutputError(
+                f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
+                "name"
+            )
+        self.path.mkdir()
+
+    def install(self) -> None:
+        """Put it in its place; what was there is kept until the end."""
+        for file in self.path.iterdir():
+            with file.open("rb") as stream:
+                os.fsync(stream.fileno())
+        if self.target.exists():
+            self.target.rename(self._old)
+        self.path.rename(self.target)
+        self._installed = True
+
+    def undo(self) -> None:
+        """Put back what was there before."""
+        if self._installed:
+            self.target.rename(self.path)
+        if self._old.exists():
+            self._old.rename(self.target)
+
+    def clean(self) -> None:
+        """Delete what is not needed any longer."""
+        for folder in (self.path, self._old):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def new_folder(target: Path) -> Iterator[NewFolder]:
+    """Yield a folder to make, fill and install; after an exception all is as it was."""
+    folder = NewFolder(target)
+    try:
+        yield folder
+    except BaseException:
+        with suppress(OSError):
+            folder.undo()
+        raise
+    finally:
+        folder.clean()
+
+
+def _is_of_clips(folder: Path) -> bool:
+    return folder.is_dir() and all(
+        file.name.startswith(f"{folder.stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
+    )

@@ -1,0 +1,215 @@
+"""USD, writing: the values of every frame in the spaces of the prims that hold them.
+
+Points are in world space, attributes in that of their prim: points and velocities of the sequence are multiplied by
+the inverse of the prim's local-to-world transform, extents are computed of what is written, normals of every frame's
+points.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_point_based.html,
+https://openusd.org/release/api/class_usd_geom_boundable.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Vt
+
+from mixseq.geometry.normals import shared_normals
+from mixseq.sequence import FloatArray, IntArray
+from mixseq_io.blocks import Numbered, as_float32
+from mixseq_io.pieces import Piece
+
+Matrix = NDArray[np.float64]
+Frame = tuple[float, Mapping[str, Any]]
+"""A time code, and values by the paths of their attributes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """The space of a prim at some time.
+
+    Parameters
+    ----------
+    to_world, to_local : (4, 4) float
+        The transforms from it to the world and back, for rows: x' = x M.
+    """
+
+    to_world: Matrix
+    to_local: Matrix
+
+
+WORLD = Space(np.eye(4), np.eye(4))
+SpaceAt = Callable[[float], Space]
+"""A prim's space at a time in seconds; `WORLD` itself where they are one, so that nothing is rounded."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Normals:
+    """How a mesh's normals are written.
+
+    Parameters
+    ----------
+    attribute : {"normals", "primvars:normals"}
+        Where they are written.
+    interpolation : str
+        The attribute's interpolation.
+    groups : (sum of counts,) int, optional
+        Which corners share a normal, see `shared_normals`.
+    order : (n,) int, optional
+        The group of every element of the attribute; by default group after group.
+    """
+
+    attribute: str
+    interpolation: str
+    groups: IntArray | None = None
+    order: IntArray | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Placed:
+    """A mesh that gets samples.
+
+    Parameters
+    ----------
+    path : str
+        Path of its prim.
+    piece : Piece
+        Its faces, and which of the sequence's vertices are its own.
+    space : SpaceAt
+        Its space.
+    normals : Normals, optional
+        Where its normals are written; by default they are not.
+    velocities : bool
+        Whether its velocities are written.
+    """
+
+    path: str
+    piece: Piece
+    space: SpaceAt = lambda time: WORLD
+    normals: Normals | None = None
+    velocities: bool = False
+
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        """Names of the attributes that get samples."""
+        velocities = ("velocities",) if self.velocities else ()
+        normals = (self.normals.attribute,) if self.normals else ()
+        return ("points", "extent", *velocities, *normals)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bounds:
+    """A prim above meshes that has an extent of its own: the root of a skeleton.
+
+    Parameters
+    ----------
+    path : str
+        Path of the prim.
+    pieces : tuple of Piece
+        The meshes below it.
+    space : SpaceAt
+        Its space.
+    others : callable
+        Corners (n, 3) of a box around what else is below it, in its space, at a time in seconds.
+    """
+
+    path: str
+    pieces: tuple[Piece, ...]
+    space: SpaceAt
+    others: Callable[[float], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """All prims that get samples."""
+
+    meshes: tuple[Placed, ...]
+    bounds: tuple[Bounds, ...] = ()
+
+
+def frames(
+    cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[Numbered]
+) -> Iterator[Frame]:
+    """Yield the values of every frame.
+
+    Parameters
+    ----------
+    cast : Cast
+        Whose values.
+    codes, times : (T,) float
+        Time codes of the frames, and their times in seconds.
+    numbered : iterable of Numbered
+        The blocks, see `mixseq_io.blocks.checked`.
+
+    Raises
+    ------
+    OutputError
+        If a prim's transform is singular.
+    InvalidSequenceError
+        If a value is too large for float32.
+    """
+    for first, block, speeds in numbered:
+        for frame, points in enumerate(block, first):
+            velocities = None if speeds is None else speeds[frame - first]
+            yield float(codes[frame]), dict(_values(cast, frame, float(times[frame]), points, velocities))
+
+
+def _values(
+    cast: Cast, frame: int, time: float, points: FloatArray, velocities: FloatArray | None
+) -> Iterator[tuple[str, Any]]:
+    placed = [(mesh, mesh.space(time)) for mesh in cast.meshes]
+    local = as_float32(_in_spaces(points, placed, direction=False)[None], frame, "USD")[0]
+    for mesh, space in placed:
+        own = local[mesh.piece.vertices]
+        yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(own)
+        yield f"{mesh.path}.extent", _extent(own)
+        if mesh.normals:
+            normals = _normals(mesh.normals, points[mesh.piece.vertices], mesh.piece, space)
+            yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
+    if velocities is not None:
+        turned = _in_spaces(velocities, placed, direction=True)
+        local = as_float32(turned[None], frame, "USD", "the velocity of vertex")[0]
+        for mesh, _ in placed:
+            if mesh.velocities:
+                yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(local[mesh.piece.vertices])
+    for bounds in cast.bounds:
+        yield f"{bounds.path}.extent", _extent(_box(bounds, points, time))
+
+
+def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direction: bool) -> FloatArray:
+    """Return positions, or directions, (V, 3) of the world in the spaces of their meshes."""
+    if all(space is WORLD for _, space in placed):
+        return vectors
+    local = vectors.astype(np.float64)
+    for mesh, space in placed:
+        if space is not WORLD:
+            shift = 0.0 if direction else space.to_local[3, :3]
+            local[mesh.piece.vertices] = local[mesh.piece.vertices] @ space.to_local[:3, :3] + shift
+    return local
+
+
+def _normals(normals: Normals, points: FloatArray, piece: Piece, space: Space) -> NDArray[np.float32]:
+    """Return normals in a mesh's space: x' = x M turns normals n into n' = n M⁻ᵀ, so that n = n' Mᵀ."""
+    unit = shared_normals(points[None], piece.polygons, normals.groups)[0]
+    if space is not WORLD:
+        local = unit @ space.to_world[:3, :3].T
+        unit = (local / np.linalg.norm(local, axis=1, keepdims=True)).astype(np.float32)
+    return unit if normals.order is None else np.asarray(unit[normals.order])
+
+
+def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
+    """Return the corners of boxes around everything below a prim, in the prim's space."""
+    own = [points[piece.vertices] for piece in bounds.pieces]
+    sides = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in own]
+    corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64)
+    to_local = bounds.space(time).to_local
+    return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], bounds.others(time)])
+
+
+def _extent(points: FloatArray) -> Any:
+    return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))

@@ -1,0 +1,140 @@
+"""USD, writing: materials of a stand-alone file, copied from where they were.
+
+Networks come from the composed file, flattened: what references, layers and variants say of them. Connections that
+leave the material are lost. Textures stay where they are; the copy names them anew.
+
+Specification: https://openusd.org/release/api/class_usd_shade_material.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade, UsdUtils
+
+from mixseq.errors import FormatError
+from mixseq.surface import Origin
+from mixseq_io.blocks import warn
+from mixseq_io.usd.diagnostics import reading_usd
+from mixseq_io.usd.paths import identifier, is_prim_path, reference_to
+from mixseq_io.usd.stage import lineage, open_stage, shortened
+
+_UV_READERS = {
+    "UsdPrimvarReader_float2": "inputs:varname",
+    "ND_UsdPrimvarReader_vector2": "inputs:varname",
+    "ND_geompropvalue_vector2": "inputs:geomprop",
+}
+"""The inputs of shaders that name the texture coordinates to read."""
+
+
+def define_materials(
+    stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
+) -> Mapping[str, UsdShade.Material]:
+    """Define materials below a scope.
+
+    Parameters
+    ----------
+    stage : Usd.Stage
+        Where.
+    target : Path
+        The file that this will be.
+    scope : str
+        Path of the scope; made if there are materials.
+    names : iterable of str
+        What the materials are called in the sequence: names, or paths in `origin`.
+    origin : Origin, optional
+        The file that they were in.
+
+    Returns
+    -------
+    mapping of str to UsdShade.Material
+        The materials by `names`.
+
+    Warns
+    -----
+    MixseqWarning
+        If there is nothing to copy, so that materials are only names.
+    """
+    wanted = list(dict.fromkeys(names))
+    if not wanted:
+        return {}
+    UsdGeom.Scope.Define(stage, scope)
+    source = _networks(Path(origin.path), wanted) if origin and origin.format == "USD" else None
+    made: dict[str, UsdShade.Material] = {}
+    taken: list[str] = []
+    for name in wanted:
+        taken.append(identifier(name.rpartition("/")[2], taken))
+        path = Sdf.Path(scope).AppendChild(taken[-1])
+        if source and _is_material(source, name):
+            _copy(source, name, stage.GetRootLayer(), path)
+        made[name] = UsdShade.Material.Define(stage, path)
+    empty = [name for name in wanted if not made[name].GetPrim().GetAuthoredProperties()]
+    if empty:
+        warn(
+            f"{target}: materials are written by name only: {shortened(empty)}; bind them anew to networks of yours"
+        )
+    UsdUtils.ModifyAssetPaths(stage.GetRootLayer(), lambda asset: _from(target, asset))
+    return made
+
+
+def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:
+    """Return a layer with the materials, and not with everything else of a large file; None if it is gone."""
+    try:
+        with reading_usd(origin):
+            whole = open_stage(origin)
+    except FormatError:
+        return None
+    mask = Usd.StagePopulationMask()
+    session = Sdf.Layer.CreateAnonymous()
+    for path in filter(is_prim_path, materials):
+        mask.Add(path)
+        for prim in lineage(whole.GetPrimAtPath(path)):
+            if prim.IsInstance():
+                Sdf.CreatePrimInLayer(session, prim.GetPath()).SetInfo("instanceable", False)
+    return Usd.Stage.OpenMasked(whole.GetRootLayer(), session, mask).Flatten()
+
+
+def _is_material(layer: Sdf.Layer, name: str) -> bool:
+    prim = layer.GetPrimAtPath(name) if is_prim_path(name) else None
+    return prim is not None and prim.typeName == "Material"
+
+
+def _copy(source: Sdf.Layer, name: str, layer: Sdf.Layer, path: Sdf.Path) -> None:
+    Sdf.CopySpec(source, name, layer, path)
+    strays = []
+    for prim in _prims(layer.GetPrimAtPath(path)):
+        _read_st(prim)
+        for attribute in prim.attributes:
+            if any(not each.HasPrefix(path) for each in attribute.connectionPathList.explicitItems):
+                attribute.connectionPathList.ClearEdits()
+                strays.append(str(attribute.path))
+    if strays:
+        warn(f"the material {name} uses networks outside of it, which are left out at {shortened(strays)}")
+
+
+def _read_st(shader: Sdf.PrimSpec) -> None:
+    """Let a reader of texture coordinates read ``st``, which they are called whatever they were called before."""
+    kind = shader.attributes.get("info:id")
+    name = _UV_READERS.get(kind.default) if kind else None
+    if name:
+        before = shader.attributes.get(name)
+        if before:
+            shader.RemoveProperty(before)
+        Sdf.AttributeSpec(shader, name, Sdf.ValueTypeNames.String).default = "st"
+
+
+def _prims(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
+    yield prim
+    for child in prim.nameChildren:
+        yield from _prims(child)
+
+
+def _from(target: Path, asset: str) -> str:
+    """Return how the target names a texture, which may be inside of a .usdz file."""
+    outer, inner = Ar.SplitPackageRelativePathOuter(asset)
+    file = Path(outer)
+    if not (file.is_absolute() and file.exists()):
+        return asset
+    named = reference_to(file, target)
+    return Ar.JoinPackageRelativePath(named, inner) if inner else named

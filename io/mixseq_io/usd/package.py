@@ -1,0 +1,59 @@
+"""USD, writing: packages (.usdz), uncompressed zip files of a layer and of the textures that it names.
+
+Specification: https://openusd.org/release/spec_usdz.html
+"""
+
+from __future__ import annotations
+
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pxr import Ar, Sdf, UsdUtils
+
+from mixseq.errors import OutputError
+
+
+def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
+    """Write a package of a saved layer.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        The layer; its textures are named as from the package's folder.
+    package : Path
+        The file to write.
+    name : str
+        What the layer is called in it.
+
+    Raises
+    ------
+    OutputError
+        If USD cannot pack it.
+    """
+    with TemporaryDirectory(prefix=".mixseq.", dir=package.parent) as folder:
+        UsdUtils.ModifyAssetPaths(layer, lambda asset: _unpacked(layer, asset, Path(folder)))
+        layer.Save()
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
+            raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
+
+
+def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:
+    """Return where a texture is, taken out if it is in a package: packages in packages are not for all viewers."""
+    outer, inner = Ar.SplitPackageRelativePathOuter(asset)
+    if not inner:
+        return asset
+    with (
+        suppress(OSError, KeyError, zipfile.BadZipFile),
+        zipfile.ZipFile(layer.ComputeAbsolutePath(outer)) as whole,
+    ):
+        if whole.getinfo(inner).compress_type != zipfile.ZIP_STORED:  # as the specification has it
+            return asset
+        data = whole.read(inner)
+        own = folder / str(len(list(folder.iterdir())))
+        own.mkdir()
+        file = own / Path(inner).name
+        file.write_bytes(data)
+        return str(file)
+    return asset

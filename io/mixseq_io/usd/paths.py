@@ -1,0 +1,86 @@
+"""USD, writing: names of prims, time codes, and how one file names another.
+
+Specification: https://openusd.org/release/api/class_sdf_asset_path.html
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf
+
+
+def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+    """Return ``times * fps``, whole numbers where only rounding keeps them from being whole.
+
+    Examples
+    --------
+    >>> time_codes(np.arange(4) / 29.97, 29.97).tolist()
+    [0.0, 1.0, 2.0, 3.0]
+    """
+    codes = times * fps
+    nearest = np.rint(codes)
+    near = np.abs(codes - nearest) <= 1e-9 * np.maximum(1.0, np.abs(codes))
+    rounded = np.where(near, nearest, codes)
+    return rounded if (np.diff(rounded) > 0).all() else codes
+
+
+def identifier(name: str, taken: Iterable[str] = ()) -> str:
+    """Return the closest name that a prim can have: letters of any script, digits, underscores.
+
+    Parameters
+    ----------
+    name : str
+        What it should be.
+    taken : iterable of str
+        Names that its siblings have.
+
+    Examples
+    --------
+    >>> identifier("Männchen"), identifier("Cylinder.002"), identifier("2nd try"), identifier("")
+    ('Männchen', 'Cylinder_002', '_2nd_try', 'mesh')
+    >>> identifier("leg", ["leg", "leg_1"])
+    'leg_2'
+    """
+    cleaned = (
+        "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
+    )
+    free = cleaned if Sdf.Path.IsValidIdentifier(cleaned) else "_" + cleaned
+    used, number = set(taken), 0
+    while (numbered := f"{free}_{number}" if number else free) in used:
+        number += 1
+    return numbered
+
+
+def is_prim_path(text: str) -> bool:
+    """Whether a text is the absolute path of a prim.
+
+    Examples
+    --------
+    >>> is_prim_path("/world/fox"), is_prim_path("fox"), is_prim_path("/a.points"), is_prim_path("")
+    (True, False, False, False)
+    """
+    path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
+    return bool(path.IsAbsolutePath() and path.IsPrimPath())
+
+
+def reference_to(file: Path, target: Path) -> str:
+    """Return how `target` names `file`: from its own folder if both share one, so that they can move together.
+
+    Where symbolic links are in between, folders above are not what they seem, and the path is absolute.
+    """
+    absolute, folder = file.absolute(), target.absolute().parent
+    try:
+        relative = os.path.relpath(absolute, folder)
+        shared = os.path.commonpath([absolute, folder])
+    except ValueError:  # on different drives
+        return absolute.as_posix()
+    real = folder.resolve() / relative
+    if Path(shared) == Path(absolute.anchor) or not (real.exists() and real.samefile(absolute)):
+        return absolute.as_posix()
+    named = Path(relative).as_posix()
+    return named if named.startswith("../") else f"./{named}"

@@ -1,0 +1,212 @@
+"""USD, surfaces: the polygons of a mesh and what is on them.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
+https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation),
+https://openusd.org/release/api/class_usd_geom_subset.html,
+https://openusd.org/release/api/class_usd_shade_material_binding_a_p_i.html
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.geometry.normals import creases_of_normals
+from mixseq.polygons import IntArray, Polygons
+from mixseq.surface import CornerValues, FaceSet
+from mixseq_io.pieces import Piece
+from mixseq_io.reader import naming
+from mixseq_io.usd.meshes import display_name
+from mixseq_io.usd.motion import Track
+from mixseq_io.usd.stage import Notes
+
+_UV_TYPES = (
+    Sdf.ValueTypeNames.TexCoord2fArray,
+    Sdf.ValueTypeNames.TexCoord2dArray,
+    Sdf.ValueTypeNames.TexCoord2hArray,
+    Sdf.ValueTypeNames.Float2Array,
+)
+
+
+def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes: Notes) -> Piece:
+    """Return a mesh as it is in the first frame, its faces counter-clockwise seen from outside in world space.
+
+    Parameters
+    ----------
+    track : Track
+        The mesh.
+    first_vertex : int
+        Index of its first vertex in the sequence.
+    codes : (T,) float64
+        Time codes of the frames.
+    notes : Notes
+        Takes what is left out.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the faces change over time, or do not fit the vertices.
+    """
+    mesh, code = track.mesh, Usd.TimeCode(track.start)
+    path = str(mesh.GetPath())
+    with naming(path):
+        polygons = _polygons(track, codes)
+    scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    if mesh.GetHoleIndicesAttr().Get(code):
+        notes.add(mesh.GetPrim(), "holes cannot be kept; these faces become visible")
+    piece = Piece(
+        name=display_name(mesh.GetPrim()),
+        path=path,
+        vertices=slice(first_vertex, first_vertex + track.vertex_count),
+        polygons=polygons,
+        uvs=_uvs(track, polygons, notes),
+        # The normals of a surface that is subdivided follow from the subdivision.
+        creases=_creases(track, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
+        face_sets=tuple(_face_sets(mesh, len(polygons.counts), code, notes)),
+        subdivision=scheme,
+    )
+    # A left-handed mesh lists corners clockwise; a transform that mirrors turns clockwise around.
+    left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+    return _turned(piece) if left_handed != track.mirrored else piece
+
+
+def reversal(counts: IntArray) -> NDArray[np.intp]:
+    """Return the order of corners that reverses every polygon, each from the same first corner.
+
+    Examples
+    --------
+    >>> reversal(np.array([4, 3])).tolist()
+    [0, 3, 2, 1, 4, 6, 5]
+    """
+    of_corner = np.repeat(counts, counts)
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    corner = np.arange(len(starts)) - starts
+    return np.asarray(starts + (of_corner - corner) % np.maximum(of_corner, 1), dtype=np.intp)
+
+
+def _turned(piece: Piece) -> Piece:
+    order = reversal(piece.polygons.counts)
+    return replace(
+        piece,
+        polygons=Polygons(piece.polygons.counts, piece.polygons.indices[order]),
+        uvs=None if piece.uvs is None else CornerValues(piece.uvs.values, piece.uvs.indices[order]),
+        creases=None if piece.creases is None else piece.creases[order],
+    )
+
+
+def _polygons(track: Track, codes: NDArray[np.float64]) -> Polygons:
+    counts = _constant(track.mesh.GetFaceVertexCountsAttr(), codes)
+    polygons = Polygons(counts, _constant(track.mesh.GetFaceVertexIndicesAttr(), codes))
+    outside = (polygons.indices < 0) | (polygons.indices >= track.vertex_count)
+    if outside.any():
+        corner = int(np.argmax(outside))
+        face = int(np.searchsorted(np.cumsum(polygons.counts), corner, side="right"))
+        raise InvalidSequenceError(
+            f"face {face} uses vertex {polygons.indices[corner]}, but vertices are 0 to {track.vertex_count - 1}"
+        )
+    return polygons
+
+
+def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return the value of an attribute that must not change; some exporters repeat it at every sample."""
+    first = np.array(attribute.Get(Usd.TimeCode(codes[0])) or (), dtype=np.int32)
+    for code in attribute.GetTimeSamples():
+        if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
+            frame = int(np.searchsorted(codes, code))
+            raise InvalidSequenceError(
+                f"{attribute.GetName()} changes at time code {code:g} (frame {frame}); every frame needs the "
+                "same faces: export without remeshing, or the part of the time line before it"
+            )
+    return first
+
+
+def _uvs(track: Track, polygons: Polygons, notes: Notes) -> CornerValues | None:
+    """Return the texture coordinates ``st``, or the first that there are."""
+    prim = track.mesh.GetPrim()
+    every = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
+    sets = [each for each in every if each.GetTypeName() in _UV_TYPES]
+    if not sets:
+        return None
+    chosen = min(sets, key=lambda each: (each.GetPrimvarName() != "st", _UV_TYPES.index(each.GetTypeName())))
+    name = chosen.GetPrimvarName()
+    if len(sets) > 1:
+        notes.add(prim, f"of several sets of texture coordinates only {name!r} is kept")
+    if chosen.ValueMightBeTimeVarying():
+        notes.add(prim, "texture coordinates that change over time stay as they are in the first frame")
+    code = Usd.TimeCode(track.start)
+    values = np.array(chosen.Get(code) or (), dtype=np.float32).reshape(-1, 2)
+    rows = _rows_of_corners(chosen.GetInterpolation(), polygons)
+    if chosen.IsIndexed():
+        indices = np.array(chosen.GetIndices(code) or (), dtype=np.int32)
+        rows = indices[rows] if _within(rows, len(indices)) else np.array([-1])
+    if not _within(rows, len(values)):
+        notes.add(prim, f"texture coordinates {name!r} do not fit the faces and are left out")
+        return None
+    return CornerValues(values, rows)
+
+
+def _creases(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:
+    """Return which corners share a normal; ``primvars:normals`` come before ``normals``."""
+    mesh, code = track.mesh, Usd.TimeCode(track.start)
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    if primvar and primvar.HasAuthoredValue():
+        interpolation, values = primvar.GetInterpolation(), primvar.ComputeFlattened(code)
+    else:
+        interpolation, values = mesh.GetNormalsInterpolation(), mesh.GetNormalsAttr().Get(code)
+    if values is None or interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+        return None
+    normals = np.array(values, dtype=np.float32).reshape(-1, 3)
+    rows = _rows_of_corners(interpolation, polygons)
+    if not _within(rows, len(normals)) or not np.isfinite(normals).all():
+        notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
+        return None
+    return creases_of_normals(polygons, normals[rows])
+
+
+def _rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
+    """Return the row of a primvar's value for every corner."""
+    if interpolation == UsdGeom.Tokens.faceVarying:
+        return np.arange(polygons.indices.size, dtype=np.int32)
+    if interpolation == UsdGeom.Tokens.uniform:
+        return np.repeat(np.arange(len(polygons.counts), dtype=np.int32), polygons.counts)
+    if interpolation == UsdGeom.Tokens.constant:
+        return np.zeros(polygons.indices.size, dtype=np.int32)
+    return np.asarray(polygons.indices, dtype=np.int32)
+
+
+def _within(rows: IntArray, count: int) -> bool:
+    return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
+
+
+def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:
+    """Return the material on the whole mesh, if there is one, and the subsets of its faces."""
+    sets = []
+    whole = _material(mesh.GetPrim())
+    if whole and polygon_count:
+        sets.append(FaceSet(whole.GetPrim().GetName(), np.arange(polygon_count), str(whole.GetPath())))
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+            notes.add(subset.GetPrim(), "subsets of other elements than faces are left out")
+            continue
+        polygons = np.array(subset.GetIndicesAttr().Get(code) or (), dtype=np.int32)
+        inside = (polygons >= 0) & (polygons < polygon_count)
+        if not inside.all():
+            notes.add(subset.GetPrim(), "faces of subsets that the mesh does not have are left out")
+        # Without a binding of its own a subset has the mesh's material, which is not to be bound to it.
+        own = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterialPath()
+        material = _material(subset.GetPrim()) if own else None
+        sets.append(
+            FaceSet(
+                display_name(subset.GetPrim()), polygons[inside], str(material.GetPath()) if material else ""
+            )
+        )
+    return sets
+
+
+def _material(prim: Usd.Prim) -> UsdShade.Material | None:
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    return material if material else None
