@@ -1,0 +1,1 @@
+"""Alembic caches (.abc) in Ogawa files."""

@@ -1,0 +1,115 @@
+"""The library that reads and writes Alembic, alembic3d: its archives, errors and arrays.
+
+`alembic3d` is the official Python binding under a name of its own; its arrays come from `imath`, which is part of
+the package.
+
+Specification: https://docs.alembic.io/python/alembic.html, https://docs.alembic.io/reference/index.html
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import FormatError, MissingExtraError
+
+try:
+    import imath
+    from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial
+except ImportError as error:
+    raise MissingExtraError(
+        "Alembic files need the package alembic3d: pip install 'mixseq[alembic]'"
+    ) from error
+
+__all__ = [
+    "ERRORS",
+    "Abc",
+    "AbcCoreAbstract",
+    "AbcGeom",
+    "AbcMaterial",
+    "array_of",
+    "imath",
+    "length",
+    "open_archive",
+    "selector",
+    "values",
+]
+
+ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
+"""What the library raises about damaged files: its own errors, and those of converting what it read."""
+
+_HEADER = 16
+"""Bytes of an Ogawa header: "Ogawa", 255 once the file is complete, version (2), where the root group is (8)."""
+
+
+def open_archive(path: Path) -> Any:
+    """Open a file, an ``IArchive``.
+
+    Raises
+    ------
+    FormatError
+        If it is not Alembic, of the old kind, or not complete.
+    """
+    with path.open("rb") as file:
+        start = file.read(_HEADER)
+    if start.startswith(b"\x89HDF"):
+        raise FormatError(
+            f"{path} is old Alembic of the HDF5 kind; convert it with abcconvert -toOgawa, or export it again"
+        )
+    if not start.startswith(b"Ogawa"):
+        raise FormatError(f"{path} cannot be read as Alembic; it is damaged or of another type")
+    if len(start) < _HEADER or start[5] != 0xFF or int.from_bytes(start[8:], "little") >= path.stat().st_size:
+        raise FormatError(f"{path} is not complete; it is truncated, or was not written to its end")
+    return Abc.IArchive(str(path))
+
+
+def selector(sampled: Any, sample: int) -> Any:
+    """Return what selects a sample of a property or schema by its number.
+
+    It selects by the sample's time: Python calls the constructor for times with numbers, too.
+    """
+    time = sampled.getTimeSampling().getSampleTime(sample)
+    return Abc.ISampleSelector(time, Abc.ISampleSelector.TimeIndexType.kNearIndex)
+
+
+def length(array: Any, sample: int) -> int:
+    """Return the length of an array property's sample without reading it."""
+    return int(array.getDimension(selector(array, sample)).numPoints())
+
+
+def values(array: Any, sample: int, room: int) -> NDArray[Any]:
+    """Return a sample of an array property.
+
+    Parameters
+    ----------
+    array : IArrayProperty
+        The property.
+    sample : int
+        Number of the sample.
+    room : int
+        Size of the file in bytes; nothing in it is compressed, so no array is larger.
+
+    Raises
+    ------
+    FormatError
+        If the array claims to be larger.
+    """
+    count = length(array, sample)
+    if count * array.getDataType().getNumBytes() > room:
+        raise FormatError(f"an array claims {count} values, more than the file can hold; it is damaged")
+    return np.array(array.getValue(selector(array, sample)))
+
+
+def array_of(kind: Any, rows: ArrayLike) -> Any:
+    """Return an array of imath, such as ``V3fArray``, with the given rows."""
+    content = np.asarray(rows)
+    filled = kind(len(content))
+    if kind is imath.UnsignedIntArray:  # the one that NumPy cannot see into
+        for place, value in enumerate(content.tolist()):
+            filled[place] = value
+    elif len(content):
+        np.asarray(filled)[...] = content
+    return filled

@@ -1,0 +1,192 @@
+"""Alembic, reading: the points of the meshes of an archive over time, in world space (.abc).
+
+Frames are all times at which the points, or a transform above them, have a sample; what has none there is interpolated
+linearly. Points are float32, which is Alembic's precision. Alembic has no units and no up axis: tools take it for Y up.
+
+Specification: https://docs.alembic.io/reference/index.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq_io.alembic.library import ERRORS, length, open_archive, values
+from mixseq_io.alembic.placement import Placement, determinant, moved, place
+from mixseq_io.alembic.scene import Mesh, choose_meshes, common_name
+from mixseq_io.alembic.surfaces import Source, read_piece
+from mixseq_io.alembic.timing import Times, Track, frame_rate, locate, merged, sample_times
+from mixseq_io.blocks import warn
+from mixseq_io.pieces import join
+from mixseq_io.reader import SequenceReader, naming, reading
+
+
+def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
+    """Open an Alembic file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    prim : str, optional
+        Full name of a mesh, or of an object above several, which are then joined; "/" for all. By default all that
+        move.
+
+    Raises
+    ------
+    FormatError
+        If it is no Ogawa file, damaged, or has no such mesh.
+    AmbiguousError
+        If objects in several places have that name.
+    InvalidSequenceError
+        If the faces change over time.
+    """
+    with reading(path, "Alembic", *ERRORS), naming(path):
+        archive = open_archive(path)
+        meshes = choose_meshes(path, archive, prim)
+        frames = _frames(meshes)
+        room = path.stat().st_size
+        parts = _parts(path, room, meshes, frames)
+        polygons, surface = join(path, [read_piece(part.source) for part in parts], None)
+        metadata = archive.getTop().getMetaData()
+        header = SequenceHeader(
+            polygons=polygons,
+            vertex_count=parts[-1].source.vertices.stop,
+            times=frames,
+            fps=frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")),
+            name=common_name(meshes) or path.stem,
+            surface=surface,
+        )
+        return _AlembicReader(path, header, parts, _have_velocities(path, parts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One of the meshes: where its samples of points are, and where the transforms put it."""
+
+    source: Source
+    track: Track
+    placement: Placement
+
+    def place(self, frame: int) -> str:
+        """Name a frame in a message."""
+        return f"frame {frame} ({self.source.frames[frame]:g} s) of {self.source.mesh.path}"
+
+
+class _AlembicReader(SequenceReader):
+    def __init__(self, path: Path, header: SequenceHeader, parts: list[_Part], moving: bool) -> None:
+        super().__init__(path, header, has_velocities=moving)
+        self._parts = parts
+
+    def close(self) -> None:
+        """Let the archive go: it is closed when the last of its objects is."""
+        super().close()
+        self._parts = []
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._read(_world_points, size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read(_world_velocities, size)
+
+    def _read(self, part_of: Callable[[_Part, int], FloatArray], size: int) -> Iterator[FloatArray]:
+        for start in range(0, self.header.frame_count, size):
+            stop = min(start + size, self.header.frame_count)
+            block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
+            with reading(self.path, "Alembic", *ERRORS), naming(self.path):
+                for frame in range(start, stop):
+                    for part in self._parts:
+                        block[frame - start, part.source.vertices] = part_of(part, frame)
+            yield block
+
+
+def _frames(meshes: list[Mesh]) -> Times:
+    """Return the times at which something changes; if nothing does, those of the samples that are there."""
+    points = [mesh.schema.getPositionsProperty() for mesh in meshes]
+    transforms = [schema for mesh in meshes for schema in mesh.above]
+    changing = [each for each in (*points, *transforms) if not each.isConstant()]
+    longest = max(points, key=lambda each: int(each.getNumSamples()))
+    return merged([sample_times(each) for each in changing or [longest]])
+
+
+def _parts(path: Path, room: int, meshes: list[Mesh], frames: Times) -> list[_Part]:
+    parts, vertex = [], 0
+    for mesh in meshes:
+        points, placement = mesh.schema.getPositionsProperty(), place(mesh.above, frames)
+        track = locate(sample_times(points), frames)
+        end = vertex + length(points, track.at(0)[0])
+        if 12 * (end - vertex) > room:
+            raise FormatError(
+                f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold"
+            )
+        mirrored = determinant(placement.to_world(0)) < 0
+        parts.append(_Part(Source(path, room, mesh, slice(vertex, end), mirrored, frames), track, placement))
+        vertex = end
+    return parts
+
+
+def _sampled(part: _Part, array: Any, frame: int, what: str) -> NDArray[np.float32]:
+    """Return an array property in a frame, between two samples if the frame is."""
+    count = part.source.vertices.stop - part.source.vertices.start
+    sample, weight = part.track.at(frame)
+    rows = [values(array, each, part.source.room) for each in ((sample, sample + 1) if weight else (sample,))]
+    for each in rows:
+        if each.shape != (count, 3):
+            raise InvalidSequenceError(
+                f"{part.place(frame)} has {len(each)} {what}, the first frame {count} points; every frame needs the "
+                "same vertices in the same order"
+            )
+    if not weight:
+        return rows[0]
+    mixed = (1 - weight) * rows[0].astype(np.float64) + weight * rows[1].astype(np.float64)
+    return mixed.astype(np.float32)
+
+
+def _world_points(part: _Part, frame: int) -> NDArray[np.float32]:
+    points = _sampled(part, part.source.mesh.schema.getPositionsProperty(), frame, "points")
+    matrix = part.placement.to_world(frame)
+    size = determinant(matrix)
+    if size > 0 if part.source.mirrored else size < 0:
+        raise InvalidSequenceError(
+            f"{part.place(frame)}: the transform mirrors the mesh relative to the first frame, which turns its faces "
+            "inside out; give the animated scale one sign"
+        )
+    return moved(points, matrix)
+
+
+def _world_velocities(part: _Part, frame: int) -> NDArray[np.float32]:
+    velocities = part.source.mesh.schema.getVelocitiesProperty()
+    if not velocities.valid():  # a mesh that stands still
+        return np.zeros((part.source.vertices.stop - part.source.vertices.start, 3), np.float32)
+    return moved(_sampled(part, velocities, frame, "velocities"), part.placement.to_world(frame)[:3, :3])
+
+
+def _have_velocities(path: Path, parts: list[_Part]) -> bool:
+    """Whether the velocities of all meshes can be read; warn of those that cannot."""
+    having = [part for part in parts if part.source.mesh.schema.getVelocitiesProperty().valid()]
+    for part in parts if having else []:
+        mesh = part.source.mesh
+        points, velocities = mesh.schema.getPositionsProperty(), mesh.schema.getVelocitiesProperty()
+        if part not in having:
+            problem = "are missing, and others have some" if mesh.moves else ""
+        elif not np.array_equal(sample_times(velocities), sample_times(points)):
+            problem = "are not sampled at the times of the points"
+        elif length(velocities, 0) != part.source.vertices.stop - part.source.vertices.start:
+            problem = f"are {length(velocities, 0)}, not as many as its points"
+        elif not all(schema.isConstant() for schema in mesh.above):
+            problem = "are those under a transform that moves, too"
+        elif mesh.moves and not part.track.exact:
+            problem = "are not sampled in every frame"
+        else:
+            problem = ""
+        if problem:
+            warn(f"{path}: the velocities of {mesh.path} {problem}; velocities are left out")
+            return False
+    return bool(having)

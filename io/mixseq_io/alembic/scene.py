@@ -1,0 +1,186 @@
+"""Which meshes an archive has, and which of them are meant.
+
+An archive is a tree of objects; what an object is follows from the schema that its metadata names. Instances appear in
+the tree as what they stand for.
+
+Specification: https://docs.alembic.io/reference/index.html (``AbcGeom``)
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import AmbiguousError, FormatError
+from mixseq_io.alembic.library import Abc, AbcGeom
+from mixseq_io.blocks import warn
+
+_MOST_OBJECTS = 1_000_000
+_DEEPEST = 200
+"""Deeper than any scene; instances of what they lie in would nest without end."""
+_NAMED = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A mesh, not yet read.
+
+    Parameters
+    ----------
+    node : IObject
+        The object.
+    schema : IPolyMeshSchema or ISubDSchema
+        What it consists of.
+    above : tuple of IXformSchema
+        The transforms above it, the nearest first.
+    hidden, flickers : bool
+        Whether it, or something above it, is hidden at all times, or at some.
+    """
+
+    node: Any
+    schema: Any
+    above: tuple[Any, ...]
+    hidden: bool
+    flickers: bool
+
+    @property
+    def path(self) -> str:
+        """Its full name."""
+        return str(self.node.getFullName())
+
+    @property
+    def name(self) -> str:
+        """Its own name."""
+        return str(self.node.getName())
+
+    @property
+    def subdivided(self) -> bool:
+        """Whether it is a SubD."""
+        return bool(AbcGeom.ISubD.matches(self.node.getMetaData()))
+
+    @property
+    def moves(self) -> bool:
+        """Whether its points or a transform above it changes."""
+        return not (
+            self.schema.getPositionsProperty().isConstant() and all(x.isConstant() for x in self.above)
+        )
+
+
+def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
+    """Return the meshes to read, in the archive's order.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    archive : IArchive
+        The archive.
+    prim : str, optional
+        Full name of a mesh or of an object above it, or its own name if there is only one of it; "/" for all.
+        By default all that move, or all if none does.
+
+    Raises
+    ------
+    FormatError
+        If there is no mesh, or none of that name.
+    AmbiguousError
+        If objects in several places have that name.
+
+    Warns
+    -----
+    MixseqWarning
+        If meshes are left out because they stand still, or are hidden at times.
+    """
+    meshes, others = _find(path, archive)
+    if not meshes:
+        found = (
+            ", ".join(f"{count} {kind}" for kind, count in sorted(others.items())) or "nothing else either"
+        )
+        raise FormatError(f"{path} has no mesh; it has {found}. Export meshes, as PolyMesh or SubD")
+    if prim is not None:
+        named = _below(path, meshes, prim)
+        chosen = [mesh for mesh in named if not mesh.hidden] or named
+    else:
+        chosen = [mesh for mesh in meshes if not mesh.hidden]
+        if not chosen:
+            raise FormatError(f"{path}: its meshes are hidden; name one by prim: {_names(meshes)}")
+        moving = [mesh for mesh in chosen if mesh.moves]
+        still = [mesh for mesh in chosen if not mesh.moves]
+        if moving and still:
+            warn(f'{path}: {_names(still)} stand still and are left out; prim="/" takes them, too')
+            chosen = moving
+    flickering = [mesh for mesh in chosen if mesh.flickers]
+    if flickering:
+        warn(f"{path}: {_names(flickering)} are hidden at times; they are taken as visible")
+    return chosen
+
+
+def _find(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
+    """Return all meshes that have points, and how many objects of other kinds there are."""
+    meshes: list[Mesh] = []
+    others: Counter[str] = Counter()
+    stack: list[tuple[Any, tuple[Any, ...], bool, bool, int]] = [(archive.getTop(), (), False, False, 0)]
+    seen = 0
+    while stack:
+        node, above, hidden, flickers, depth = stack.pop()
+        seen += 1
+        if depth > _DEEPEST or seen > _MOST_OBJECTS:
+            raise FormatError(
+                f"{path}: its objects nest without end; it is damaged, or an instance contains itself"
+            )
+        metadata = node.getMetaData()
+        visibility = AbcGeom.GetVisibilityProperty(node) if depth else None
+        if visibility is not None and visibility.valid() and visibility.getNumSamples():
+            if visibility.isConstant():
+                hidden |= visibility.getValue() == 0  # 1 is visible, -1 leaves it to the parent
+            else:
+                flickers = True
+        existing = Abc.WrapExistingFlag.kWrapExisting
+        if AbcGeom.IPolyMesh.matches(metadata) or AbcGeom.ISubD.matches(metadata):
+            kind = AbcGeom.IPolyMesh if AbcGeom.IPolyMesh.matches(metadata) else AbcGeom.ISubD
+            schema = kind(node, existing).getSchema()
+            if schema.getPositionsProperty().getNumSamples():
+                meshes.append(Mesh(node, schema, above, hidden, flickers))
+        elif AbcGeom.IXform.matches(metadata):
+            above = (AbcGeom.IXform(node, existing).getSchema(), *above)
+        elif not AbcGeom.IFaceSet.matches(metadata) and metadata.get("schema"):
+            others[metadata.get("schema").removeprefix("AbcGeom_").partition("_")[0]] += 1
+        children = [node.getChild(index) for index in range(node.getNumChildren())]
+        stack += [(child, above, hidden, flickers, depth + 1) for child in reversed(children)]
+    return meshes, others
+
+
+def _below(path: Path, meshes: list[Mesh], prim: str) -> list[Mesh]:
+    """Return the meshes at or below the object called `prim`."""
+    root = "/" + prim.strip("/")
+    if not prim.startswith("/"):
+        parts = [mesh.path.split("/") for mesh in meshes]
+        places = {"/".join(names[: names.index(prim) + 1]) for names in parts if prim in names}
+        if len(places) > 1:
+            raise AmbiguousError(
+                f"{path}: {prim!r} is in several places, {', '.join(sorted(places)[:_NAMED])}; name one"
+            )
+        root = min(places, default=root)
+    found = [mesh for mesh in meshes if root in ("/", mesh.path) or mesh.path.startswith(root + "/")]
+    if not found:
+        raise FormatError(f"{path}: there is no mesh at or below {prim!r}; its meshes are {_names(meshes)}")
+    return found
+
+
+def _names(meshes: list[Mesh]) -> str:
+    more = f" and {len(meshes) - _NAMED} more" if len(meshes) > _NAMED else ""
+    return ", ".join(mesh.path for mesh in meshes[:_NAMED]) + more
+
+
+def common_name(meshes: list[Mesh]) -> str:
+    """Return the name of the one mesh, or of the deepest object above all; "" if that is the archive."""
+    if len(meshes) == 1:
+        return meshes[0].name
+    shared = ""
+    for names in zip(*(mesh.path.split("/") for mesh in meshes), strict=False):
+        if len(set(names)) > 1:
+            break
+        shared = names[0]
+    return shared

@@ -1,0 +1,160 @@
+"""One mesh of an Alembic file as it is written: the object, its face sets, and a sample for every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mixseq.geometry.normals import shared_normals
+from mixseq.polygons import FloatArray, IntArray
+from mixseq_io.alembic.library import AbcGeom, AbcMaterial, array_of, imath
+from mixseq_io.alembic.surfaces import reversing
+from mixseq_io.pieces import Piece
+
+_SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
+_CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A mesh to be written.
+
+    Parameters
+    ----------
+    piece : Piece
+        The mesh.
+    name : str
+        Its name in the file.
+    """
+
+    piece: Piece
+    name: str
+
+    @property
+    def subdivided(self) -> bool:
+        """Whether it becomes a SubD, which has no normals."""
+        return self.piece.subdivision != "none"
+
+    def make(self, parent: Any, sampling: int) -> Any:
+        """Make the object and its face sets; `write` adds the samples."""
+        mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.name, sampling)
+        sets = self.piece.face_sets
+        together = np.concatenate([each.polygons for each in sets]) if sets else np.zeros(0)
+        exclusive = len(np.unique(together)) == len(together)
+        for each, name in zip(sets, unique_names(each.name for each in sets), strict=True):
+            node = mesh.getSchema().createFaceSet(name)
+            polygons = array_of(imath.IntArray, each.polygons)  # held until it is set
+            node.getSchema().set(AbcGeom.OFaceSetSchemaSample(polygons))
+            if exclusive:
+                node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
+            if each.material:
+                AbcMaterial.addMaterialAssignment(node, each.material)
+        return mesh
+
+    def write(self, mesh: Any, points: FloatArray, velocities: FloatArray | None) -> None:
+        """Add samples for a block of frames.
+
+        Parameters
+        ----------
+        mesh : OPolyMesh or OSubD
+            What `make` made.
+        points, velocities : (B, V, 3) float32
+            The frames of the whole sequence.
+        """
+        schema, own = mesh.getSchema(), points[:, self.piece.vertices]
+        for frame, rows in enumerate(own):
+            # A sample only points to its arrays: they must stay until it is set.
+            positions, speeds, normals = array_of(imath.V3fArray, rows), None, None
+            sample = self._sample(positions, complete=not schema.getNumSamples())
+            if velocities is not None:
+                speeds = array_of(imath.V3fArray, velocities[frame, self.piece.vertices])
+                sample.setVelocities(speeds)
+            if self.piece.creases is not None and not self.subdivided:
+                shared = shared_normals(rows[None], self.piece.polygons, self.piece.creases)[0]
+                normals = array_of(imath.V3fArray, shared)
+                sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._groups, _CORNERS))
+            schema.set(sample)
+
+    def _sample(self, positions: Any, complete: bool) -> Any:
+        """Return a sample of points; a complete one has everything that does not change."""
+        sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
+        sample.setPositions(positions)
+        if complete:
+            sample.setFaceIndices(self._corners)
+            sample.setFaceCounts(self._counts)
+            if self.subdivided:
+                sample.setSubdivisionScheme(_SCHEMES[self.piece.subdivision])
+            if self.piece.uvs is not None:
+                sample.setUVs(AbcGeom.OV2fGeomParamSample(self._uv_values, self._uv_indices, _CORNERS))
+        return sample
+
+    @cached_property
+    def _order(self) -> IntArray:
+        return reversing(self.piece.polygons)
+
+    @cached_property
+    def _corners(self) -> Any:
+        return array_of(imath.IntArray, self.piece.polygons.indices[self._order])
+
+    @cached_property
+    def _counts(self) -> Any:
+        return array_of(imath.IntArray, self.piece.polygons.counts)
+
+    @cached_property
+    def _uv_values(self) -> Any:
+        return None if self.piece.uvs is None else array_of(imath.V2fArray, self.piece.uvs.values)
+
+    @cached_property
+    def _uv_indices(self) -> Any:
+        uvs = self.piece.uvs
+        return None if uvs is None else array_of(imath.UnsignedIntArray, uvs.indices[self._order])
+
+    @cached_property
+    def _groups(self) -> Any:
+        creases = self.piece.creases
+        return None if creases is None else array_of(imath.UnsignedIntArray, creases[self._order])
+
+    def largest_size(self, frames: int, moving: bool) -> int:
+        """Return how many bytes it takes in the file at most."""
+        piece = self.piece
+        normals = 0 if piece.creases is None else int(piece.creases.max(initial=-1)) + 1
+        uvs = 0 if piece.uvs is None else len(piece.uvs.values)
+        per_frame = 12 * (piece.vertex_count * (2 if moving else 1) + normals) + _PER_SAMPLE
+        sets = sum(4 * each.polygons.size + _PER_OBJECT for each in piece.face_sets)
+        once = (
+            12 * piece.polygons.indices.size + 4 * piece.polygons.counts.size + 8 * uvs + sets + _PER_OBJECT
+        )
+        return frames * per_frame + once
+
+
+_PER_SAMPLE = 300
+"""Bytes of keys, sizes, places and bounds of one frame."""
+_PER_OBJECT = 8000
+"""Bytes of names and headers."""
+
+
+def valid_name(name: str) -> str:
+    """Return a name that an object can have: any but an empty one, without slashes."""
+    return name.replace("/", "_") or "mesh"
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Return valid names, those that occur again with a number.
+
+    Examples
+    --------
+    >>> unique_names(["a", "a/b", "a", "a_2"])
+    ['a', 'a_b', 'a_2', 'a_2_2']
+    """
+    taken: list[str] = []
+    for name in map(valid_name, names):
+        number, free = 1, name
+        while free in taken:
+            number += 1
+            free = f"{name}_{number}"
+        taken.append(free)
+    return taken
