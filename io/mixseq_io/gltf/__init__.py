@@ -1,0 +1,1 @@
+"""Khronos' glTF 2.0, as text (.gltf) and binary (.glb)."""

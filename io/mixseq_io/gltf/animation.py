@@ -1,0 +1,213 @@
+"""Animations of a glTF file: properties of nodes over time.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-c-interpolation
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq_io.blocks import warn
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.scene import Pose
+
+_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+_INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One property of one node over time.
+
+    Parameters
+    ----------
+    node : int
+        The node.
+    name : {"translation", "rotation", "scale", "weights"}
+        The property.
+    times : (n,) float64
+        Its keys' times in seconds, increasing.
+    values : (n, k) float32
+        Its values at the keys; for cubic splines ``(n, 3, k)``: tangent before, value, tangent after.
+    interpolation : {"LINEAR", "STEP", "CUBICSPLINE"}
+        What is between the keys.
+    """
+
+    node: int
+    name: str
+    times: NDArray[np.float64]
+    values: NDArray[np.float32]
+    interpolation: str
+
+    @property
+    def moves(self) -> bool:
+        """Whether the property changes at all."""
+        return bool(
+            (self.values[1:] != self.values[:-1]).any() or (self.values.ndim == 3 and self.values.any())
+        )
+
+    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values ``(B, k)`` at times ``(B,)``; before the first key and after the last they hold still."""
+        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
+        before, after = after - 1, np.minimum(after, len(self.times) - 1)
+        step = self.times[after] - self.times[before]
+        s = np.clip((times - self.times[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)[:, None]
+        first, second = self.values[before].astype(np.float64), self.values[after].astype(np.float64)
+        if self.interpolation == "STEP":
+            return np.where(s < 1, first, second)
+        if self.interpolation == "CUBICSPLINE":
+            return hermite(
+                first[:, 1], step[:, None] * first[:, 2], second[:, 1], step[:, None] * second[:, 0], s
+            )
+        if self.name == "rotation":
+            return slerp(first, second, s)
+        return (1 - s) * first + s * second
+
+
+def hermite(
+    a: NDArray[np.float64],
+    leaving: NDArray[np.float64],
+    b: NDArray[np.float64],
+    arriving: NDArray[np.float64],
+    s: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the cubics from `a` to `b` ``(n, k)`` with these tangents per whole step, at fractions `s` ``(n, 1)``.
+
+    Rotations are normalised by whoever uses them.
+
+    Examples
+    --------
+    >>> zero, one = np.zeros((1, 1)), np.ones((1, 1))
+    >>> hermite(zero, zero, one, zero, one / 4).item()  # 3 s^2 - 2 s^3
+    0.15625
+    """
+    return (
+        (2 * s**3 - 3 * s**2 + 1) * a
+        + (s**3 - 2 * s**2 + s) * leaving
+        + (3 * s**2 - 2 * s**3) * b
+        + (s**3 - s**2) * arriving
+    )
+
+
+def slerp(a: NDArray[np.float64], b: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quaternions on the short arcs from `a` to `b` ``(n, 4)`` at fractions `s` ``(n, 1)``.
+
+    Examples
+    --------
+    >>> quarter = np.array([[0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4)]])
+    >>> third = slerp(np.array([[0.0, 0.0, 0.0, 1.0]]), -quarter, np.array([[1 / 3]]))
+    >>> bool(np.allclose(third, [[0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)]]))
+    True
+    """
+    cosine = np.sum(a * b, axis=1, keepdims=True)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    small = angle < 1e-6  # a straight line is the arc to rounding
+    sine = np.where(small, 1.0, np.sin(angle))
+    first = np.where(small, 1 - s, np.sin((1 - s) * angle) / sine)
+    second = np.where(small, s, np.sin(s * angle) / sine)
+    return first * a + np.where(cosine < 0, -second, second) * b
+
+
+def pose_at(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
+    """Return what is animated at some times."""
+    return {(channel.node, channel.name): channel.at(times) for channel in channels}
+
+
+def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
+    """Return the animation that was asked for, by name or index; the first by default, None if there is none.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such animation.
+
+    Warns
+    -----
+    MixseqWarning
+        If there are several and none was asked for.
+    """
+    animations = document.items("animations")
+    names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
+    if choice is None:
+        if len(animations) > 1:
+            others = ", ".join(map(repr, names[1:21])) + (" ..." if len(names) > 21 else "")
+            warn(
+                f"{document.path}: of {len(names)} animations the first, {names[0]!r}, is read; the option animation "
+                f"chooses another one: {others}"
+            )
+        return animations[0] if animations else None
+    if choice in names:
+        return animations[names.index(str(choice))]
+    number = str(choice)
+    if number.isdecimal() and len(number) < 10 and int(number) < len(animations):
+        return animations[int(number)]
+    there = ", ".join(map(repr, names[:20])) + (" ..." if len(names) > 20 else "") if names else "none"
+    raise SettingsError(f"{document.path} has no animation {choice!r}; there are {there}")
+
+
+def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
+    """Read the channels of an animation that move some of the given nodes.
+
+    Raises
+    ------
+    FormatError
+        If a channel is not sound.
+
+    Warns
+    -----
+    MixseqWarning
+        If the extension KHR_animation_pointer animates something; it is left out.
+    """
+    if animation is None:
+        return []
+    samplers = animation.objects("samplers")
+    channels: dict[tuple[int, str], Channel] = {}
+    pointers = numbers = 0
+    for fields in animation.objects("channels"):
+        target = fields.object("target")
+        node, name = target.index("node"), target.text("path")
+        pointers += name == "pointer"
+        if node not in nodes or node is None or name not in (*_WIDTHS, "weights"):
+            continue
+        number = fields.integer("sampler")
+        if number >= len(samplers):
+            raise fields.error(f"has sampler {number} of {len(samplers)}; the file is damaged")
+        channel = _channel(document, node, name, samplers[number])
+        numbers += channel.times.size + channel.values.size
+        document.check_effort(numbers, animation.place)
+        channels[node, name] = channel
+    if pointers:
+        warn(
+            f"{document.path}: {pointers} channels of KHR_animation_pointer are left out; only nodes are animated"
+        )
+    return list(channels.values())
+
+
+def _channel(document: Document, node: int, name: str, sampler: Fields) -> Channel:
+    interpolation = sampler.text("interpolation", "LINEAR")
+    if interpolation not in _INTERPOLATIONS:
+        raise sampler.error(
+            f"has the interpolation {interpolation[:40]!r}; one of {_INTERPOLATIONS} is expected"
+        )
+    times = document.accessor(sampler.integer("input")).astype(np.float64)
+    values = document.accessor(sampler.integer("output"))
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise sampler.error("has times that do not increase; the file is damaged")
+    if not np.isfinite(values).all():
+        raise sampler.error("has values that are not finite; the file is damaged")
+    tangents = 3 if interpolation == "CUBICSPLINE" else 1
+    per_key, rest = divmod(values.size, tangents * times.size)
+    width = _WIDTHS.get(name, per_key)
+    if rest or per_key != width or values.ndim != (1 if name == "weights" else 2):
+        raise sampler.error(
+            f"has {values.size} values for {times.size} keys of {name} ({interpolation}); "
+            f"{tangents * times.size} times {width or 'the number of weights'} are expected"
+        )
+    shape = (times.size, 3, width) if tangents == 3 else (times.size, width)
+    return Channel(node, name, times, values.reshape(shape), interpolation)

@@ -1,0 +1,224 @@
+"""A glTF document of a sequence with everything else of the file that it came from.
+
+Kept are materials, textures, images, samplers, cameras, lights, other meshes, all nodes, and all attributes but those
+that change: the meshes of the sequence get new positions and normals (normals only where they had some, else they
+would look smoother), and lose skins, morph targets, tangents. Triangles, strips and fans stay as they are, and the
+vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Since points
+are in world space, the nodes of these meshes become roots of the scene. What hung below them stays where it was.
+
+All animations of the file are replaced by the sequence. What nothing refers to any more is taken out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import warn
+from mixseq_io.gltf.buffers import GENERATOR, INDICES, Json, Layout, append
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.extensions import COMPRESSIONS
+from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.images import embed_images
+from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
+from mixseq_io.gltf.primitives import Primitive
+from mixseq_io.gltf.pruning import prune
+from mixseq_io.gltf.roots import detach, moved_by_animations
+from mixseq_io.gltf.scene import Scene, read_scene
+from mixseq_io.gltf.standalone import add_vertex_numbers, group
+from mixseq_io.gltf.welding import Weld, weld
+from mixseq_io.pieces import Piece, split
+
+_OF_OLD_POSITIONS = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_")
+_TRIANGLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a mesh of the sequence is in a file.
+
+    Parameters
+    ----------
+    piece : Piece
+        The mesh.
+    node : int
+        Its node in the file.
+    weld : Weld
+        How the vertices of the node's mesh are welded.
+    mirrored : bool
+        Whether the sequence's triangles are turned around relative to the file's.
+    """
+
+    piece: Piece
+    node: int
+    weld: Weld
+    mirrored: bool
+
+    def triangles(self, primitive: Primitive) -> NDArray[np.int32]:
+        """Return the triangles of a primitive as the sequence has them, by the primitive's vertices."""
+        return primitive.triangles[:, [0, 2, 1]] if self.mirrored else primitive.triangles
+
+
+def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
+    """Find the meshes of a sequence in a file.
+
+    Raises
+    ------
+    FormatError
+        If there is none at an object's path, or one with other triangles, or the file is damaged.
+    """
+    nodes = {path: node for node, path in scene.paths.items()}
+    places = []
+    for piece in split(header):
+        node = nodes.pop(piece.path, None)
+        mesh = None if node is None else scene.nodes[node].index("mesh")
+        if node is None or mesh is None:
+            raise FormatError(
+                f"{document.path} has no mesh at {piece.path!r}, which is where {piece.name!r} was"
+            )
+        welded = weld(document, mesh)
+        either = [Place(piece, node, welded, mirrored) for mirrored in (False, True)]
+        fitting = [place for place in either if _fits(place)]
+        if not fitting:
+            raise FormatError(
+                f"{document.path}: the mesh {piece.path!r} has other vertices or triangles than the sequence"
+            )
+        places.append(fitting[0])
+    return places
+
+
+def _fits(place: Place) -> bool:
+    polygons = place.piece.polygons
+    triangles = [
+        vertices[place.triangles(each)]
+        for each, vertices in zip(place.weld.primitives, place.weld.of_primitive, strict=True)
+    ]
+    return (
+        place.weld.count == place.piece.vertex_count
+        and polygons.only_triangles
+        and all(map(len, place.weld.of_primitive))
+        and np.array_equal(np.concatenate(triangles), polygons.triangles)
+    )
+
+
+def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+    """Return the file's document with its data, and what of it will move.
+
+    Raises
+    ------
+    FormatError
+        If the sequence's meshes are not in the file, or the file is damaged.
+
+    Warns
+    -----
+    MixseqWarning
+        If something of the file is lost: animations of something else, points and lines.
+    """
+    scene = read_scene(document)
+    places = find_places(document, scene, header)
+    carried = deepcopy(document.json)
+    _drop_animations(carried, document, scene, places)
+    meshes = [_new_mesh(carried, document, place) for place in places]
+    roots = {scene.above(place.node)[-1] for place in places}
+    shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
+    for place in places:
+        detach(carried, place.node)
+    root = group(carried, [place.node for place in places], header)
+    for each in shown_in:
+        each.setdefault("nodes", []).append(root)
+    carried["asset"]["generator"] = GENERATOR
+    json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written: better to know it now
+    layout = _with_data(prune(carried), document)
+    for place, mesh in zip(places, meshes, strict=True):
+        for primitive, moving in zip(place.weld.primitives, mesh.primitives, strict=True):
+            add_vertex_numbers(layout, moving, place.weld.count)
+            if place.mirrored:
+                turned = place.triangles(primitive).astype(np.uint32).reshape(-1)
+                moving.entry.update(indices=layout.add_array(turned, target=INDICES), mode=_TRIANGLES)
+    return layout, meshes
+
+
+def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:
+    animations = carried.pop("animations", [])
+    others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
+    if others:
+        names = ", ".join(repr(scene.paths[node]) for node in sorted(others)[:20])
+        warn(
+            f"{document.path}: its animations are replaced by that of the sequence; what else they moved will stand "
+            f"still: {names}"
+        )
+
+
+def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
+    """Give a node a mesh of its own, without anything that depends on the old positions."""
+    if place.weld.skipped:
+        warn(f"{document.path}: points or lines in the mesh {place.piece.path!r} are left out")
+    node = carried["nodes"][place.node]
+    old = carried["meshes"][node["mesh"]]
+    moving, corner = [], 0
+    for primitive, vertices in zip(place.weld.primitives, place.weld.of_primitive, strict=True):
+        entry = deepcopy(old["primitives"][primitive.number])
+        corners = slice(corner, corner + primitive.triangles.size)
+        normals = _groups(place, primitive, corners) if "NORMAL" in entry["attributes"] else None
+        moving.append(MovingPrimitive(_without_positions(entry), vertices, normals))
+        corner = corners.stop
+    mesh = {key: value for key, value in old.items() if key != "weights"}
+    mesh["primitives"] = [each.entry for each in moving]
+    if isinstance(mesh.get("extras"), dict):
+        mesh["extras"] = {key: value for key, value in mesh["extras"].items() if key != "targetNames"}
+    node["mesh"] = append(carried, "meshes", mesh)
+    return MovingMesh(place.node, place.piece, moving)
+
+
+def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
+    """Return for every vertex of a primitive its group of corners that share a normal."""
+    polygons, creases = place.piece.polygons, place.piece.creases
+    groups = np.zeros(len(primitive.positions), dtype=np.int32)
+    groups[place.triangles(primitive).reshape(-1)] = (polygons.indices if creases is None else creases)[
+        corners
+    ]
+    return groups
+
+
+def _without_positions(entry: Json) -> Json:
+    attributes = {
+        name: accessor
+        for name, accessor in entry["attributes"].items()
+        if not name.startswith(_OF_OLD_POSITIONS)
+    }
+    kept = _uncompressed({key: value for key, value in entry.items() if key != "targets"})
+    return {**kept, "attributes": attributes}
+
+
+def _with_data(carried: Json, document: Document) -> Layout:
+    """Return the document with its buffer views, all in one buffer."""
+    views = carried.pop("bufferViews", [])
+    layout = Layout(carried)
+    for number, view in enumerate(views):
+        fields = Fields(document.path, f"bufferViews[{number}]", view)
+        start, length = fields.integer("byteOffset", 0), fields.integer("byteLength")
+        data = memoryview(document.buffer(fields.integer("buffer")))[start : start + length]
+        if len(data) != length:
+            raise fields.error("goes beyond its buffer; the file is damaged")
+        rest = {
+            key: value for key, value in view.items() if key not in ("buffer", "byteOffset", "byteLength")
+        }
+        layout.add([data], length, **_uncompressed(rest))
+    embed_images(layout, document)
+    return layout
+
+
+def _uncompressed(entry: Json) -> Json:
+    """Return a primitive or buffer view without a compressed form of its old data."""
+    extensions = {
+        name: value for name, value in entry.get("extensions", {}).items() if name not in COMPRESSIONS
+    }
+    rest = {key: value for key, value in entry.items() if key != "extensions"}
+    return {**rest, "extensions": extensions} if extensions else rest

@@ -1,0 +1,78 @@
+"""Where the bytes of a glTF file are: in a .glb, in its JSON, in files beside it.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#glb-file-format-specification
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import struct
+from pathlib import Path
+from urllib.parse import unquote
+
+from mixseq.errors import FormatError
+from mixseq_io.gltf.fields import Fields
+from mixseq_io.reader import reading
+
+
+def chunks(path: Path, content: bytes) -> tuple[bytes, bytes | None]:
+    """Return the JSON and the binary chunk of a .glb."""
+    if len(content) < 20:
+        raise FormatError(f"{path} has {len(content)} bytes, too few for a .glb; it is truncated")
+    version, length = struct.unpack_from("<II", content, 4)
+    if version != 2:
+        raise FormatError(f"{path} is a .glb of version {version}; version 2 is read, convert it first")
+    if length > len(content):
+        raise FormatError(f"{path} has {len(content)} bytes of {length}; it is truncated")
+    found: list[tuple[bytes, bytes]] = []
+    offset = 12
+    while offset + 8 <= length and len(found) < 2:
+        size, kind = struct.unpack_from("<I4s", content, offset)
+        if offset + 8 + size > length:
+            raise FormatError(f"{path}: a chunk of {size} bytes goes beyond the end; the file is damaged")
+        found.append((kind, content[offset + 8 : offset + 8 + size]))
+        offset += 8 + size
+    if not found or found[0][0] != b"JSON":
+        raise FormatError(f"{path} has no JSON where a .glb begins; it is damaged")
+    return found[0][1], found[1][1] if len(found) > 1 and found[1][0] == b"BIN\0" else None
+
+
+def bytes_of_uri(buffer: Fields, uri: str) -> bytes:
+    """Return the bytes of a data URI, or of a file beside.
+
+    Parameters
+    ----------
+    buffer : Fields
+        The buffer or image that refers to it, for messages.
+    uri : str
+        What it refers to.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, damaged, or outside of the file's folder.
+    """
+    if uri.startswith("data:"):
+        header, _, data = uri.partition(",")
+        if not header.endswith(";base64"):
+            raise buffer.error("is a data URI without base64; it is damaged")
+        try:
+            return base64.b64decode(data, validate=True)
+        except (binascii.Error, ValueError):
+            raise buffer.error("is a data URI that is not base64; it is damaged") from None
+    name, folder = unquote(uri), buffer.file.parent.resolve()
+    # No scheme, drive or root, and not even a link out of the folder.
+    if ":" in name or "\\" in name or "\0" in name or name.startswith("/") or ".." in name.split("/"):
+        raise buffer.error(f"is in {name[:80]!r}; only files in the folder of the glTF file are read")
+    with reading(folder / name, "the buffer of a glTF file"):
+        file = (folder / name).resolve()
+        if not file.is_relative_to(folder):
+            raise buffer.error(
+                f"is in {name[:80]!r}, a link; only files in the folder of the glTF file are read"
+            )
+        if not file.is_file():
+            raise buffer.error(
+                f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there"
+            )
+        return file.read_bytes()

@@ -1,0 +1,243 @@
+"""glTF files (.gltf, .glb): the JSON, and the numbers in its buffers.
+
+The JSON is kept as it stands, so that a writer can hand on what nothing here knows. Every count and offset is
+compared with the bytes that are there before an array is made.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq_io.gltf.containers import bytes_of_uri, chunks
+from mixseq_io.gltf.extensions import check_extensions
+from mixseq_io.gltf.fields import Fields
+from mixseq_io.reader import reading
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""NumPy's names of ``componentType``."""
+
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+"""Numbers per element of the accessor types; MAT2 and MAT3 occur nowhere in meshes and animations."""
+
+# What a file may name without having it: zeros, and the same mesh in many places.
+_FREE_NUMBERS, _NUMBERS_PER_BYTE = 10_000_000, 16
+
+_KINDS = (
+    "accessors",
+    "animations",
+    "buffers",
+    "bufferViews",
+    "materials",
+    "meshes",
+    "nodes",
+    "scenes",
+    "skins",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A glTF file in memory.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    json : dict
+        Its JSON, as it stands.
+    chunk : bytes or None
+        The binary chunk of a .glb, which is its first buffer.
+    size : int
+        Bytes of the file.
+    """
+
+    path: Path
+    json: dict[str, Any]
+    chunk: bytes | None
+    size: int
+    _items: dict[str, list[Fields]] = field(default_factory=dict, repr=False)
+    _buffers: dict[int, bytes] = field(default_factory=dict, repr=False)
+
+    @property
+    def top(self) -> Fields:
+        """The JSON's outermost object."""
+        return Fields(self.path, "", self.json)
+
+    def items(self, kind: str) -> list[Fields]:
+        """Return all ``"nodes"``, ``"meshes"``, ``"animations"`` ..."""
+        return self._items[kind]
+
+    def item(self, kind: str, index: int) -> Fields:
+        """Return one of them.
+
+        Raises
+        ------
+        FormatError
+            If there are not so many.
+        """
+        items = self._items[kind]
+        if not 0 <= index < len(items):
+            raise FormatError(
+                f"{self.path}: {kind}[{index}] is referred to, but there are {len(items)} {kind}"
+            )
+        return items[index]
+
+    def accessor(self, index: int) -> NDArray[Any]:
+        """Return the numbers of an accessor; sparse values are filled in, normalised integers made floats.
+
+        Parameters
+        ----------
+        index : int
+            Which of the file's accessors.
+
+        Returns
+        -------
+        (n,) or (n, k) float32, or the integers as stored
+            Scalars have one axis. Matrices (n, 16) are column by column. Read-only.
+
+        Raises
+        ------
+        FormatError
+            If it is not sound, or longer than the data.
+        """
+        accessor = self.item("accessors", index)
+        dtype, width = _layout(accessor)
+        count = accessor.integer("count")
+        if "bufferView" in accessor:
+            values = self._numbers(accessor, dtype, (count, width))
+        else:
+            self.check_effort(count * width, accessor.place)
+            values = np.zeros((count, width), dtype)
+        if "sparse" in accessor:
+            values = self._with_sparse(accessor, values)
+        if accessor.flag("normalized"):
+            values = _normalised(values)
+        values.flags.writeable = False
+        return values[:, 0] if width == 1 else values
+
+    @cached_property
+    def data_size(self) -> int:
+        """Bytes of the file and its buffers."""
+        return self.size + sum(len(self.buffer(index)) for index in range(len(self.items("buffers"))))
+
+    def check_effort(self, numbers: int, what: str) -> None:
+        """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count.
+
+        Raises
+        ------
+        FormatError
+            If that is so.
+        """
+        if numbers > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self.data_size:
+            raise FormatError(
+                f"{self.path}: {what} have {numbers} numbers, but the file only {self.data_size} bytes; it is damaged, "
+                "or repeats one mesh too often: choose fewer with prim"
+            )
+
+    def buffer(self, index: int) -> bytes:
+        """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside.
+
+        Raises
+        ------
+        FormatError
+            If it is missing, too short, or outside of the file's folder.
+        """
+        if index not in self._buffers:
+            self._buffers[index] = self._read_buffer(index)
+        return self._buffers[index]
+
+    def _read_buffer(self, index: int) -> bytes:
+        buffer = self.item("buffers", index)
+        length = buffer.integer("byteLength")
+        if "uri" in buffer:
+            data = bytes_of_uri(buffer, buffer.text("uri"))
+        elif index == 0 and self.chunk is not None:
+            data = self.chunk
+        else:
+            raise buffer.error("has no data; it is compressed or kept elsewhere, export it with its data")
+        if length > len(data):
+            raise buffer.error(f"has {len(data)} bytes of {length}; it is truncated")
+        return data[:length]
+
+    def _numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
+        """Return a view of the bytes that an accessor, or a part of a sparse one, points at."""
+        view = self.item("bufferViews", owner.integer("bufferView"))
+        data = self.buffer(view.integer("buffer"))
+        start, length = view.integer("byteOffset", 0), view.integer("byteLength")
+        element = dtype.itemsize * shape[1]
+        stride, offset = view.integer("byteStride", element), owner.integer("byteOffset", 0)
+        if start + length > len(data) or stride < element:
+            raise view.error(f"does not fit its buffer of {len(data)} bytes; the file is damaged")
+        if shape[0] and offset + stride * (shape[0] - 1) + element > length:
+            raise owner.error(
+                f"has {shape[0]} elements, more than its {length} bytes hold; the file is damaged"
+            )
+        if not shape[0]:
+            return np.empty(shape, dtype)
+        return np.ndarray(shape, dtype, data, start + offset, (stride, dtype.itemsize))
+
+    def _with_sparse(self, accessor: Fields, values: NDArray[Any]) -> NDArray[Any]:
+        sparse = accessor.object("sparse")
+        rows, replaced = sparse.object("indices"), sparse.object("values")
+        kind = COMPONENTS.get(rows.integer("componentType"), "")
+        if kind not in ("<u1", "<u2", "<u4"):
+            raise rows.error("are not unsigned integers")
+        count = sparse.integer("count")
+        indices = self._numbers(rows, np.dtype(kind), (count, 1))[:, 0]
+        if indices.max(initial=0) >= max(len(values), 1):
+            raise rows.error(f"go up to {indices.max()}, but there are {len(values)} elements")
+        filled = values.copy()
+        filled[indices] = self._numbers(replaced, values.dtype, (count, values.shape[1]))
+        return filled
+
+
+def load_document(path: Path) -> Document:
+    """Read a .gltf or .glb file; buffers in other files are read when they are needed.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, of another version, or needs an extension that is not known here.
+    """
+    with reading(path, "glTF"):
+        content = path.read_bytes()
+    text, chunk = chunks(path, content) if content.startswith(b"glTF") else (content, None)
+    with reading(path, "glTF", ValueError, RecursionError):
+        parsed = json.loads(text.decode("utf-8-sig"))
+    if not isinstance(parsed, dict):
+        raise FormatError(f"{path} is JSON, but not glTF")
+    top = Fields(path, "", parsed)
+    version = top.object("asset").text("version")
+    if not version.startswith("2."):
+        raise FormatError(
+            f"{path} is glTF version {version or 'unknown'}; version 2 is read, convert it first"
+        )
+    check_extensions(top)
+    return Document(path, parsed, chunk, len(content), {kind: top.objects(kind) for kind in _KINDS})
+
+
+def _layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
+    kind, shape = accessor.integer("componentType"), accessor.text("type")
+    if kind not in COMPONENTS or shape not in WIDTHS:
+        raise accessor.error(
+            f"has components {kind} of type {shape[:20]!r}, which meshes and animations never have"
+        )
+    return np.dtype(COMPONENTS[kind]), WIDTHS[shape]
+
+
+def _normalised(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return integers as fractions of the largest; see "Animations" and "Accessors" in the specification."""
+    if values.dtype.kind == "f":
+        return values
+    fractions = np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)
+    return fractions.astype(np.float32)

@@ -1,0 +1,182 @@
+"""Moving points as glTF's morph targets: the first frame is the mesh, every further frame a target.
+
+Frame ``k`` is ``x_k = x_0 + sum_j w_j(t_k) d_j`` with ``d_j = x_j - x_0`` and the weights ``w_j(t_k)`` one where
+``j = k``, else zero. Between the keys viewers interpolate weights linearly, hence points too. Normals go the same way.
+The weights are a matrix of T rows and T - 1 columns; all else grows with the number of frames only.
+
+``x_0`` and ``d_j`` are rounded to float32, so that a point is wrong by at most 2**-24 of its distance from where it
+was in the first frame, beside its own rounding.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.geometry.normals import shared_normals
+from mixseq.polygons import FloatArray, IntArray
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import as_float32
+from mixseq_io.gltf.buffers import VERTICES, BufferWriter, Json, Layout, append
+from mixseq_io.pieces import Piece
+
+_BYTES_PER_VECTOR = 12
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPrimitive:
+    """A primitive of the document whose vertices will move.
+
+    Parameters
+    ----------
+    entry : dict
+        The primitive in the document; it gets ``POSITION``, ``NORMAL`` and targets.
+    vertices : (n,) int
+        Vertex of the mesh that each glTF vertex is a copy of.
+    normals : (n,) int or None
+        Its group of corners that share a normal; None if the primitive has no normals.
+    """
+
+    entry: Json
+    vertices: IntArray
+    normals: IntArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class MovingMesh:
+    """A mesh of the document whose vertices will move: its node, what it is of the sequence, its primitives."""
+
+    node: int
+    piece: Piece
+    primitives: Sequence[MovingPrimitive]
+
+
+class Morphs:
+    """The frames in the buffer: lays them out when it is made, then writes them one after the other.
+
+    Parameters
+    ----------
+    layout : Layout
+        The document with its buffer. The frames are what comes last in it.
+    meshes : sequence of MovingMesh
+        What moves.
+    header : SequenceHeader
+        How many frames there are, and when.
+    """
+
+    def __init__(self, layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader) -> None:
+        self._meshes = meshes
+        self._animate(layout, header)
+        self._frames = [self._lay_out(layout, frame) for frame in range(header.frame_count)]
+        self._first: tuple[FloatArray, list[NDArray[np.float32]]] | None = None
+
+    def _animate(self, layout: Layout, header: SequenceHeader) -> None:
+        """Add the animation that steps through the targets."""
+        if header.frame_count == 1:
+            return
+        keys = key_times(header)
+        times = layout.add_array(keys)
+        layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+        count = len(keys) * (len(keys) - 1)
+        weights = layout.accessor(layout.add(_one_hot(len(keys)), 4 * count), count, "SCALAR")
+        animation = {
+            "name": header.name or "animation",
+            "samplers": [{"input": times, "output": weights, "interpolation": "LINEAR"}],
+            "channels": [
+                {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
+            ],
+            "extras": {"fps": header.fps},
+        }
+        append(layout.document, "animations", animation)
+
+    def _lay_out(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:
+        """Return where a frame's view begins, and the accessors of points that await their bounds."""
+        vectors = sum(
+            len(each.vertices) * (1 if each.normals is None else 2)
+            for mesh in self._meshes
+            for each in mesh.primitives
+        )
+        view = layout.reserve(vectors * _BYTES_PER_VECTOR, byteStride=_BYTES_PER_VECTOR, target=VERTICES)
+        offset, unbounded = 0, []
+        for mesh in self._meshes:
+            for each in mesh.primitives:
+                count = len(each.vertices)
+                attributes = each.entry["attributes"] if frame == 0 else {}
+                points = layout.accessor(view, count, "VEC3", offset)
+                attributes["POSITION"] = points
+                unbounded.append(layout.bounded(points))
+                offset += count * _BYTES_PER_VECTOR
+                if each.normals is not None:
+                    attributes["NORMAL"] = layout.accessor(view, count, "VEC3", offset)
+                    offset += count * _BYTES_PER_VECTOR
+                if frame > 0:
+                    append(each.entry, "targets", attributes)
+        return layout.document["bufferViews"][view]["byteOffset"], unbounded
+
+    def write(self, frame: int, points: NDArray[np.float32], writer: BufferWriter) -> None:
+        """Write the points ``(V, 3)`` of a frame, which are remembered if it is the first.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If points are too far from those of the first frame for float32.
+        """
+        normals = [
+            shared_normals(points[None, mesh.piece.vertices], mesh.piece.polygons, mesh.piece.creases)[0]
+            for mesh in self._meshes
+        ]
+        if self._first is None:
+            self._first = points.astype(np.float64), normals
+        else:
+            base, base_normals = self._first
+            points = as_float32((points - base)[None], frame, "glTF")[0]
+            normals = [here - there for here, there in zip(normals, base_normals, strict=True)]
+        start, unbounded = self._frames[frame]
+        chunks: list[NDArray[np.float32]] = []
+        awaiting = iter(unbounded)
+        for mesh, of_mesh in zip(self._meshes, normals, strict=True):
+            for each in mesh.primitives:
+                here = points[mesh.piece.vertices][each.vertices]
+                accessor = next(awaiting)
+                accessor["min"], accessor["max"] = here.min(axis=0).tolist(), here.max(axis=0).tolist()
+                chunks.append(here)
+                if each.normals is not None:
+                    chunks.append(of_mesh[each.normals])
+        writer.put(start, chunks)
+
+
+def key_times(header: SequenceHeader) -> NDArray[np.float32]:
+    """Return the times of the keys ``(T,)``: glTF's begin at 0 or later, and are float32.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If frames follow each other too closely for float32.
+    """
+    keys = (header.times - time_shift(header)).astype(np.float32)
+    close = np.diff(keys) <= 0
+    if close.any() or not np.isfinite(keys).all():
+        frame = int(np.argmax(close))
+        raise InvalidSequenceError(
+            f"frames {frame} and {frame + 1} are at {header.times[frame]:.9g} s and {header.times[frame + 1]:.9g} s, "
+            "too close, or too late, for glTF's float32; let the times begin at 0, or write USD, .npz or .h5"
+        )
+    return keys
+
+
+def time_shift(header: SequenceHeader) -> float:
+    """Return the time that becomes 0 in glTF, which has no times before 0, and none at all for a single frame."""
+    first = float(header.times[0])
+    return first if first < 0 or header.frame_count == 1 else 0.0
+
+
+def _one_hot(keys: int) -> Iterator[NDArray[np.float32]]:
+    """Yield the weights of the targets key by key."""
+    for key in range(keys):
+        yield (np.arange(1, keys) == key).astype(np.float32)

@@ -1,0 +1,159 @@
+"""The primitives of a glTF mesh as arrays: triangles and what is on their vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.polygons import IntArray
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.extensions import COMPRESSIONS
+from mixseq_io.gltf.fields import Fields
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A primitive that consists of triangles.
+
+    Parameters
+    ----------
+    document : Document
+        The file.
+    number : int
+        Which one of its mesh it is.
+    fields : Fields
+        Its JSON.
+    positions : (n, 3) array
+        Positions of its vertices, as stored.
+    triangles : (F, 3) int32
+        Its triangles, by its own vertices; strips and fans are resolved.
+    """
+
+    document: Document
+    number: int
+    fields: Fields
+    positions: NDArray[Any]
+    triangles: NDArray[np.int32]
+
+    @property
+    def attributes(self) -> Fields:
+        """The JSON of its attributes: accessors by name."""
+        return self.fields.object("attributes")
+
+    def attribute(self, name: str, width: int) -> NDArray[Any] | None:
+        """Return an attribute ``(n, width)`` of its vertices, ``(n,)`` for a width of 1; None if it is not there."""
+        return self._attribute(self.attributes, name, width)
+
+    def sets(self, name: str) -> int:
+        """Return how many attributes ``name_0``, ``name_1`` ... there are."""
+        count = 0
+        while f"{name}_{count}" in self.attributes:
+            count += 1
+        return count
+
+    @cached_property
+    def targets(self) -> list[Fields]:
+        """Its morph targets."""
+        return self.fields.objects("targets")
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are about its triangles and the movements of its vertices."""
+        return self.triangles.size + len(self.positions) * (
+            3 + 8 * self.sets("JOINTS") + 3 * len(self.targets)
+        )
+
+    def delta(self, target: int) -> NDArray[Any] | None:
+        """Return what a morph target adds to the positions ``(n, 3)``, None if that is nothing."""
+        return self._attribute(self.targets[target], "POSITION", 3)
+
+    def _attribute(self, owner: Fields, name: str, width: int) -> NDArray[Any] | None:
+        index = owner.index(name)
+        if index is None:
+            return None
+        values = self.document.accessor(index)
+        expected = (len(self.positions),) if width == 1 else (len(self.positions), width)
+        if values.shape != expected:
+            raise owner.error(f"has {name} of shape {values.shape}, not {expected}")
+        return values
+
+
+def primitives_of(document: Document, mesh: int) -> tuple[list[Primitive], list[int]]:
+    """Return the primitives of a mesh that consist of triangles, and the numbers of the others.
+
+    Raises
+    ------
+    FormatError
+        If indices or attributes do not fit together, or a small file makes a mesh enormous by naming the same data
+        again and again.
+    """
+    found: list[Primitive] = []
+    others, numbers = [], 0
+    for number, fields in enumerate(document.item("meshes", mesh).objects("primitives")):
+        _check_uncompressed(document, fields)
+        attributes = fields.object("attributes")
+        position, mode = attributes.index("POSITION"), fields.integer("mode", _TRIANGLES)
+        if position is None or mode not in (_TRIANGLES, _STRIP, _FAN):
+            others.append(number)
+            continue
+        positions = document.accessor(position)
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise attributes.error(f"has POSITION of shape {positions.shape}, not (n, 3)")
+        triangles = _triangles(document, fields, mode, len(positions))
+        found.append(Primitive(document, number, fields, positions, triangles))
+        numbers += found[-1].size
+        document.check_effort(numbers, f"meshes[{mesh}]")
+    return found, others
+
+
+def _check_uncompressed(document: Document, fields: Fields) -> None:
+    for name in fields.object("extensions").values:
+        if name in COMPRESSIONS and not _has_fallback(document, fields):
+            raise fields.error(
+                f"is compressed with {COMPRESSIONS[name]} ({name}), which is not read; decompress the file first: "
+                f"gltf-transform cp {document.path.name} decompressed.glb"
+            )
+
+
+def _has_fallback(document: Document, fields: Fields) -> bool:
+    position = fields.object("attributes").index("POSITION")
+    return position is not None and "bufferView" in document.item("accessors", position)
+
+
+def _triangles(document: Document, fields: Fields, mode: int, vertices: int) -> NDArray[np.int32]:
+    index = fields.index("indices")
+    corners: IntArray = np.arange(vertices) if index is None else document.accessor(index)
+    if corners.ndim != 1 or corners.dtype.kind not in "ui":
+        raise fields.error(
+            f"has indices of shape {corners.shape} and type {corners.dtype}; integers are expected"
+        )
+    if corners.size and int(corners.max()) >= vertices:
+        raise fields.error(f"uses vertex {int(corners.max())}, but has {vertices}; the file is damaged")
+    if mode == _TRIANGLES and corners.size % 3:
+        raise fields.error(f"has {corners.size} corners of triangles, which is not a multiple of 3")
+    return resolved(corners.astype(np.int32), mode)
+
+
+def resolved(corners: NDArray[np.int32], mode: int) -> NDArray[np.int32]:
+    """Return triangles ``(F, 3)`` of a list (mode 4), a strip (5) or a fan (6).
+
+    Examples
+    --------
+    >>> resolved(np.array([0, 1, 2, 3, 4]), 5).tolist()
+    [[0, 1, 2], [1, 3, 2], [2, 3, 4]]
+    >>> resolved(np.array([0, 1, 2, 3]), 6).tolist()
+    [[1, 2, 0], [2, 3, 0]]
+    """
+    if mode == _TRIANGLES:
+        return corners.reshape(-1, 3)
+    first = np.arange(max(corners.size - 2, 0))
+    if mode == _FAN:
+        return corners[np.stack([first + 1, first + 2, 0 * first], axis=1)]
+    odd = first % 2
+    return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]

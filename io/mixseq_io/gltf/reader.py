@@ -1,0 +1,200 @@
+"""glTF, reading: skinned, morphed and moving meshes in world space (.gltf, .glb).
+
+Frames are at all keys of what moves the chosen meshes, or at a rate that is asked for. Vertices that glTF splits are
+welded, see `mixseq_io.gltf.welding`. Points are computed in float64 and rounded to float32.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.surface import Origin
+from mixseq_io.blocks import warn
+from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels
+from mixseq_io.gltf.document import Document, load_document
+from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
+from mixseq_io.gltf.primitives import primitives_of
+from mixseq_io.gltf.scene import Pose, Scene, read_scene
+from mixseq_io.gltf.skinning import Shape, bearers, read_shape
+from mixseq_io.gltf.timing import key_times, rate_of, sampled_times
+from mixseq_io.gltf.welding import Weld, weld
+from mixseq_io.pieces import Piece, join
+from mixseq_io.reader import SequenceReader, naming
+
+
+def open_gltf(
+    path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
+) -> SequenceReader:
+    """Open a glTF file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    prim : str, optional
+        Path of a node, whose meshes and those below it are read, or name of a node or mesh; "/" is everything.
+        By default all meshes that move, or all if none does.
+    animation : str or int, optional
+        Name or number of the animation, by default the first.
+    fps : float, optional
+        Frames per second; by default the frames are at the animation's keys.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, compressed, or has no such mesh.
+    AmbiguousError
+        If several nodes have the name `prim`.
+    SettingsError
+        If there is no such animation, or `fps` is not positive.
+    InvalidSequenceError
+        If a mesh is mirrored in some frames only.
+    """
+    # What is not finite is reported with its vertex, when points are read.
+    with naming(path), np.errstate(all="ignore"):
+        document = load_document(path)
+        scene = read_scene(document)
+        having = [node for node in scene.paths if "mesh" in scene.nodes[node]]
+        nodes = having if prim is None else chosen_nodes(document, scene, having, prim)
+        chosen = choose_animation(document, animation)
+        channels = read_channels(document, chosen, _influencing(document, scene, nodes))
+        if prim is None:
+            nodes = moving_nodes(document, scene, nodes, channels)
+            influencing = _influencing(document, scene, nodes)
+            channels = [channel for channel in channels if channel.node in influencing]
+        shapes = _shapes(document, scene, nodes, channels)
+        keys = key_times(channel.times for channel in channels)
+        times = keys if fps is None else sampled_times(path, keys, fps)
+        if not times.size:
+            times = np.zeros(1)
+        rate = fps or _told_rate(chosen) or rate_of(times)
+        mirrored = [bool(shape.handedness(pose_at(channels, times[:1]))[0] < 0) for shape in shapes]
+        return _GltfReader(document, shapes, mirrored, channels, times, rate)
+
+
+def _influencing(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
+    """Return the nodes on which the meshes of some nodes depend."""
+    found, count = set(nodes), 0
+    for node in nodes:
+        moving = bearers(document, scene.nodes[node], node)
+        count += 16 * len(moving)  # their matrices
+        document.check_effort(count, "skeletons of all meshes together")
+        found |= scene.with_above(moving)
+    return found
+
+
+def _shapes(
+    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
+) -> list[Shape]:
+    welds: dict[int, Weld | None] = {}
+    shapes, numbers = [], 0
+    for node in nodes:
+        mesh = scene.nodes[node].integer("mesh")
+        if mesh not in welds:
+            welds[mesh] = _welded(document, mesh)
+        found = welds[mesh]
+        if found is not None:
+            numbers += 3 * found.count + found.faces.size
+            document.check_effort(numbers, "meshes of all nodes together")
+            shapes.append(read_shape(document, scene, node, found))
+    if not shapes:
+        raise FormatError(f"{document.path} has no triangles to read; points and lines alone are not a mesh")
+    for channel in channels:
+        for shape in shapes:
+            if (channel.node, channel.name) == (shape.node, "weights") and len(channel.values.T) != len(
+                shape.weights
+            ):
+                raise scene.nodes[shape.node].error(
+                    f"has {len(shape.weights)} morph targets, but {len(channel.values.T)} weights are animated"
+                )
+    return shapes
+
+
+def _welded(document: Document, mesh: int) -> Weld | None:
+    """Return a mesh's vertices, None if it has no triangles; warn of what is left out."""
+    primitives, others = primitives_of(document, mesh)
+    place = f"{document.path}: meshes[{mesh}]"
+    if others:
+        warn(
+            f"{place}: primitives {', '.join(map(str, others[:20]))} are points, lines or empty; they are left out"
+        )
+    if any("TEXCOORD_1" in each.attributes for each in primitives):
+        warn(f"{place} has several sets of texture coordinates; TEXCOORD_0 is read")
+    return weld(document, mesh) if primitives else None
+
+
+def _told_rate(animation: Fields | None) -> float | None:
+    """Return the rate that files written by mixseq tell, where the times of frames need not."""
+    extras = {} if animation is None else animation.values.get("extras")
+    rate = extras.get("fps") if isinstance(extras, dict) else None
+    return (
+        float(rate)
+        if isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate < 1e9
+        else None
+    )
+
+
+class _GltfReader(SequenceReader):
+    def __init__(
+        self,
+        document: Document,
+        shapes: Sequence[Shape],
+        mirrored: Sequence[bool],
+        channels: Sequence[Channel],
+        times: NDArray[np.float64],
+        rate: float,
+    ) -> None:
+        ends = np.cumsum([0, *(shape.weld.count for shape in shapes)]).tolist()
+        pieces = [
+            piece_of(document, shape, first, flip)
+            for shape, first, flip in zip(shapes, ends, mirrored, strict=False)
+        ]
+        path = document.path
+        polygons, surface = join(path, pieces, Origin("glTF", str(path.resolve())))
+        header = SequenceHeader(
+            polygons=polygons,
+            vertex_count=ends[-1],
+            times=times,
+            fps=rate,
+            name=_common_name(path, pieces),
+            surface=surface,
+        )
+        super().__init__(path, header)
+        self._shapes, self._mirrored, self._channels = shapes, mirrored, channels
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        for start in range(0, self.header.frame_count, size):
+            times = self.header.times[start : start + size]
+            with np.errstate(all="ignore"):
+                pose = pose_at(self._channels, times)
+                self._check_handedness(pose, start)
+                points = [shape.points(pose, len(times)).astype(np.float32) for shape in self._shapes]
+            yield np.concatenate(points, axis=1)
+
+    def _check_handedness(self, pose: Pose, first: int) -> None:
+        for shape, mirrored in zip(self._shapes, self._mirrored, strict=True):
+            turned = shape.handedness(pose) * (-1 if mirrored else 1) < 0
+            if turned.any() and shape.skin is None:
+                raise InvalidSequenceError(
+                    f"{self.path}: frame {first + int(np.argmax(turned))}: {shape.scene.paths[shape.node]!r} is "
+                    "mirrored relative to the first frame, which turns its faces inside out; give the animated scale "
+                    "one sign"
+                )
+
+
+def _common_name(path: Path, pieces: Sequence[Piece]) -> str:
+    """Return the name of the only mesh, of the deepest node above all meshes, or of the file."""
+    if len(pieces) == 1:
+        return pieces[0].name
+    above = [piece.path.split("/")[:-1] for piece in pieces]
+    common = [names[0] for names in zip(*above, strict=False) if len(set(names)) == 1]
+    return common[-1] if common else path.stem

@@ -1,0 +1,117 @@
+"""A glTF document of a sequence alone: a node per object, plain materials by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import FaceSet
+from mixseq_io.gltf.buffers import GENERATOR, INDICES, VERTICES, Json, Layout, append
+from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
+from mixseq_io.gltf.splitting import Primitive, split_corners
+from mixseq_io.pieces import Piece, split
+
+_LARGEST_EXACT = 2**24
+
+
+def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+    """Return a document with all of a sequence but its frames, and what of it will move.
+
+    Objects without polygons are left out: glTF has no place for them.
+    """
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    document = layout.document
+    pieces = [piece for piece in split(header) if piece.polygons.counts.size]
+    meshes = [_new_mesh(layout, piece, header.name if len(pieces) == 1 else piece.name) for piece in pieces]
+    root = group(document, [mesh.node for mesh in meshes], header)
+    document["scene"], document["scenes"] = 0, [{"nodes": [root]}]
+    return layout, meshes
+
+
+def group(document: Json, nodes: list[int], header: SequenceHeader) -> int:
+    """Return the root of a sequence's nodes: the only one, or one above them; it shows the points upright."""
+    root = (
+        nodes[0] if len(nodes) == 1 else append(document, "nodes", {**named(header.name), "children": nodes})
+    )
+    document["nodes"][root].update(upright(header))
+    return root
+
+
+def upright(header: SequenceHeader) -> Json:
+    """Return the transform of a node that shows points with Y up and in metres, as all of glTF is.
+
+    Examples
+    --------
+    >>> times = np.zeros(1)
+    >>> from mixseq.polygons import Polygons
+    >>> one = Polygons.from_triangles([[0, 1, 2]])
+    >>> upright(SequenceHeader(polygons=one, vertex_count=3, times=times))
+    {}
+    >>> upright(SequenceHeader(polygons=one, vertex_count=3, times=times, up_axis="Z"))["matrix"][4:7]
+    [0.0, 0.0, -1.0]
+    """
+    columns = {"X": [(0, 1, 0), (-1, 0, 0), (0, 0, 1)], "Z": [(1, 0, 0), (0, 0, -1), (0, 1, 0)]}
+    matrix = np.eye(4)
+    matrix[:3, :3] = header.metres_per_unit * np.array(columns.get(header.up_axis, np.eye(3)))
+    return {} if np.array_equal(matrix, np.eye(4)) else {"matrix": matrix.ravel().tolist()}
+
+
+def named(name: str) -> Json:
+    """Return the member ``name``, which glTF omits where there is none."""
+    return {"name": name} if name else {}
+
+
+def material_name(face_set: FaceSet) -> str:
+    """Return what a material is called in glTF: the last name of a path, or the face set's name."""
+    name = face_set.material
+    return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
+
+
+def _new_mesh(layout: Layout, piece: Piece, name: str) -> MovingMesh:
+    primitives = [_new_primitive(layout, each, piece) for each in split_corners(piece)]
+    entries = [primitive.entry for primitive in primitives]
+    mesh = append(layout.document, "meshes", {**named(name), "primitives": entries})
+    node = append(layout.document, "nodes", {**named(name), "mesh": mesh})
+    return MovingMesh(node, piece, primitives)
+
+
+def _new_primitive(layout: Layout, primitive: Primitive, piece: Piece) -> MovingPrimitive:
+    attributes: dict[str, int] = {}
+    if primitive.uvs is not None:
+        upside_down = (primitive.uvs * (1, -1) + (0, 1)).astype(np.float32)
+        attributes["TEXCOORD_0"] = layout.add_array(upside_down, target=VERTICES)
+    entry: Json = {
+        "attributes": attributes,
+        "indices": layout.add_array(primitive.triangles.reshape(-1), target=INDICES),
+    }
+    if primitive.face_set is not None:
+        entry["material"] = _material(layout.document, material_name(primitive.face_set))
+    moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
+    add_vertex_numbers(layout, moving, piece.vertex_count)
+    return moving
+
+
+def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:
+    """Tell which vertex of the sequence's mesh each glTF vertex is; other programs ignore it.
+
+    It is written as float32, since glTF allows no 32-bit integers in attributes, unless there are too many.
+    """
+    if vertex_count <= _LARGEST_EXACT:
+        numbers = primitive.vertices.astype(np.float32)
+        primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=VERTICES)
+
+
+def _material(document: Json, name: str) -> int:
+    """Return the number of the material of that name, a new one if need be."""
+    materials: Sequence[Json] = document.get("materials", ())
+    for number, material in enumerate(materials):
+        if material.get("name", "") == name:
+            return number
+    plain = {
+        **named(name),
+        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
+        "doubleSided": True,
+    }
+    return append(document, "materials", plain)

@@ -1,0 +1,98 @@
+"""When the frames of a glTF animation are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, SettingsError
+from mixseq.sequence import DEFAULT_FPS
+
+SAME_TIME = 1e-6
+"""Seconds; times that are closer count once."""
+
+USUAL_RATES = (
+    24.0,
+    30.0,
+    25.0,
+    60.0,
+    50.0,
+    48.0,
+    120.0,
+    100.0,
+    12.0,
+    15.0,
+    20.0,
+    10.0,
+    24e3 / 1001,
+    30e3 / 1001,
+)
+
+_MOST_FRAMES = 1_000_000
+_GRID = 2e-3  # of a frame; keys are float32
+
+
+def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return all times of all channels, increasing; what is the same time in two channels counts once.
+
+    Examples
+    --------
+    >>> key_times([np.array([0.0, 1.0]), np.array([0.5, 1.0000001, 2.0])]).tolist()
+    [0.0, 0.5, 1.0000001, 2.0]
+    """
+    found = np.empty(0)
+    for times in sorted(channels, key=len, reverse=True):
+        if not np.array_equal(times, found):
+            # Those within a channel differ on purpose, however close they are.
+            ends = np.concatenate([[-np.inf], found, [np.inf]])
+            place = np.searchsorted(found, times)
+            near = np.minimum(times - ends[place], ends[place + 1] - times) <= SAME_TIME
+            found = np.sort(np.concatenate([found, times[~near]]))
+    return found
+
+
+def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+    """Return times from the first key to the last, `fps` per second.
+
+    Raises
+    ------
+    SettingsError
+        If `fps` is not a positive number.
+    FormatError
+        If there were more than a million frames.
+    """
+    if not (np.isfinite(fps) and fps > 0):
+        raise SettingsError(f"fps is {fps}; a positive number is expected")
+    if not keys.size:
+        return keys
+    count = (keys[-1] - keys[0] + SAME_TIME) * fps
+    if not count < _MOST_FRAMES:
+        raise FormatError(
+            f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"
+        )
+    times: NDArray[np.float64] = keys[0] + np.arange(int(count) + 1) / fps
+    return times
+
+
+def rate_of(times: NDArray[np.float64]) -> float:
+    """Return the frames per second of the grid that times lie on, 24 if they lie on none.
+
+    Examples
+    --------
+    >>> rate_of(np.array([0.0, 1, 2, 5]) / 12), rate_of(np.array([0.0, 0.5, 0.6]))
+    (12.0, 30.0)
+    """
+    if times.size < 2:
+        return DEFAULT_FPS
+    steps = times - times[0]
+    own = 1 / float(np.median(np.diff(times)))
+    likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
+    # Few keys with much between them tell nothing of a rate.
+    for rate in (*(likely if own >= min(USUAL_RATES) else []), *USUAL_RATES):
+        frames = steps * rate
+        if np.abs(frames - np.rint(frames)).max() < _GRID:
+            return rate
+    return DEFAULT_FPS

@@ -1,0 +1,324 @@
+"""Writing glTF onto the file that a sequence came from: what is carried over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
+from mixseq.sequence import MeshSequence
+from mixseq_io.gltf.writer import write_gltf
+from tests.formats.conftest import lossy
+from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, validate, write_glb, written
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    return write_glb(tmp_path / "rig.glb", *rigged())
+
+
+@pytest.fixture
+def lifted(rig: Path) -> MeshSequence:
+    """The rigged square as it is read, and lifted by one more."""
+    with lossy():
+        sequence = read(rig)
+    return sequence.with_points(sequence.points + np.array([0, 0, 1], np.float32))
+
+
+def test_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    before, file = Gltf(rig), written(tmp_path / "new.glb", lifted)
+    for kind in ("cameras", "materials", "textures", "samplers"):
+        assert file.json[kind] == before.json[kind]
+    image = file.json["images"][0]
+    assert (image["name"], file.view(image["bufferView"])) == ("fox", IMAGE)
+    assert file.json["asset"]["copyright"] == "nobody"
+    assert file.node("body")["extras"] == {"note": "keep"}
+    np.testing.assert_array_equal(file.attribute("tree", "POSITION"), before.attribute("tree", "POSITION"))
+    assert sorted(file.primitives("body")[0]["attributes"]) == ["NORMAL", "POSITION", "TEXCOORD_0", "_VERTEX"]
+    assert file.primitives("body")[0]["material"] == 0
+    assert file.triangles("body") == before.triangles("body")
+    np.testing.assert_array_equal(
+        file.attribute("body", "TEXCOORD_0"), before.attribute("body", "TEXCOORD_0")
+    )
+    assert "skins" not in file.json  # nor what only the skin and the old animation used
+    assert len(file.json["accessors"]) == 3 + 3 + 3 * 2
+    assert [each["name"] for each in file.json["animations"]] == ["body"]
+
+
+def test_every_copy_of_a_vertex_moves_with_it(lifted: MeshSequence, tmp_path: Path) -> None:
+    file = written(tmp_path / "new.glb", lifted)
+    for time, points in zip(lifted.times, lifted.points, strict=True):
+        np.testing.assert_array_equal(file.played("body", time), points[[0, 1, 2, 0, 2, 3]])
+    tilted = np.array([0, -3, 1]) / np.sqrt(10)
+    np.testing.assert_allclose(file.played("body", 1, "NORMAL"), [tilted] * 6, atol=1e-6)
+
+
+def test_what_is_written_onto_a_file_is_read_again(lifted: MeshSequence, tmp_path: Path) -> None:
+    written(tmp_path / "new.glb", lifted)
+    again = read(tmp_path / "new.glb", prim="body")
+    np.testing.assert_array_equal(again.points, lifted.points)
+    np.testing.assert_array_equal(again.times, lifted.times)
+    assert again.polygons.same_as(lifted.polygons)
+    assert [each.material for each in again.surface.face_sets] == ["fur"]
+    written(tmp_path / "newer.glb", again)  # and onto that
+    np.testing.assert_array_equal(read(tmp_path / "newer.glb", prim="body").points, lifted.points)
+
+
+def test_the_node_becomes_a_root_and_its_children_stay(lifted: MeshSequence, tmp_path: Path) -> None:
+    file = written(tmp_path / "new.glb", lifted)
+    nodes, roots = file.json["nodes"], file.json["scenes"][0]["nodes"]
+    body = nodes.index(file.node("body"))
+    assert roots == [0, 5, body]
+    assert set(nodes[body]) == {"name", "mesh", "extras"}
+    stand_in = nodes[nodes[0]["children"][0]]
+    assert stand_in == {"name": "body", "children": [4]}
+    assert nodes[0]["children"][1] == 2
+
+
+def change(rig: Path, edit: Callable[[Json], object]) -> None:
+    """Change the document of a file."""
+    document, buffer = rigged()
+    edit(document)
+    write_glb(rig, document, buffer)
+
+
+def test_without_normals_a_mesh_stays_flat(rig: Path, tmp_path: Path) -> None:
+    change(rig, lambda document: document["meshes"][0]["primitives"][0]["attributes"].pop("NORMAL"))
+    with lossy():
+        file = written(tmp_path / "new.glb", read(rig))
+    primitive = file.primitives("body")[0]
+    assert "NORMAL" not in primitive["attributes"]
+    assert [list(each) for each in primitive["targets"]] == [["POSITION"]] * 2
+
+
+def test_strips_stay_strips(rig: Path, tmp_path: Path) -> None:
+    change(rig, lambda document: document["meshes"][0]["primitives"][0].update(mode=5))
+    with lossy():
+        file = written(tmp_path / "new.glb", read(rig))
+    assert file.primitives("body")[0]["mode"] == 5
+    assert file.accessor(file.primitives("body")[0]["indices"]).tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_mirrored_triangles_are_turned_around(rig: Path, tmp_path: Path) -> None:
+    def mirror(document: Json) -> None:
+        document["nodes"][0]["scale"] = [-1, 1, 1]
+        document["nodes"][1].pop("skin")
+
+    change(rig, mirror)
+    sequence = read(rig, prim="rig/body")
+    assert sequence.points[0, 1].tolist() == [9, 0, 0]
+    file = written(tmp_path / "new.glb", sequence)
+    assert file.triangles("body") == [[0, 2, 1], [3, 5, 4]]
+    np.testing.assert_array_equal(file.attribute("body", "NORMAL"), [[0, 0, 1]] * 6)
+
+
+def test_meshes_that_nodes_share_become_two(rig: Path, tmp_path: Path) -> None:
+    change(rig, lambda document: document["nodes"][5].update(mesh=0, translation=[0, 7, 0]))
+    sequence = read(rig, prim="/")
+    assert [each.name for each in sequence.objects] == ["body", "tree"]
+    file = written(tmp_path / "new.glb", sequence)
+    assert file.node("body")["mesh"] != file.node("tree")["mesh"]
+    assert file.played("tree", 1)[0].tolist() == [0, 7, 0]
+    root = file.json["nodes"][file.json["scenes"][0]["nodes"][-1]]
+    assert [file.json["nodes"][child]["name"] for child in root["children"]] == ["body", "tree"]
+
+
+def test_joints_of_other_skins_stay_where_they_are(rig: Path, tmp_path: Path) -> None:
+    def bind(document: Json) -> None:  # the tree to the body
+        tree = document["meshes"][1]["primitives"][0]
+        attributes = document["meshes"][0]["primitives"][0]["attributes"]
+        document["meshes"][1]["primitives"] = [{**tree, "attributes": dict(attributes)}]
+        document["skins"].append({"joints": [0, 1]})
+        document["nodes"][5]["skin"] = 1
+
+    change(rig, bind)
+    with lossy():
+        file = written(tmp_path / "new.glb", read(rig, prim="rig/body"))
+    assert len(file.json["skins"]) == 1
+    stand_in = file.json["skins"][0]["joints"][1]
+    assert stand_in == file.json["nodes"][0]["children"][0]
+    assert file.json["nodes"][stand_in]["children"] == [4]
+
+
+def test_other_things_that_were_animated_are_named(rig: Path, tmp_path: Path) -> None:
+    def shake(document: Json) -> None:
+        nod = document["animations"][0]
+        channel = {"sampler": 0, "target": {"node": 5, "path": "translation"}}
+        document["animations"].append({"channels": [channel], "samplers": nod["samplers"]})
+
+    change(rig, shake)
+    with lossy():
+        sequence = read(rig)
+    with pytest.warns(
+        MixseqWarning, match="animations are replaced by that of the sequence; .* still: 'tree'$"
+    ):
+        written(tmp_path / "new.glb", sequence)
+
+
+def test_images_in_files_are_taken_along(rig: Path, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    moved = tmp_path / "in" / "rig.glb"
+    rig.rename(moved)
+    (tmp_path / "in" / "my fox.png").write_bytes(IMAGE)
+    (tmp_path / "secret.png").write_bytes(IMAGE)
+    (tmp_path / "in" / "notes.txt").write_text("not an image")
+    uris = ["my%20fox.png", "gone.png", "../secret.png", "notes.txt"]
+    change(moved, lambda document: document["images"].extend({"uri": uri} for uri in uris))
+    with lossy():
+        sequence = read(moved)
+    with pytest.warns(MixseqWarning) as caught:
+        file = written(tmp_path / "new.glb", sequence)
+    images = file.json["images"][1:]
+    assert images[0]["mimeType"] == "image/png"
+    assert file.view(images[0]["bufferView"]) == IMAGE
+    assert [each.get("uri") for each in images[1:]] == uris[1:]
+    messages = [str(each.message) for each in caught]
+    assert len(messages) == 3
+    assert all("the image is not taken along, only the reference to it" in each for each in messages)
+
+
+def test_unknown_extensions_keep_everything(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    change(rig, lambda document: document.update(extensionsUsed=["ACME_bones"]))
+    file = written(tmp_path / "new.glb", lifted)
+    assert len(file.json["skins"]) == 1
+    assert len(file.json["accessors"]) > len(rigged()[0]["accessors"])
+
+
+def test_flatten_leaves_the_file_behind(lifted: MeshSequence, tmp_path: Path) -> None:
+    file = written(tmp_path / "new.glb", lifted, flatten=True)
+    assert "images" not in file.json
+    assert [each.get("name") for each in file.json["nodes"]] == ["body"]
+    assert file.json["materials"][0]["name"] == "fur"
+
+
+def test_a_file_that_is_gone_or_another_is_done_without(
+    rig: Path, lifted: MeshSequence, tmp_path: Path
+) -> None:
+    rig.rename(tmp_path / "moved.glb")
+    with pytest.warns(MixseqWarning, match=r"rig.glb does not exist; the sequence is written alone"):
+        file = written(tmp_path / "new.glb", lifted)
+    assert "images" not in file.json
+    file = written(tmp_path / "new.glb", lifted, onto=tmp_path / "moved.glb")
+    assert "images" in file.json
+    rig.write_bytes(b"glTF")
+    with pytest.warns(MixseqWarning, match="the sequence is written alone"):
+        written(tmp_path / "new.glb", lifted)
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (
+            lambda document: document["nodes"][1].update(name="torso"),
+            "has no mesh at 'rig/body', which is where 'body' was",
+        ),
+        (lambda document: document["nodes"][1].update(mesh=1), "'rig/body' has other vertices or triangles"),
+        (
+            lambda document: document["meshes"][0]["primitives"][0].update(mode=6),
+            "has other vertices or triangles",
+        ),
+        (
+            lambda document: document["bufferViews"][0].update(byteLength=1 << 40),
+            "bufferViews.0. does not fit",
+        ),
+        (
+            lambda document: document["materials"][0].update(alphaCutoff=float("nan")),
+            "is damaged, truncated or",
+        ),
+        (lambda document: document["images"].append(7), "is damaged, truncated or"),
+        (lambda document: document["animations"].append({"channels": [{}]}), "is damaged, truncated or"),
+    ],
+)
+def test_files_that_do_not_fit(
+    rig: Path, lifted: MeshSequence, tmp_path: Path, edit: Callable[[Json], object], message: str
+) -> None:
+    change(rig, edit)
+    with pytest.warns(MixseqWarning, match=f"{message}.*; the sequence is written alone"):
+        written(tmp_path / "new.glb", lifted)
+    (tmp_path / "new.glb").unlink()
+    with pytest.raises(OutputError, match=f"cannot write .*new.glb onto another file: .*{message}"):
+        written(tmp_path / "new.glb", lifted, onto=rig)
+    assert not (tmp_path / "new.glb").exists()
+
+
+def test_a_file_is_not_written_onto_itself(rig: Path, lifted: MeshSequence) -> None:
+    before = rig.read_bytes()
+    for onto in (None, rig):
+        with pytest.raises(
+            OutputError, match=r"is the file that the sequence came from, .* or give flatten=True"
+        ):
+            write_gltf(rig, lifted.header, [lifted.points], onto=onto)
+    assert rig.read_bytes() == before
+    written(rig, lifted, flatten=True)
+
+
+def test_flatten_and_onto_exclude_each_other(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="give one of them"):
+        written(tmp_path / "new.glb", lifted, flatten=True, onto=rig)
+
+
+def test_damaged_files_end_in_an_error_of_ours(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    """Replace one value of the JSON after the other by nonsense."""
+    text = json.dumps(rigged()[0])
+
+    def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        children = (
+            value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        )
+        for key, child in children:
+            yield (*path, key)
+            yield from places(child, (*path, key))
+
+    everywhere = [
+        place for place in places(json.loads(text)) if place[:1] != ("accessors",) or place < ("accessors", 4)
+    ]
+    for number, place in enumerate(everywhere[::2]):
+        document = json.loads(text)
+        owner = document
+        for key in place[:-1]:
+            owner = owner[key]
+        owner[place[-1]] = [None, -1, "x", [], {}, 1e300, 99, [[]]][number % 8]
+        write_glb(rig, document, rigged()[1])
+        with lossy():
+            try:
+                written(tmp_path / "new.glb", lifted, onto=rig)
+            except MixseqError:
+                continue
+
+
+def test_the_validator_passes_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    # The image is none: only that may be found fault with.
+    change(rig, lambda document: (document.pop("images"), document["textures"][0].pop("source")))
+    written(tmp_path / "new.glb", lifted)
+    written(tmp_path / "new.gltf", lifted)
+    validate(tmp_path / "new.glb", tmp_path / "new.gltf")
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["KhronosFox", "CesiumMan"])
+def test_real_characters_keep_their_textures(data: Path, tmp_path: Path, name: str) -> None:
+    source, target = data / "gltf" / f"{name}.glb", tmp_path / f"{name}.glb"
+    with lossy():
+        sequence = read(source)
+        file, before = written(target, sequence), Gltf(source)
+    assert file.view(file.json["images"][0]["bufferView"]) == before.view(
+        before.json["images"][0]["bufferView"]
+    )
+    assert file.json["materials"] == before.json["materials"]
+    again = read(target)
+    assert again.polygons.same_as(sequence.polygons)
+    assert np.abs(again.points - sequence.points).max() < 1e-7 * sequence.diagonal
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("flatten", [False, True])
+def test_the_validator_passes_real_characters(data: Path, tmp_path: Path, flatten: bool) -> None:
+    for name in ("KhronosFox", "CesiumMan", "Stag"):
+        with lossy():
+            written(tmp_path / f"{name}.glb", read(data / "gltf" / f"{name}.glb"), flatten=flatten)
+    validate(*sorted(tmp_path.iterdir()))
