@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from mixseq.errors import (
     OutputError,
     SettingsError,
 )
-from mixseq.sequence import MeshSequence
+from mixseq.sequence import MeshSequence, Polygons
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import read, write
 
 TRIANGLE = "v 0 0 {z}\nv 1 0 {z}\nv 0 1 {z}\nf 1 2 3\n"
@@ -81,7 +83,7 @@ def test_several_sequences_in_a_folder(tmp_path: Path) -> None:
 
 
 def test_an_empty_folder(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no files of this name"):
+    with pytest.raises(FormatError, match="without numbered files"):
         read(tmp_path)
 
 
@@ -116,6 +118,10 @@ def test_dialects_of_the_text(tmp_path: Path, ends: str) -> None:
     assert sequence.polygons.indices.tolist() == [0, 1, 2, 3, 4, 3, 2, 0, 1, 2, 3, 4]
     assert sequence.name == "Spot the cow"
     assert sequence.points.dtype == np.float64
+    assert [(each.name, each.material, each.polygons.tolist()) for each in sequence.surface.face_sets] == [
+        ("skin", "skin", [0, 1, 2]),
+        ("body", "", [0, 1, 2]),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -126,6 +132,16 @@ def test_dialects_of_the_text(tmp_path: Path, ends: str) -> None:
         (TRIANGLE.format(z=0) + "f 1 2 a", FormatError, "face 1: 'f 1 2 a' is not a face"),
         (TRIANGLE.format(z=0) + "f 0 1 2", FormatError, "face 1: 'f 0 1 2' is not a face"),
         (TRIANGLE.format(z=0) + "f 1 2 99999999999999999999", FormatError, "is not a face"),
+        ("vt x\n" + TRIANGLE.format(z=0), FormatError, "line 1: 'vt x' is not a texture coordinate"),
+        ("vn 0 1\n" + TRIANGLE.format(z=0), FormatError, "line 1: 'vn 0 1' is not a normal; three numbers"),
+        (TRIANGLE.format(z=0) + "f 1/a 2 3", FormatError, "face 1: 'f 1/a 2 3' is not a face"),
+        ("vt 0\n" + TRIANGLE.format(z=0) + "f 1/1 2/2 3", FormatError, "face 1 uses texture coordinate 2"),
+        ("vt 0\n" + TRIANGLE.format(z=0) + "f 1/1 2/-2 3", FormatError, "face 1 uses texture coordinate 0"),
+        (
+            "vn 0 0 1\n" + TRIANGLE.format(z=0).replace("f 1 2 3", "f 1//1 2//1 3//2"),
+            FormatError,
+            "face 0 uses normal 2",
+        ),
         (TRIANGLE.format(z=0) + "f 1 2", InvalidSequenceError, "polygon 1 has 2 corners"),
         (
             TRIANGLE.format(z=0) + "f 1 2 4",
@@ -205,3 +221,176 @@ def test_rate_out_of_range(tmp_path: Path) -> None:
     save(tmp_path, "a.obj")
     with pytest.raises(SettingsError, match="fps is 0"):
         read(tmp_path / "a.obj", fps=0)
+
+
+SQUARES = """o left
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0.5
+usemtl red
+f 1/1 2/2 3/-2 4
+o right
+v 2 0 0
+v 3 0 0
+v 3 1 0
+usemtl blue
+f -3/4 -2/1 -1/1
+"""
+
+
+def test_texture_coordinates(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(SQUARES)
+    uvs = read(tmp_path / "a.obj").surface.uvs
+    assert uvs is not None
+    # The fourth corner has none; -2 is the last but one of those before its face.
+    assert uvs.at_corners.tolist() == [[0, 0], [1, 0], [1, 1], [0, 0], [0.5, 0], [0, 0], [0, 0]]
+
+
+def test_coordinates_that_no_file_has(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(TRIANGLE.format(z=0).replace("1 2 3", "1/1/1 2/2/2 3/3/3"))
+    surface = read(tmp_path / "a.obj").surface
+    assert surface.uvs is None and surface.creases is None
+
+
+def test_objects_with_vertices_of_their_own(tmp_path: Path) -> None:
+    vertices_first = sorted(SQUARES.splitlines(), key=lambda line: not line.startswith("v "))
+    for text in (SQUARES, "\n".join(vertices_first).replace("-3/4 -2/1 -1/1", "5/4 6/1 7/1")):
+        (tmp_path / "two.obj").write_text(text)
+        sequence = read(tmp_path / "two.obj")
+        assert sequence.objects == (MeshObject("left", "", 4, 1), MeshObject("right", "", 3, 1))
+        assert sequence.name == "two"
+        assert [(each.name, each.polygons.tolist()) for each in sequence.surface.face_sets] == [
+            ("red", [0]),
+            ("blue", [1]),
+        ]
+
+
+def test_objects_that_share_vertices_are_face_sets(tmp_path: Path) -> None:
+    (tmp_path / "two.obj").write_text(SQUARES.replace("f -3/4", "f 1/4"))
+    surface = read(tmp_path / "two.obj").surface
+    assert surface.objects == ()
+    assert [each.name for each in surface.face_sets] == ["red", "blue", "left", "right"]
+
+
+def test_objects_without_a_mesh_do_not_count(tmp_path: Path) -> None:
+    (tmp_path / "one.obj").write_text("o camera\no box\n" + TRIANGLE.format(z=0) + "o light\n")
+    sequence = read(tmp_path / "one.obj")
+    assert (sequence.name, sequence.surface.objects) == ("box", ())
+
+
+def test_groups(tmp_path: Path) -> None:
+    faces = "g body arm\nf 1 2 3\ng\nf 1 3 2\ng arm\nf 2 3 1\ng (null)\nusemtl (null)\nf 3 2 1\n"
+    (tmp_path / "a.obj").write_text(TRIANGLE.format(z=0) + faces)
+    sets = read(tmp_path / "a.obj").surface.face_sets
+    assert [(each.name, each.material, each.polygons.tolist()) for each in sets] == [
+        ("body", "", [1]),
+        ("arm", "", [1, 3]),
+    ]
+
+
+ROOF = """v 0 0 0
+v 1 0 0
+v 1 1 1
+v 0 1 1
+v 1 2 0
+v 0 2 0
+{normals}
+f 1//1 2//1 3//{a} 4//{a}
+f 4//{b} 3//{b} 5//2 6//2
+"""
+
+
+def test_creases_are_where_a_vertex_has_several_normals(tmp_path: Path) -> None:
+    normals = "vn 0 -1 1\nvn 0 2 2\nvn 0 0 1\n"
+    (tmp_path / "sharp.obj").write_text(ROOF.format(normals=normals, a=1, b=2))
+    (tmp_path / "smooth.obj").write_text(ROOF.format(normals=normals, a=3, b=3))
+    creases = read(tmp_path / "sharp.obj").surface.creases
+    assert creases is not None
+    _, first, second, third, fourth, *_ = (int(group) for group in creases[1:])
+    assert len({first, second, third, fourth}) == 4
+    assert read(tmp_path / "smooth.obj").surface.creases is None
+
+
+def rich(frames: int = 2) -> MeshSequence:
+    """Two objects, seams of texture coordinates, a crease, materials on part of the mesh, groups that overlap."""
+    points = np.random.default_rng(5).normal(size=(frames, 7, 3)).astype(np.float32)
+    polygons = Polygons(np.array([4, 3, 3]), np.array([0, 1, 2, 3, 4, 5, 6, 4, 6, 5]))
+    surface = Surface(
+        uvs=CornerValues(np.random.default_rng(6).normal(size=(5, 2)), np.arange(10) % 5),
+        creases=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
+        face_sets=(
+            FaceSet("red", np.array([0]), "/looks/red"),
+            FaceSet("front", np.array([0, 2])),
+            FaceSet("all", np.array([0, 1, 2])),
+        ),
+        objects=(MeshObject("left one", "", 4, 1), MeshObject("rechts 右", "", 3, 2)),
+    )
+    return replace(MeshSequence.from_arrays(points, polygons), surface=surface)
+
+
+def test_what_is_on_the_mesh_is_kept(tmp_path: Path) -> None:
+    written = rich()
+    write(tmp_path / "a_#.obj", written)
+    got = read(tmp_path / "a_#.obj")
+    np.testing.assert_array_equal(got.points, written.points)
+    assert got.polygons.same_as(written.polygons)
+    assert got.surface.uvs is not None and written.surface.uvs is not None
+    np.testing.assert_array_equal(got.surface.uvs.at_corners, written.surface.uvs.at_corners)
+    assert got.surface.creases is not None
+    assert np.unique(got.surface.creases).size == 10  # numbers may change, groups may not
+    assert got.objects == written.objects
+    assert [(each.name, each.material, each.polygons.tolist()) for each in got.surface.face_sets] == [
+        ("red", "red", [0]),
+        ("front", "", [0, 2]),
+        ("all", "", [0, 1, 2]),
+    ]
+
+
+def test_normals_are_those_of_each_frame(tmp_path: Path) -> None:
+    flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
+    points = np.stack([flat, flat[:, [1, 2, 0]]])
+    surface = Surface(creases=np.arange(6))
+    folded = replace(MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]]), surface=surface)
+    write(tmp_path / "a_#.obj", folded)
+    for number, normal in ((1, "vn 0 0 1"), (2, "vn 0 1 0")):
+        lines = (tmp_path / f"a_{number}.obj").read_text().splitlines()
+        assert [line for line in lines if line.startswith("vn")] == [normal] * 6
+        assert "f 1//1 2//2 3//3" in lines
+
+
+def test_materials_of_the_same_last_name_keep_their_paths(tmp_path: Path) -> None:
+    sets = (FaceSet("/a/red", np.array([0]), "/a/red"), FaceSet("/b/red", np.array([1]), "/b/red"))
+    sequence = replace(rich(1), surface=Surface(face_sets=sets))
+    write(tmp_path / "a.obj", sequence)
+    assert [each.material for each in read(tmp_path / "a.obj").surface.face_sets] == ["/a/red", "/b/red"]
+
+
+@pytest.mark.parametrize(
+    ("surface", "message"),
+    [
+        (Surface(subdivision="catmullClark"), "catmullClark subdivision"),
+        (
+            Surface(face_sets=(FaceSet("a", np.array([0, 1]), "a"), FaceSet("b", np.array([1]), "b"))),
+            "several materials on one polygon",
+        ),
+        (Surface(face_sets=(FaceSet("a", np.array([0]), "/looks/b"),)), "names of face sets that differ"),
+        (Surface(face_sets=(FaceSet("left arm", np.array([0])),)), "spaces in the names of face sets"),
+    ],
+)
+def test_what_obj_cannot_hold_of_a_surface(tmp_path: Path, surface: Surface, message: str) -> None:
+    with pytest.warns(MixseqWarning, match=message):
+        write(tmp_path / "a.obj", replace(rich(1), surface=surface))
+    read(tmp_path / "a.obj")
+
+
+def test_relative_numbers_mean_other_vertices_after_other_lines(tmp_path: Path) -> None:
+    vertices = [f"v {x} {x * x} 0" for x in range(4)]
+    (tmp_path / "a_1.obj").write_text("\n".join([*vertices[:3], "f -3 -2 -1", vertices[3]]))
+    (tmp_path / "a_2.obj").write_text("\n".join([*vertices, "f -3 -2 -1"]))
+    with pytest.raises(InvalidSequenceError, match="other faces"):
+        read(tmp_path / "a_#.obj")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def numbered_name(pattern: Path, number: int) -> str:
     return _PLACEHOLDER.sub(lambda found: str(number).zfill(_width(found)), pattern.name, count=1)
 
 
-def find_frames(path: Path, allow_gaps: bool) -> tuple[list[Path], list[int]]:
+def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
     """Find the files of a sequence and their numbers, in order.
 
     Parameters
@@ -39,6 +39,8 @@ def find_frames(path: Path, allow_gaps: bool) -> tuple[list[Path], list[int]]:
         A pattern, a glob, a folder, or one file, whose number is 0.
     allow_gaps : bool
         Accept missing numbers.
+    extension : str
+        Extension of the files to look for in a folder, in lower case with the dot.
 
     Raises
     ------
@@ -52,11 +54,13 @@ def find_frames(path: Path, allow_gaps: bool) -> tuple[list[Path], list[int]]:
     if path.is_file():
         return [path], [0]
     if path.is_dir():
-        numbered = _by_last_number(path, path, "*.obj")
+        numbered = _by_last_number(
+            path, [file for file in path.iterdir() if file.suffix.lower() == extension]
+        )
     elif is_pattern(path):
         numbered = files_of_pattern(path)
     elif "*" in path.name or "?" in path.name:
-        numbered = _by_last_number(path, path.parent, path.name)
+        numbered = _by_last_number(path, path.parent.glob(path.name))
     else:
         raise FormatError(f"{path} does not exist")
     if not numbered:
@@ -78,14 +82,14 @@ def files_of_pattern(path: Path) -> list[tuple[int, Path]]:
     return [(int(match[1]), file) for match, file in found if match]
 
 
-def _by_last_number(path: Path, folder: Path, glob: str) -> list[tuple[int, Path]]:
+def _by_last_number(path: Path, files: Iterable[Path]) -> list[tuple[int, Path]]:
     """Take the last number in each name; all names must be the same around it."""
     series: dict[str, list[tuple[int, Path]]] = defaultdict(list)
-    for file in sorted(folder.glob(glob)):
+    for file in sorted(files):
         if file.name.startswith("."):
             continue
         number = _LAST_NUMBER.search(file.stem)
-        key = _LAST_NUMBER.sub("*", file.stem) + file.suffix
+        key = _LAST_NUMBER.sub("*", file.stem) + file.suffix.lower()
         series[key].append((int(number[1]) if number else 0, file))
     if len(series) > 1:
         names = ", ".join(sorted(series)[:10])

@@ -1,0 +1,1 @@
+"""Numbered files of one frame each: OBJ, PLY, STL, OFF."""

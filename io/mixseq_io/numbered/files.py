@@ -1,0 +1,204 @@
+"""Sequences of numbered files that hold one frame each: what OBJ, PLY and STL have in common.
+
+A format brings a parser of one file and an encoder of one frame. Its parser gets the first frame's mesh along for
+all later files: where their faces are written in the same bytes, they need not be parsed again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
+from mixseq.sequence import FloatArray, Polygons, SequenceHeader
+from mixseq.surface import Surface
+from mixseq_io.atomic import replacing_many
+from mixseq_io.blocks import checked, warn
+from mixseq_io.losses import lost_scale, lost_times, warn_of_losses
+from mixseq_io.numbered.names import files_of_pattern, find_frames, is_pattern, numbered_name
+from mixseq_io.reader import SequenceReader, naming
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeshFile:
+    """What one file holds.
+
+    Parameters
+    ----------
+    points : (V, 3) float
+        Its vertices.
+    polygons : Polygons
+        Its faces.
+    source : object
+        The faces as the file has them, by which the parser sees that another file has the same.
+    name : str
+        Name of the mesh, "" if the file has none.
+    surface : Surface
+        What else is on the mesh, in the first frame.
+    """
+
+    points: FloatArray
+    polygons: Polygons
+    source: Any
+    name: str = ""
+    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
+
+
+Parser = Callable[[Path, MeshFile | None], MeshFile]
+"""Reads a file; the second argument is the first frame's, if this is a later one."""
+
+Encoder = Callable[[FloatArray, int], Iterable[bytes]]
+"""Turns points ``(V, 3)`` and the index of their frame into the contents of a file."""
+
+
+def open_files(path: Path, extension: str, parse: Parser, fps: float, allow_gaps: bool) -> SequenceReader:
+    """Open numbered files.
+
+    Parameters
+    ----------
+    path : Path
+        A pattern (``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``), a folder, or one file.
+    extension : str
+        That of the files to look for in a folder.
+    parse : Parser
+        Reads one file.
+    fps : float
+        Frames per second: a frame's time is ``(number - first number) / fps``.
+    allow_gaps : bool
+        Accept missing numbers.
+
+    Raises
+    ------
+    SettingsError
+        If `fps` is not positive.
+    FormatError, AmbiguousError
+        If there are no such files, several sequences of them, or damaged ones.
+    InvalidSequenceError
+        If numbers are missing, or a file's faces differ from the first's.
+    """
+    if not (np.isfinite(fps) and fps > 0):
+        raise SettingsError(f"fps is {fps}; a positive number is expected")
+    files, numbers = find_frames(path, allow_gaps, extension)
+    with naming(files[0]):
+        first = parse(files[0], None)
+        header = SequenceHeader(
+            polygons=first.polygons,
+            vertex_count=len(first.points),
+            times=(np.array(numbers) - numbers[0]) / fps,
+            fps=fps,
+            name=first.name or files[0].stem.rstrip("0123456789").rstrip("_-. ") or "mesh",
+            surface=first.surface,
+        )
+    return _FilesReader(path, header, files, first, parse)
+
+
+class _FilesReader(SequenceReader):
+    def __init__(
+        self, path: Path, header: SequenceHeader, files: Sequence[Path], first: MeshFile, parse: Parser
+    ) -> None:
+        super().__init__(path, header)
+        self._files = files
+        self._first = first
+        self._parse = parse
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        for start in range(0, len(self._files), size):
+            frames = range(start, min(start + size, len(self._files)))
+            yield np.stack([self._points(frame) for frame in frames], dtype=self._first.points.dtype)
+
+    def _points(self, frame: int) -> FloatArray:
+        first = self._files[0]
+        where = f"{self._files[frame]} (frame {frame})"
+        with naming(where):
+            mesh = self._parse(self._files[frame], self._first)
+        if len(mesh.points) != self.header.vertex_count:
+            raise InvalidSequenceError(
+                f"{where} has {len(mesh.points)} vertices, {first} has {self.header.vertex_count}; "
+                "every frame needs the same vertices in the same order"
+            )
+        if not mesh.polygons.same_as(self.header.polygons):
+            raise InvalidSequenceError(
+                f"{where} has other faces than {first}; every frame needs the same faces in "
+                "the same order (export with the vertex order kept)"
+            )
+        return mesh.points
+
+
+def write_files(
+    path: Path,
+    kind: str,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    encode: Encoder,
+    *,
+    start: int,
+    lost: Sequence[str] = (),
+) -> None:
+    """Write one file per frame.
+
+    Parameters
+    ----------
+    path : Path
+        A pattern (``walk_####.obj``, ``walk_%04d.obj``), or a file name if there is only one frame.
+    kind : str
+        The format's name.
+    header, blocks, velocities
+        See `mixseq_io.write_blocks`; velocities are lost.
+    encode : Encoder
+        Makes one file's contents.
+    start : int
+        Number of the first file.
+    lost : sequence of str
+        What else the format cannot hold, for the warning.
+
+    Raises
+    ------
+    OutputError
+        If there are several frames and no pattern, or files cannot be written.
+    SettingsError
+        If `start` is negative.
+    """
+    if start < 0:
+        raise SettingsError(f"start is {start}; files are numbered from 0 or more")
+    if header.frame_count > 1 and not is_pattern(path):
+        raise OutputError(
+            f"{path}: {a_file(kind)} holds one frame, this sequence has {header.frame_count}; give a pattern "
+            f"such as {path.stem.rstrip('*')}_####{path.suffix}"
+        )
+    warn_of_losses(
+        path, f"{kind} files", [*lost_times(header), *lost_scale(header, velocities is not None), *lost]
+    )
+    names = [numbered_name(path, number) for number in range(start, start + header.frame_count)]
+    with replacing_many(path) as folder:
+        _, numbered = checked(header, blocks, velocities)
+        for first, block, _ in numbered:
+            for frame, points in enumerate(block, start=first):
+                with (folder / names[frame]).open("wb") as file:
+                    file.writelines(encode(points, frame))
+    if is_pattern(path):
+        _warn_of_others(path, set(names))
+
+
+def a_file(kind: str) -> str:
+    """Return "a file" of a format whose name is spelt out: "a PLY file", "an OBJ file"."""
+    return f"{'a' if kind.startswith('P') else 'an'} {kind} file"
+
+
+def excerpt(line: bytes) -> str:
+    """Return the beginning of a line of a file for a message."""
+    return repr(line.strip()[:40].decode("ascii", errors="replace"))
+
+
+def _warn_of_others(path: Path, written: set[str]) -> None:
+    """Warn of files that another, longer sequence left behind, with which this one would be read."""
+    others = sorted({file.name for _, file in files_of_pattern(path)} - written)
+    if others:
+        warn(
+            f"{path}: {len(others)} files of another sequence, {others[0]} to {others[-1]}, match as well; "
+            "remove them, else they will be read as frames of this one"
+        )

@@ -1,0 +1,196 @@
+"""The text of OBJ files: lines to points, polygons and what is on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq.geometry.normals import creases_of_normals
+from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.surface import CornerValues, Surface
+from mixseq_io.numbered.files import MeshFile, excerpt
+from mixseq_io.numbered.obj_groups import Statement, grouped
+from mixseq_io.reader import reading
+
+FIRST_LINE = b"# Written by mixseq, "
+LAST_LINE = b"# end of mesh"
+_EXPECTED = {
+    b"v": "a vertex; three numbers are expected",
+    b"vn": "a normal; three numbers are expected",
+    b"vt": "a texture coordinate; one or two numbers are expected",
+}
+_LARGEST = 2**31 - 1
+_NONE = -(2**40)  # below whatever relative indices of a damaged file give
+
+
+def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
+    """Read an OBJ file.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    like : MeshFile, optional
+        The first frame: a file with the same lines of faces need not have them parsed again. What else is on the
+        mesh is only read without it.
+
+    Raises
+    ------
+    FormatError
+        If a line is not what it should be, or the file truncated.
+    InvalidSequenceError
+        If a face has less than three corners.
+    """
+    lines = _read_lines(file, whole=like is None)
+    faces = (lines.faces, lines.vertices_before)
+    if like is not None and len(lines.points) == len(like.points) and faces == like.source:
+        return MeshFile(points=lines.points, polygons=like.polygons, source=faces)
+    counts, corners = _parse_faces(file, lines)
+    polygons = Polygons(counts, corners[:, 0])
+    if like is not None:
+        return MeshFile(points=lines.points, polygons=polygons, source=faces)
+    name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
+    surface = Surface(
+        uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),
+        creases=_creases(file, polygons, lines.normals, corners[:, 2]),
+        face_sets=face_sets,
+        objects=objects,
+    )
+    return MeshFile(points=lines.points, polygons=polygons, source=faces, name=name, surface=surface)
+
+
+@dataclass
+class _Lines:
+    """The lines of a file by their kinds, faces not yet parsed."""
+
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    uvs: list[tuple[float, ...]] = field(default_factory=list)
+    normals: list[tuple[float, ...]] = field(default_factory=list)
+    faces: list[bytes] = field(default_factory=list)
+    vertices_before: list[int] = field(default_factory=list)
+    others_before: list[tuple[int, int]] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
+
+
+def _read_lines(file: Path, whole: bool) -> _Lines:
+    """Sort the lines of a file, `whole` or only vertices and faces."""
+    with reading(file, "an OBJ file"):
+        lines = file.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    if lines and lines[0].startswith(FIRST_LINE) and lines[-1] != LAST_LINE:
+        raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
+    found = _Lines()
+    coordinates: list[float] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split(None, 1)
+        kind, rest = words if len(words) == 2 else (line.strip(), b"")
+        try:
+            if kind == b"v":
+                x, y, z = rest.split()[:3]
+                coordinates += (float(x), float(y), float(z))
+            elif kind == b"f":
+                found.faces.append(rest)
+                found.vertices_before.append(len(coordinates) // 3)
+                if whole:
+                    found.others_before.append((len(found.uvs), len(found.normals)))
+            elif not whole:
+                continue
+            elif kind == b"vt":
+                u, v = (*rest.split(), b"0")[:2]
+                found.uvs.append((float(u), float(v)))
+            elif kind == b"vn":
+                x, y, z = rest.split()[:3]
+                found.normals.append((float(x), float(y), float(z)))
+            elif kind in (b"o", b"g", b"usemtl"):
+                text = rest.strip().decode("utf-8", errors="replace")
+                found.statements.append(
+                    Statement(kind.decode(), text, len(found.faces), len(coordinates) // 3)
+                )
+        except ValueError:
+            raise FormatError(f"{file}, line {number}: {excerpt(line)} is not {_EXPECTED[kind]}") from None
+    if not coordinates:
+        raise FormatError(f"{file} cannot be read as an OBJ file: it has no vertices (lines starting with v)")
+    dtype = np.float32 if lines[0] == FIRST_LINE + b"float32" else np.float64
+    with np.errstate(over="ignore"):
+        found.points = np.array(coordinates).reshape(-1, 3).astype(dtype)
+    return found
+
+
+def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
+    """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``, where -1 is what stands last before the face.
+
+    Returns
+    -------
+    counts : (P,) int
+        Numbers of corners.
+    corners : (sum of counts, 3) int
+        Vertex, texture coordinate and normal of every corner, from 0; `_NONE` where there is none.
+    """
+    counts: list[int] = []
+    corners: list[tuple[int, int, int]] = []
+    others = lines.others_before or [(0, 0)] * len(lines.faces)
+    for face, (line, vertices, (uvs, normals)) in enumerate(
+        zip(lines.faces, lines.vertices_before, others, strict=True)
+    ):
+        words = line.split()
+        counts.append(len(words))
+        try:
+            for word in words:
+                vertex, uv, normal = (*word.split(b"/", 2), b"", b"")[:3]
+                corners.append((_index(vertex, vertices), _optional(uv, uvs), _optional(normal, normals)))
+        except ValueError:
+            raise FormatError(
+                f"{file}, face {face}: {excerpt(b'f ' + line)} is not a face; vertex numbers from 1, or "
+                "from -1 backwards, are expected"
+            ) from None
+    return np.array(counts, dtype=np.int64), np.array(corners, dtype=np.int64).reshape(-1, 3)
+
+
+def _index(word: bytes, before: int) -> int:
+    number = int(word)
+    if number == 0 or abs(number) > _LARGEST:
+        raise ValueError
+    return number - 1 if number > 0 else before + number
+
+
+def _optional(word: bytes, before: int) -> int:
+    return _NONE if word in (b"", b"0") else _index(word, before)
+
+
+def _uvs(
+    file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
+) -> CornerValues | None:
+    """Return the texture coordinates; corners without get (0, 0)."""
+    if not values or (indices == _NONE).all():
+        return None
+    _check_numbers(file, polygons, indices, len(values), "texture coordinate")
+    missing = indices == _NONE
+    rows = np.array([*values, (0.0, 0.0)] if missing.any() else values)
+    with np.errstate(over="ignore"):
+        return CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
+
+
+def _creases(
+    file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
+) -> NDArray[np.int32] | None:
+    """Return which corners share a normal, if all corners have one."""
+    if not values or (indices == _NONE).any():
+        return None
+    _check_numbers(file, polygons, indices, len(values), "normal")
+    normals = np.array(values)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return creases_of_normals(polygons, np.nan_to_num(normals)[indices])
+
+
+def _check_numbers(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:
+    outside = (indices != _NONE) & ((indices < 0) | (indices >= count))
+    if outside.any():
+        corner = int(np.argmax(outside))
+        face = int(np.searchsorted(np.cumsum(polygons.counts), corner, side="right"))
+        raise FormatError(
+            f"{file}, face {face} uses {what} {indices[corner] + 1}, but the file has {count}; it is damaged"
+        )

@@ -1,0 +1,99 @@
+"""Numbered OFF files: one text file per frame, read by trimesh.
+
+Read are the vertices and the faces of OFF and COFF files; trimesh cuts quads into triangles. Points are written with
+the digits that give back the same float32 or float64; a comment in our own files tells which of them it was, points of
+other files are read as float64. OFF has no place for
+polygons, the name, times, frame rate, units, the up axis, velocities and anything of the surface.
+
+Specification: http://www.geomview.org/docs/html/OFF.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.errors import FormatError
+from mixseq.polygons import FloatArray, Polygons
+from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq_io.losses import lost_surface
+from mixseq_io.numbered.files import Encoder, MeshFile, open_files, write_files
+from mixseq_io.reader import SequenceReader, naming, reading
+
+_COMMENT = b"# Written by mixseq, "
+
+
+def open_off(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
+    """Open numbered OFF files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    return open_files(path, ".off", parse_off, fps, allow_gaps)
+
+
+def write_off(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+    start: int = 1,
+) -> None:
+    """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`."""
+    lost = lost_surface(header)
+    if not header.polygons.only_triangles:
+        lost.append("polygons (they are cut into triangles)")
+    write_files(path, "OFF", header, blocks, velocities, _encoder(header), start=start, lost=lost)
+
+
+def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
+    """Read an OFF file.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged or truncated.
+    InvalidSequenceError
+        If its faces use vertices that are not there.
+    """
+    from trimesh.exchange.off import load_off
+
+    with reading(file, "an OFF file", ValueError, TypeError, IndexError, NameError, OverflowError):
+        data = file.read_bytes()
+        _check_counts(file, data)
+        mesh = load_off(StringIO(data.decode()))
+        ours = data.startswith(b"OFF\n" + _COMMENT + b"float32")
+        vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
+        faces = np.asarray(mesh["faces"]).reshape(-1, 3)
+    with naming(file):
+        return MeshFile(
+            points=vertices, polygons=Polygons.from_triangles(faces.astype(np.int64)), source=None
+        )
+
+
+def _check_counts(file: Path, data: bytes) -> None:
+    """Refuse a file whose lines are fewer than announced, or whose last is cut: trimesh takes what faces there are."""
+    lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
+    first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
+    counts = first or (lines[1].split() if len(lines) > 1 else [])
+    announced = int(counts[0]) + int(counts[1]) if len(counts) > 1 else 0
+    body = lines[1 if first else 2 :]
+    last = body[-1].split() if body else [b"0"]
+    if len(body) != announced or len(last) <= int(last[0]):
+        raise FormatError(
+            f"{file} announces {announced} vertices and faces and has {len(body)} lines of them; it is truncated or "
+            "damaged, write it again"
+        )
+
+
+def _encoder(header: SequenceHeader) -> Encoder:
+    counts = f"{header.vertex_count} {len(header.faces)} 0\n".encode()
+    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in header.faces.tolist()).encode()
+
+    def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
+        digits = "%.9g" if points.dtype == np.float32 else "%.17g"
+        line = f"{digits} {digits} {digits}\n"
+        yield b"OFF\n" + _COMMENT + str(points.dtype).encode() + b"\n" + counts
+        yield (line * len(points) % tuple(points.reshape(-1).tolist())).encode()
+        yield faces
+
+    return encode

@@ -1,0 +1,197 @@
+"""Numbered STL files: one file per frame, triangles without connectivity, text or binary.
+
+STL holds the three positions of every triangle. Corners at equal positions in the first frame become one vertex;
+vertices are numbered as they first occur. In all later frames the corners of a vertex must still be together: if two
+parts of a mesh only touched in the first frame, STL cannot tell that, and the sequence is refused.
+
+Binary files are float32; text is read as float64. Written are binary files, with the normals of the triangles. STL
+has no place for polygons (they are cut into triangles), the numbers of vertices, the name, times, frame rate, units,
+the up axis, velocities, texture coordinates, creases, face sets, objects and subdivision. All solids of a text file
+are read as one mesh.
+
+The parser is our own because trimesh leaves out what follows a solid without an end, so that truncated text is read
+as if it were whole.
+
+Specification: https://www.loc.gov/preservation/digital/formats/fdd/fdd000504.shtml
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.geometry.normals import vector_areas
+from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq_io.blocks import as_float32, warn
+from mixseq_io.losses import lost_surface
+from mixseq_io.numbered.files import Encoder, MeshFile, excerpt, open_files, write_files
+from mixseq_io.reader import SequenceReader, reading
+
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_PREAMBLE = 80
+
+
+def open_stl(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
+    """Open numbered STL files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    return open_files(path, ".stl", parse_stl, fps, allow_gaps)
+
+
+def write_stl(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+    start: int = 1,
+) -> None:
+    """Write one STL file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`.
+
+    Warns
+    -----
+    MixseqWarning
+        If polygons are cut into triangles, or if the vertices will be others when the files are read: vertices at
+        the same place in the first frame become one, unused ones are lost, and all are numbered as they occur.
+    """
+    lost = lost_surface(header)
+    if not header.polygons.only_triangles:
+        lost.append("polygons (they are cut into triangles)")
+    write_files(path, "STL", header, blocks, velocities, _encoder(path, header), start=start, lost=lost)
+
+
+def parse_stl(file: Path, like: MeshFile | None = None) -> MeshFile:
+    """Read an STL file, with the vertices of the first frame `like` if this is a later one.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged or truncated.
+    InvalidSequenceError
+        If it has another number of triangles than the first frame, or corners of a vertex have come apart.
+    """
+    with reading(file, "an STL file"):
+        corners = _read_corners(file, file.read_bytes())
+    if like is None:
+        first, indices = _weld(corners)
+        polygons = Polygons(np.full(len(corners) // 3, 3), indices)
+        return MeshFile(points=corners[first], polygons=polygons, source=first)
+    indices = like.polygons.indices
+    if len(corners) != indices.size:
+        raise InvalidSequenceError(
+            f"it has {len(corners) // 3} triangles, the first frame has {indices.size // 3}; every frame needs the "
+            "same triangles in the same order"
+        )
+    points = corners[like.source]
+    together = (corners == points[indices]) | (
+        np.isnan(corners) & np.isnan(points[indices])
+    )  # nan is told later
+    apart = ~together.all(axis=1)
+    if apart.any():
+        corner = int(np.argmax(apart))
+        raise InvalidSequenceError(
+            f"vertex {indices[corner]}, one place in the first frame, is at {points[indices[corner]].tolist()} and at "
+            f"{corners[corner].tolist()}; STL does not say which corners belong together, export OBJ or PLY"
+        )
+    return MeshFile(points=points, polygons=like.polygons, source=like.source)
+
+
+def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
+    """Make vertices of corners ``(3 F, 3)`` at equal positions, in the order in which they first occur.
+
+    Returns
+    -------
+    first : (V,) int
+        First corner of every vertex.
+    indices : (3 F,) int
+        Vertex of every corner.
+    """
+    _, first, indices = np.unique(corners + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 is 0
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[indices.reshape(-1)]
+
+
+def _read_corners(file: Path, data: bytes) -> FloatArray:
+    """Return the corners ``(3 F, 3)``, float32 of a binary file, float64 of text."""
+    start = _PREAMBLE + 4
+    count = int.from_bytes(data[_PREAMBLE:start], "little")
+    if len(data) >= start and len(data) == start + count * _TRIANGLE.itemsize:
+        triangles = np.frombuffer(data, _TRIANGLE, count, start)
+        return np.ascontiguousarray(triangles["corners"].reshape(-1, 3), dtype=np.float32)
+    if data.lstrip()[:5].lower() == b"solid":
+        return _read_text(file, data)
+    raise FormatError(
+        f"{file} cannot be read as an STL file: it has {len(data)} bytes, {count} triangles need "
+        f"{start + count * _TRIANGLE.itemsize}; it is truncated, damaged or of another type"
+    )
+
+
+def _read_text(file: Path, data: bytes) -> FloatArray:
+    corners: list[list[float]] = []
+    open_solid = False
+    for number, line in enumerate(data.splitlines(), start=1):
+        match line.lower().split():
+            case [b"solid", *_] if not open_solid and len(corners) % 3 == 0:
+                open_solid = True
+            case [b"endsolid", *_] if open_solid and len(corners) % 3 == 0:
+                open_solid = False
+            case [b"endfacet" | b"end", *_] if open_solid and len(corners) % 3 == 0:
+                pass
+            case [b"vertex", x, y, z] if open_solid:
+                corners.append(_position(file, number, line, (x, y, z)))
+            case [] | [b"facet" | b"outer" | b"endloop" | b"color", *_]:
+                pass
+            case _:
+                raise FormatError(
+                    f"{file}, line {number}: {excerpt(line)} is not expected here; an STL file has solids of "
+                    "facets of three vertices"
+                )
+    if open_solid:
+        raise FormatError(f"{file} ends in the middle: endsolid is missing; it is truncated, write it again")
+    return np.array(corners, dtype=np.float64).reshape(-1, 3)
+
+
+def _position(file: Path, number: int, line: bytes, words: tuple[bytes, ...]) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise FormatError(
+            f"{file}, line {number}: {excerpt(line)} is not a vertex; three numbers are expected"
+        ) from None
+
+
+def _encoder(path: Path, header: SequenceHeader) -> Encoder:
+    polygons = Polygons.from_triangles(header.faces)
+
+    def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
+        rounded = as_float32(points[None], frame, "STL")
+        triangles = np.zeros(len(header.faces), dtype=_TRIANGLE)
+        triangles["normal"] = _unit(vector_areas(rounded, polygons)[0])
+        triangles["corners"] = rounded[0][header.faces]
+        if frame == 0:
+            _warn_of_other_vertices(path, header, triangles["corners"].reshape(-1, 3))
+        yield b"Written by mixseq".ljust(_PREAMBLE) + len(triangles).to_bytes(4, "little")
+        yield triangles.tobytes()
+
+    return encode
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return vectors (n, 3) of length 1; those without a direction stay 0."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1.0)
+
+
+def _warn_of_other_vertices(path: Path, header: SequenceHeader, corners: FloatArray) -> None:
+    first, indices = _weld(corners)
+    if len(first) != header.vertex_count:
+        warn(
+            f"{path}: STL holds no vertices; {len(first)} will be read instead of {header.vertex_count}, because "
+            "those at the same place in the first frame become one and unused ones are lost; OBJ and PLY keep them"
+        )
+    elif not np.array_equal(indices, header.faces.reshape(-1)):
+        warn(f"{path}: STL holds no vertices; they will be read in another order; OBJ and PLY keep it")

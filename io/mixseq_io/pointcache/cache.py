@@ -1,0 +1,238 @@
+"""What point caches have in common: positions only, with the faces in a file of a mesh beside.
+
+A cache ``walk.pc2`` goes with ``walk.obj``, or with any other file of that name that mixseq reads a mesh from, or
+with the one that the option `mesh` names. Taken from it are the faces, what is on them (texture coordinates,
+materials, ...), the name, the units and the up axis; an OBJ tells neither of the latter, so Y is up. Points are
+those of the cache as they are, without any transform of the mesh's file.
+
+Written is the cache, and beside it ``<name>.obj`` with the first frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, MixseqError, OutputError
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq_io.atomic import replacing_many
+from mixseq_io.blocks import as_float32, checked
+from mixseq_io.losses import lost_scale, warn_of_losses
+from mixseq_io.numbered.files import a_file
+from mixseq_io.numbered.obj_encoder import lost_in_obj, obj_encoder
+from mixseq_io.reader import SequenceReader, naming, reading
+
+MeshPath = str | os.PathLike[str] | None
+
+# Not STL, which has no order of vertices.
+_MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".gltf", ".npz", ".h5", ".hdf5")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the points of a cache are in its file.
+
+    Parameters
+    ----------
+    start : int
+        Number of bytes before the first frame.
+    frames, points : int
+        How many frames, and points in each.
+    order : {"<", ">"}
+        Byte order of the float32 numbers.
+    """
+
+    start: int
+    frames: int
+    points: int
+    order: str
+
+    @property
+    def frame_size(self) -> int:
+        """Number of bytes of a frame."""
+        return 12 * self.points
+
+    def check_size(self, file: IO[bytes]) -> None:
+        """Check against the size of the file, before anything is allocated.
+
+        Raises
+        ------
+        ValueError
+            If there are no frames or points, or more or fewer bytes than they need.
+        """
+        if self.frames < 1 or self.points < 1:
+            raise ValueError(f"it says that it has {self.frames} frames of {self.points} points")
+        size, needed = os.fstat(file.fileno()).st_size, self.start + self.frames * self.frame_size
+        if size != needed:
+            raise ValueError(
+                f"{self.frames} frames of {self.points} points need {needed} bytes, it has {size}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Times (T,) of the frames in seconds, and frames per second, None if nothing tells."""
+
+    times: NDArray[np.float64]
+    fps: float | None
+
+
+class PointCacheReader(SequenceReader):
+    """Reads the points of a cache whose header has been read."""
+
+    def __init__(
+        self, path: Path, header: SequenceHeader, file: IO[bytes], layout: Layout, stack: ExitStack
+    ) -> None:
+        super().__init__(path, header, stack)
+        self._file = file
+        self._layout = layout
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        layout = self._layout
+        for first in range(0, layout.frames, size):
+            count = min(size, layout.frames - first)
+            with reading(self.path, "a point cache", ValueError):
+                self._file.seek(layout.start + first * layout.frame_size)
+                data = self._file.read(count * layout.frame_size)
+                points = np.frombuffer(data, f"{layout.order}f4").reshape(count, layout.points, 3)
+            yield points.astype(np.float32, copy=False)
+
+
+def open_cache(
+    path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], tuple[Layout, Timing]]
+) -> SequenceReader:
+    """Open a point cache and the mesh that goes with it.
+
+    Parameters
+    ----------
+    path : Path
+        The cache.
+    kind : str
+        The format's name.
+    mesh : path-like or None
+        File of the mesh; by default one of the cache's name with another extension.
+    read_start : callable
+        Reads what stands before the points, and returns where they are and when; a `ValueError` tells what is wrong.
+
+    Raises
+    ------
+    FormatError
+        If the cache is damaged, or its size not that of its frames; if there is no mesh, or one with another number
+        of vertices.
+    InvalidSequenceError
+        If times do not increase.
+    """
+    with ExitStack() as stack:
+        with reading(path, a_file(kind), ValueError):
+            file = stack.enter_context(path.open("rb"))
+            layout, timing = read_start(file)
+        mesh_path = _mesh_beside(path, kind) if mesh is None else Path(mesh)
+        header = _header_of_mesh(mesh_path)
+        if header.vertex_count != layout.points:
+            raise FormatError(
+                f"{path} has {layout.points} points, but its mesh {mesh_path} has {header.vertex_count} vertices; name "
+                "the mesh that it was made for with mesh=... (--mesh)"
+            )
+        with naming(path):
+            timed = header.with_times(timing.times, timing.fps or header.fps)
+        return PointCacheReader(path, timed, file, layout, stack.pop_all())
+
+
+def _mesh_beside(path: Path, kind: str) -> Path:
+    """Return the file with the cache's name that holds a mesh, the first if there are several."""
+    places = dict.fromkeys([path, Path(os.path.realpath(path))])
+    for place in places:
+        beside = {
+            file.suffix.lower(): file
+            for file in place.parent.iterdir()
+            if file.stem == place.stem and file.is_file()
+        }
+        for extension in _MESHES:
+            if extension in beside:
+                return beside[extension]
+    raise FormatError(
+        f"{path}: {a_file(kind)} has no faces, and there is no mesh beside it: none of "
+        f"{path.stem}{', '.join(_MESHES)}; name its mesh with mesh=... (--mesh)"
+    )
+
+
+def _header_of_mesh(path: Path) -> SequenceHeader:
+    from mixseq_io.registry import open_sequence  # which imports the formats, this one too
+
+    with open_sequence(path) as reader:
+        return reader.header
+
+
+def write_cache(
+    path: Path,
+    kind: str,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    start: bytes,
+    order: str,
+    lost: Iterable[str],
+) -> None:
+    """Write a point cache, and its mesh beside it: ``<name>.obj`` with the first frame; both or none.
+
+    A file of that name is replaced if it holds the same faces.
+
+    Parameters
+    ----------
+    path : Path
+        The cache.
+    kind : str
+        The format's name.
+    header, blocks, velocities
+        See `mixseq_io.write_blocks`; velocities are lost.
+    start : bytes
+        What stands before the points.
+    order : {"<", ">"}
+        Byte order of the numbers.
+    lost : iterable of str
+        What the format cannot hold of the times.
+
+    Raises
+    ------
+    OutputError
+        If the files cannot be written, or another mesh has the name of this one's.
+    InvalidSequenceError
+        If a coordinate is too large for float32.
+    """
+    target = Path(os.path.realpath(path))
+    mesh = target.with_suffix(".obj")
+    _check_mesh_in_the_way(target, mesh, header)
+    warn_of_losses(
+        path, f"{kind} files", [*lost, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
+    )
+    encode = obj_encoder(header)
+    with replacing_many(target) as folder, (folder / target.name).open("wb") as file:
+        file.write(start)
+        _, numbered = checked(header, blocks, velocities)
+        for first, block, _ in numbered:
+            points = as_float32(block, first, kind)
+            if first == 0:
+                (folder / mesh.name).write_bytes(b"".join(encode(points[0], 0)))
+            file.write(points.astype(f"{order}f4", copy=False).tobytes())
+
+
+def _check_mesh_in_the_way(path: Path, mesh: Path, header: SequenceHeader) -> None:
+    if not mesh.is_file():
+        return
+    try:
+        other = _header_of_mesh(mesh)
+        same = other.vertex_count == header.vertex_count and other.polygons.same_as(header.polygons)
+    except MixseqError:
+        same = False
+    if not same:
+        raise OutputError(
+            f"{mesh} has the name of the mesh that goes with {path.name}, but holds another mesh; remove it, or choose "
+            "another name"
+        )

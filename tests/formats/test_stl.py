@@ -1,0 +1,181 @@
+"""STL files: vertices of corners that stay together, text and binary, and damage."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
+from mixseq.polygons import FloatArray, Polygons
+from mixseq.sequence import MeshSequence
+from mixseq.surface import FaceSet, Surface
+from mixseq_io import open_sequence, read, write
+
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def binary(corners: FloatArray, start: bytes = b"") -> bytes:
+    data = start.ljust(80, b"\0") + struct.pack("<I", len(corners))
+    return data + b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.reshape(-1), 7) for triangle in corners)
+
+
+def text(corners: FloatArray, name: str = "solid vertex 3") -> bytes:
+    lines = [f"solid {name}"]
+    for triangle in corners:
+        lines += ["facet normal 0 0 1", "  OUTER LOOP"]
+        lines += ["    vertex " + " ".join(f"{x:.9g}" for x in corner) for corner in triangle]
+        lines += ["  endloop", "endfacet"]
+    return "\n".join([*lines, f"endsolid {name}", ""]).encode()
+
+
+@pytest.mark.parametrize("make", [binary, text])
+def test_corners_at_the_same_place_are_one_vertex(tmp_path: Path, make: object) -> None:
+    assert callable(make)
+    corners = SQUARE[FACES]
+    corners[1, 0] = -0.0  # the same place as 0
+    (tmp_path / "a.stl").write_bytes(make(corners))
+    sequence = read(tmp_path / "a.stl")
+    np.testing.assert_array_equal(sequence.points[0], SQUARE)
+    np.testing.assert_array_equal(sequence.faces, FACES)
+    assert sequence.points.dtype == (np.float32 if make is binary else np.float64)
+
+
+def test_a_binary_file_may_begin_like_text(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(binary(SQUARE[FACES], b"solid Cura"))
+    np.testing.assert_array_equal(read(tmp_path / "a.stl").faces, FACES)
+
+
+def test_solids_are_one_mesh(tmp_path: Path) -> None:
+    corners = SQUARE[FACES]
+    (tmp_path / "a.stl").write_bytes(text(corners[:1], "one") + text(corners[1:], ""))
+    np.testing.assert_array_equal(read(tmp_path / "a.stl").faces, FACES)
+
+
+def test_vertices_are_numbered_as_they_occur(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(binary(SQUARE[[[3, 1, 0], [1, 3, 2]]]))
+    sequence = read(tmp_path / "a.stl")
+    assert sequence.faces.tolist() == [[0, 1, 2], [1, 0, 3]]
+    np.testing.assert_array_equal(sequence.points[0], SQUARE[[3, 1, 0, 2]])
+
+
+def test_corners_that_come_apart(tmp_path: Path) -> None:
+    corners = SQUARE[FACES]
+    (tmp_path / "a_1.stl").write_bytes(binary(corners))
+    (tmp_path / "a_2.stl").write_bytes(binary(corners + 1))
+    torn = corners.copy()
+    torn[1, 1] += 0.5
+    (tmp_path / "a_3.stl").write_bytes(binary(torn))
+    with open_sequence(tmp_path / "a_#.stl") as reader:
+        blocks = reader.blocks(1)
+        next(blocks), next(blocks)
+        with pytest.raises(
+            InvalidSequenceError,
+            match=r"a_3\.stl \(frame 2\): vertex 2, one place .*, is at \[1.0, 1.0, 0.0\] and at \[1.5, 1.5, 0.5\]",
+        ):
+            next(blocks)
+
+
+def test_changing_numbers_of_triangles(tmp_path: Path) -> None:
+    (tmp_path / "a_1.stl").write_bytes(binary(SQUARE[FACES]))
+    (tmp_path / "a_2.stl").write_bytes(binary(SQUARE[FACES[:1]]))
+    with pytest.raises(
+        InvalidSequenceError, match=r"a_2\.stl \(frame 1\): it has 1 triangles, the first frame has 2"
+    ):
+        read(tmp_path / "a_#.stl")
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    points = np.random.default_rng(3).normal(size=(3, 5, 3)) * 1e7
+    written = MeshSequence.from_arrays(points, [[0, 1, 2], [2, 1, 3], [0, 4, 1]])
+    write(tmp_path / "a_#.stl", written)
+    got = read(tmp_path / "a_#.stl")
+    np.testing.assert_array_equal(got.points, points.astype(np.float32))
+    assert got.polygons.same_as(written.polygons)
+
+
+def test_normals_of_triangles(tmp_path: Path) -> None:
+    points = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 0]], dtype=np.float32)[None]
+    with pytest.warns(MixseqWarning, match="3 will be read instead of 4"):
+        write(tmp_path / "a.stl", MeshSequence.from_arrays(points, [[0, 1, 2], [0, 3, 1]]))
+    data = (tmp_path / "a.stl").read_bytes()
+    assert struct.unpack_from("<3f", data, 84) == (0, 0, 1)
+    assert struct.unpack_from("<3f", data, 134) == (0, 0, 0)  # it has no area
+
+
+@pytest.mark.parametrize(
+    ("faces", "message"),
+    [
+        ([[0, 1, 2], [0, 2, 4]], "4 will be read instead of 5, because those at the same place"),
+        ([[1, 0, 2], [0, 3, 4]], "they will be read in another order"),
+        (Polygons(np.array([5]), np.arange(5)), "STL files cannot hold polygons"),
+    ],
+)
+def test_what_stl_cannot_hold(tmp_path: Path, faces: object, message: str) -> None:
+    points = np.random.default_rng(3).normal(size=(1, 5, 3)).astype(np.float32)
+    with pytest.warns(MixseqWarning, match=message):
+        write(tmp_path / "a.stl", MeshSequence.from_arrays(points, faces))  # type: ignore[arg-type]
+
+
+def test_what_is_on_the_mesh_is_lost(tmp_path: Path) -> None:
+    surface = Surface(face_sets=(FaceSet("a", np.array([0]), "red"),), creases=np.arange(6))
+    sequence = replace(MeshSequence.from_arrays(SQUARE[None], FACES), surface=surface)
+    with pytest.warns(MixseqWarning, match="STL files cannot hold creases, face sets; "):
+        write(tmp_path / "a.stl", sequence)
+
+
+def test_truncated_and_longer_files(tmp_path: Path) -> None:
+    file = tmp_path / "bad.stl"
+    content = binary(SQUARE[FACES])
+    for data in (*(content[:end] for end in range(0, len(content), 3)), content[:-1], content + b"\n"):
+        file.write_bytes(data)
+        with pytest.raises(FormatError, match=r"bad\.stl"):
+            read(file)
+    content = text(SQUARE[FACES]).rstrip()
+    for end in range(0, len(content) - len(" solid vertex 3"), 3):
+        file.write_bytes(content[:end])
+        with pytest.raises(FormatError, match=r"bad\.stl"):
+            read(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "message"),
+    [
+        (b"vertex 0 0 0", b"vertex 0 0 x", FormatError, "line 4: 'vertex 0 0 x' is not a vertex"),
+        (b"vertex 0 0 0", b"vertex 0 0", FormatError, "line 4: 'vertex 0 0' is not expected here"),
+        (b"    vertex 0 0 0\n", b"", FormatError, "'endfacet' is not expected here"),
+        (b"endsolid", b"solid", FormatError, "is not expected here"),
+        (b"vertex 0 0 0", b"vertex nan 0 0", InvalidSequenceError, "coordinates must be finite"),
+        (b"facet normal", b"triangle", FormatError, "'triangle 0 0 1' is not expected here"),
+    ],
+)
+def test_damaged_text(tmp_path: Path, old: bytes, new: bytes, error: type[Exception], message: str) -> None:
+    (tmp_path / "bad.stl").write_bytes(text(SQUARE[FACES], "a").replace(old, new, 1))
+    with pytest.raises(error, match=f"bad.stl.*{message}"):
+        read(tmp_path / "bad.stl")
+
+
+def test_no_triangles(tmp_path: Path) -> None:
+    for content in (binary(SQUARE[FACES][:0]), text(SQUARE[FACES][:0])):
+        (tmp_path / "bad.stl").write_bytes(content)
+        with pytest.raises(InvalidSequenceError, match=r"bad\.stl: the mesh has 0 vertices"):
+            read(tmp_path / "bad.stl")
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_trimesh_agrees(tmp_path: Path, kind: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    exported = ball.export(file_type=kind)
+    (tmp_path / "theirs.stl").write_bytes(exported.encode() if isinstance(exported, str) else exported)
+    theirs = read(tmp_path / "theirs.stl")
+    assert theirs.vertex_count == len(ball.vertices)
+    np.testing.assert_allclose(theirs.points[0][theirs.faces], ball.triangles, rtol=0, atol=1e-7)
+    write(tmp_path / "ours.stl", theirs)
+    got = trimesh.load(tmp_path / "ours.stl", process=False)
+    np.testing.assert_array_equal(got.triangles, theirs.points[0].astype(np.float32)[theirs.faces])
+    np.testing.assert_allclose(got.face_normals, ball.face_normals, atol=1e-6)
