@@ -20,6 +20,7 @@ from click.testing import CliRunner
 import mixseq
 from mixseq import operations
 from mixseq.cli import main
+from mixseq.cli.formats import as_markdown
 from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
@@ -28,6 +29,8 @@ from mixseq.segmentation import MotionSettings
 from mixseq.signals.placement import stated_placement, whole_placement
 from mixseq.spaces import MixedSpace
 from mixseq_io import FORMATS
+from mixseq_io.formats import capabilities, motions
+from mixseq_io.surface_arrays import SURFACE_ARRAYS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
@@ -181,6 +184,16 @@ def test_formats_are_complete() -> None:
             assert f"`{word}`" in page("docs/formats.md"), f"{form.name}: {word}"
         for extension in form.extensions:
             assert extension in page("README.md"), f"{form.name}: {extension}"
+
+
+def test_table_of_formats_is_that_of_the_code() -> None:
+    for table in (capabilities(), motions()):
+        assert as_markdown(table) in page("docs/formats.md"), "run `mixseq formats --markdown`"
+
+
+def test_specification_has_every_array_of_surfaces() -> None:
+    specified = re.findall(r"^\| `surface/(\w+)` \|", page("docs/file-format.md"), re.MULTILINE)
+    assert specified == list(SURFACE_ARRAYS)
 
 
 @pytest.mark.parametrize(

@@ -1,136 +1,25 @@
-"""The table of formats, and the functions that choose from it by file extension."""
+"""Reading and writing by file extension."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from importlib import import_module
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.errors import AmbiguousError, FormatError, OutputError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, collect
+from mixseq_io.formats import FORMATS, Format
 from mixseq_io.reader import SequenceReader
 
 PathLike = str | os.PathLike[str]
 
 
-@dataclass(frozen=True)
-class Format:
-    """A file format.
-
-    Parameters
-    ----------
-    name : str
-        Its name in messages.
-    extensions : tuple of str
-        Extensions that are read, in lower case with the dot.
-    description : str
-        One line: what it holds and how exactly.
-    reader, writer : str
-        ``"module:function"``, imported at first use. A reader is ``(path, **options) -> SequenceReader``, a
-        writer ``(path, header, blocks, velocities, **options) -> None``, which warns if it has no place for velocities.
-    read_options, write_options : mapping of str to str
-        The keyword options and what they mean.
-    unwritable : tuple of str
-        Those of the extensions that are only read.
-    signatures : tuple of bytes
-        What the files begin with, as far as there is something.
-    """
-
-    name: str
-    extensions: tuple[str, ...]
-    description: str
-    reader: str
-    writer: str
-    read_options: Mapping[str, str] = field(default_factory=dict)
-    write_options: Mapping[str, str] = field(default_factory=dict)
-    unwritable: tuple[str, ...] = ()
-    signatures: tuple[bytes, ...] = ()
-
-    def open(self, path: Path, **options: Any) -> SequenceReader:
-        """Open a file for reading, see `open_sequence`."""
-        self._check_options("read", self.read_options, options)
-        reader: SequenceReader = _load(self.reader)(path, **options)
-        return reader
-
-    def write(
-        self,
-        path: Path,
-        header: SequenceHeader,
-        blocks: Iterable[FloatArray],
-        velocities: Iterable[FloatArray] | None = None,
-        **options: Any,
-    ) -> None:
-        """Write a file, see `write_blocks`."""
-        self._check_options("written", self.write_options, options)
-        _load(self.writer)(path, header, blocks, velocities, **options)
-
-    def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
-        for option in given:
-            if option not in known:
-                takes = "with " + ", ".join(known) if known else "without options"
-                raise SettingsError(f"{self.name} has no option {option!r}; it is {verb} {takes}")
-
-
-def _load(reference: str) -> Callable[..., Any]:
-    module, function = reference.split(":")
-    loaded: Callable[..., Any] = getattr(import_module(module), function)
-    return loaded
-
-
-FORMATS: tuple[Format, ...] = (
-    Format(
-        name="USD",
-        extensions=(".usd", ".usda", ".usdc", ".usdz"),
-        description="one mesh with time-sampled points, float32; world space, polygons, velocities, times, units, up",
-        reader="mixseq_io.usd_reader:open_usd",
-        writer="mixseq_io.usd_writer:write_usd",
-        read_options={"prim": "path of the mesh, or of a prim above it, where a stage has several"},
-        unwritable=(".usdz",),
-        signatures=(b"PXR-USDC", b"#usda", b"#sdf", b"PK\x03\x04"),
-    ),
-    Format(
-        name="HDF5 sequence",
-        extensions=(".h5", ".hdf5"),
-        description="everything, float32 or float64, compressed, with checksums; models are sampled",
-        reader="mixseq_io.sequence_h5:open_h5",
-        writer="mixseq_io.sequence_h5:write_h5",
-        signatures=(b"\x89HDF\r\n\x1a\n",),
-    ),
-    Format(
-        name="npz",
-        extensions=(".npz",),
-        description="NumPy arrays, float32 or float64; points and faces, velocities and the rest optional",
-        reader="mixseq_io.npz:open_npz",
-        writer="mixseq_io.npz:write_npz",
-        read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
-        write_options={"compress": "deflate the arrays (False by default: slow, and points hardly shrink)"},
-        signatures=(b"PK\x03\x04",),
-    ),
-    Format(
-        name="OBJ",
-        extensions=(".obj",),
-        description="numbered text files, one per frame (walk_####.obj); polygons, no times, velocities, units, up",
-        reader="mixseq_io.obj:open_obj",
-        writer="mixseq_io.obj:write_obj",
-        read_options={
-            "fps": "frames per second, 24 by default",
-            "allow_gaps": "accept missing numbers; the frames keep the times of their numbers",
-        },
-        write_options={"start": "number of the first file, 1 by default"},
-    ),
-)
-
 # What else users may have under a wrong name; only for messages.
 _FOREIGN_SIGNATURES = {
-    b"Ogawa": "Alembic",
-    b"glTF": "glTF",
-    b"ply": "PLY",
-    b"POINTCACHE2": "PC2",
     b"Kaydara FBX": "FBX",
     b"BLENDER": "Blender",
 }
@@ -142,8 +31,8 @@ def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
     Parameters
     ----------
     path : path-like
-        The file; numbered OBJ files by folder or by pattern: ``walk_####.obj``, ``walk_%04d.obj``,
-        ``walk_*.obj``.
+        The file; numbered files (OBJ, PLY, STL, OFF) by folder or by pattern: ``walk_####.obj``,
+        ``walk_%04d.obj``, ``walk_*.obj``.
     **options
         The format's ``read_options``, see `FORMATS`.
 
@@ -157,7 +46,7 @@ def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
     FormatError
         If the file is missing, damaged, of another type, or too new.
     AmbiguousError
-        If it holds several meshes; the message tells how to choose.
+        If there are several sequences; the message tells how to choose.
     InvalidSequenceError
         If what it holds is not a mesh sequence.
     SettingsError
@@ -186,7 +75,7 @@ def write(path: PathLike, sequence: MeshSequence, **options: Any) -> None:
     Parameters
     ----------
     path : path-like
-        The file; for several frames of OBJ a pattern, ``walk_####.obj``.
+        The file; for several frames of OBJ, PLY or STL a pattern, ``walk_####.obj``.
     sequence : MeshSequence
         What to write, with its velocities if it has any.
     **options
@@ -243,7 +132,7 @@ def write_blocks(
 def _format_to_read(path: Path) -> Format:
     extension = path.suffix.lower()
     if path.is_dir():
-        extension = ".obj"  # the only format that reads folders
+        return _format_of_folder(path)
     for candidate in FORMATS:
         if extension in candidate.extensions:
             return candidate
@@ -256,23 +145,32 @@ def _format_to_read(path: Path) -> Format:
     )
 
 
+def _format_of_folder(path: Path) -> Format:
+    """Return the format of the numbered files in a folder."""
+    present = {file.suffix.lower() for file in path.iterdir() if not file.name.startswith(".")}
+    numbered = [each for each in FORMATS if each.numbered]
+    found = [each for each in numbered if present & set(each.extensions)]
+    if len(found) > 1:
+        names = " and ".join(each.name for each in found)
+        raise AmbiguousError(
+            f"{path} holds {names} files; give a pattern such as {path.name}/*{found[0].extensions[0]}"
+        )
+    if not found:
+        names = ", ".join(each.name for each in numbered)
+        raise FormatError(f"{path} is a folder without numbered files; {names} files are expected in it")
+    return found[0]
+
+
 def _format_to_write(path: Path) -> Format:
     extension = path.suffix.lower()
     for candidate in FORMATS:
-        if extension in candidate.unwritable:
-            raise OutputError(f"{path}: {extension} files are only read; write one of {_extensions(True)}")
         if extension in candidate.extensions:
             return candidate
-    raise OutputError(f"{path}: the extension {extension!r} is not known; write one of {_extensions(True)}")
+    raise OutputError(f"{path}: the extension {extension!r} is not known; write one of {_extensions()}")
 
 
-def _extensions(writable: bool = False) -> str:
-    return ", ".join(
-        extension
-        for candidate in FORMATS
-        for extension in candidate.extensions
-        if not (writable and extension in candidate.unwritable)
-    )
+def _extensions() -> str:
+    return ", ".join(extension for candidate in FORMATS for extension in candidate.extensions)
 
 
 def _check_signature(path: Path, chosen: Format) -> None:

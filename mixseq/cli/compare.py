@@ -67,8 +67,9 @@ def _options_of(path: Path, reading: dict[str, Any]) -> dict[str, Any]:
     """Return those of the options that the file's format knows: the two files may differ in format."""
     from mixseq_io import FORMATS
 
-    extension = ".obj" if path.is_dir() else path.suffix.lower()
-    known = {name for form in FORMATS if extension in form.extensions for name in form.read_options}
+    extension = path.suffix.lower()
+    forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
+    known = {name for form in forms for name in form.read_options}
     return {name: value for name, value in reading.items() if name in known}
 
 

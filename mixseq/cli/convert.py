@@ -10,25 +10,37 @@ import click
 import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, counted
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
 
 
 @click.command(
-    "convert", epilog=examples("mixseq convert walk.usdc walk.h5", "mixseq convert walk.usdc walk_####.obj")
+    "convert",
+    epilog=examples(
+        "mixseq convert walk.usdc walk.h5",
+        "mixseq convert walk.usdc walk_####.obj",
+        "mixseq convert fox.glb run.glb --animation Run",
+    ),
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @reader_options
+@writer_options
 @quiet_option
-def command(source: Path, target: Path, reading: dict[str, Any], quiet: bool) -> None:
+def command(
+    source: Path, target: Path, reading: dict[str, Any], writing: dict[str, Any], quiet: bool
+) -> None:
     """Write a sequence in another format.
 
     The formats of SOURCE and TARGET follow from their extensions, see "mixseq formats". Frames pass through one
     block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
     warning.
+
+    A USD or glTF file that comes from one of its kind builds on it: USD as a layer over SOURCE, which must stay where
+    it is, glTF as a copy with new points, so that materials and everything else stay. --flatten writes meshes that
+    stand alone.
     """
     check_target(target, source)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
-        mixseq.write_blocks(target, reader.header, blocks, reader.velocity_blocks())
-    announce(target)
+        mixseq.write_blocks(target, reader.header, blocks, reader.velocity_blocks(), **writing)
+    announce(target, reader.header, writing)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import check_target, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option
+from mixseq.cli.options import FILE, examples, quiet_option, writer_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def _as_seconds(
     show_default=True,
     help="Also write the velocities of all vertices, for motion blur.",
 )
+@writer_options
 @quiet_option
 def command(
     source: Path,
@@ -65,6 +66,7 @@ def command(
     start: float | None,
     end: float | None,
     velocities: bool,
+    writing: dict[str, Any],
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -80,7 +82,7 @@ def command(
     else:
         raise SettingsError("--times tells all times; leave out --start and --end")
     with progress_bar(quiet) as progress:
-        write_frames(target, model, header, velocities, progress)
+        write_frames(target, model, header, velocities, writing, progress)
     if not quiet:
         first, last = header.times[[0, -1]]
         print_table(
@@ -89,7 +91,7 @@ def command(
                 ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
             ]
         )
-    announce(target)
+    announce(target, header, writing)
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option
+from mixseq.cli.options import FILE, examples, quiet_option, writer_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -57,9 +57,16 @@ A script has a table for every edit:
     show_default=True,
     help="Also write the velocities of all vertices, where OUT is a sequence.",
 )
+@writer_options
 @quiet_option
 def command(
-    source: Path, target: Path, script: Path, fps: float | None, velocities: bool, quiet: bool
+    source: Path,
+    target: Path,
+    script: Path,
+    fps: float | None,
+    velocities: bool,
+    writing: dict[str, Any],
+    quiet: bool,
 ) -> None:
     """Edit the motion of a model by a script.
 
@@ -73,10 +80,10 @@ def command(
     from mixseq.operations.script import read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
-    if as_model and (fps is not None or velocities):
-        raise SettingsError(
-            f"--{'velocities' if fps is None else 'fps'} is for sequences; a model has all times, decode or resample it"
-        )
+    of_sequences = {"fps": fps, "velocities": velocities, **writing}
+    if as_model and any(of_sequences.values()):
+        named = next(name for name, value in of_sequences.items() if value)
+        raise SettingsError(f"--{named} is for sequences; OUT is a model, decode or resample it then")
 
     def unlike_target(path: Path) -> Path:
         check_target(target, path)
@@ -101,10 +108,10 @@ def command(
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            write_frames(target, model, header, velocities, progress)
+            write_frames(target, model, header, velocities, writing, progress)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
-    announce(target)
+    announce(target, None if as_model else model.header, writing)
 
 
 def _extent(model: Model) -> str:

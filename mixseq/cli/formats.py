@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import click
 
 from mixseq.cli.console import print_table
 from mixseq.cli.options import examples
 
+Table = Sequence[Sequence[str]]
 
-@click.command("formats", epilog=examples("mixseq formats"))
-def command() -> None:
-    """List the file formats."""
-    from mixseq_io import FORMATS
 
-    print_table(
-        (
-            (
-                form.name,
-                " ".join(
-                    f"{each} (only read)" if each in form.unwritable else each for each in form.extensions
-                ),
-                form.description,
-            )
-            for form in FORMATS
-        ),
-        heading=("format", "extensions", "holds"),
+@click.command("formats", epilog=examples("mixseq formats", "mixseq formats --markdown"))
+@click.option("--markdown", is_flag=True, help="Print the tables in Markdown.")
+def command(markdown: bool) -> None:
+    """List the file formats: what each can hold, which motion is read from it, and its options."""
+    from mixseq_io.formats import capabilities, motions
+
+    for number, (titles, *rows) in enumerate((capabilities(), motions())):
+        if number:
+            click.echo()
+        if markdown:
+            click.echo(as_markdown([titles, *rows]))
+        else:
+            print_table(rows, titles)
+
+
+def as_markdown(table: Table) -> str:
+    """Return a table, whose first row are titles, in Markdown.
+
+    Examples
+    --------
+    >>> print(as_markdown([("format", "reads"), ("OBJ", ".obj")]))
+    | format | reads |
+    |---|---|
+    | OBJ | .obj |
+    """
+    titles, *rows = table
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n".join(
+        "|" + "|".join(row) + "|" if row[0] == "---" else "| " + " | ".join(row) + " |" for row in lines
     )

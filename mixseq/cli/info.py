@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,30 @@ def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
         "metres_per_unit": header.metres_per_unit,
         "diagonal": diagonal,
         "topology": topology.report(),
+        "surface": _surface(header),
+    }
+
+
+def _surface(header: SequenceHeader) -> dict[str, Any]:
+    surface = header.surface
+    return {
+        "objects": [
+            {
+                "name": each.name,
+                "path": each.path,
+                "vertices": each.vertex_count,
+                "polygons": each.polygon_count,
+            }
+            for each in surface.objects
+        ],
+        "face_sets": [
+            {"name": each.name, "polygons": len(each.polygons), "material": each.material}
+            for each in surface.face_sets
+        ],
+        "uvs": None if surface.uvs is None else len(surface.uvs.values),
+        "creases": surface.creases is not None,
+        "subdivision": surface.subdivision,
+        "origin": None if surface.origin is None else surface.origin.path,
     }
 
 
@@ -105,6 +130,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         ("units", f"{facts['metres_per_unit']:g} m"),
         ("diagonal", f"{facts['diagonal']:.6g}"),
         *_topology_rows(facts["topology"]),
+        *_surface_rows(facts["surface"]),
     ]
     if facts["kind"] == "model":
         rows += _dimension_rows(facts)
@@ -129,6 +155,24 @@ def _topology_rows(report: dict[str, Any]) -> Rows:
     ]
 
 
+def _surface_rows(surface: dict[str, Any]) -> Rows:
+    objects, face_sets = surface["objects"], surface["face_sets"]
+    rows = []
+    if len(objects) > 1:
+        rows.append(
+            ("meshes", f"{len(objects)}: {_list([each['path'] or each['name'] for each in objects])}")
+        )
+    if face_sets:
+        rows.append(("face sets", f"{len(face_sets)}: {_list([each['name'] for each in face_sets])}"))
+    if surface["uvs"]:
+        rows.append(("texture", f"{surface['uvs']:,} coordinates"))
+    if surface["creases"]:
+        rows.append(("creases", "yes"))
+    if surface["subdivision"] != "none":
+        rows.append(("subdivision", surface["subdivision"]))
+    return rows
+
+
 def _dimension_rows(facts: dict[str, Any]) -> Rows:
     signals = [
         ("space", f"{facts['space']}, dim {facts['dim']:,}"),
@@ -151,6 +195,6 @@ def _dimension_rows(facts: dict[str, Any]) -> Rows:
     ]
 
 
-def _list(counts: list[int], longest: int = 20) -> str:
+def _list(counts: Sequence[object], longest: int = 20) -> str:
     shown = ", ".join(map(str, counts[:longest]))
     return shown if len(counts) <= longest else f"{shown}, ..."

@@ -25,17 +25,67 @@ def examples(*lines: str) -> str:
 def reader_options(command: Command) -> Command:
     """Add the options of the formats' readers; the command gets those that are given as ``reading``."""
 
-    @click.option("--prim", metavar="PATH", help="Mesh to read, if a USD file has several.")
     @click.option(
-        "--input-fps", "fps", type=float, metavar="N", help="Frames per second of OBJ and npz.  [default: 24]"
+        "--prim",
+        metavar="PATH",
+        help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     )
-    @click.option("--allow-gaps", is_flag=True, help="Accept missing numbers among OBJ files.")
+    @click.option("--animation", metavar="NAME", help="Animation to read of glTF.  [default: the first]")
+    @click.option(
+        "--input-fps",
+        "fps",
+        type=float,
+        metavar="N",
+        help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
+    )
+    @click.option("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
+    @click.option("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
     @wraps(command)
     def with_options(
-        *args: Any, prim: str | None, fps: float | None, allow_gaps: bool, **settings: Any
+        *args: Any,
+        prim: str | None,
+        animation: str | None,
+        fps: float | None,
+        mesh: Path | None,
+        allow_gaps: bool,
+        **settings: Any,
     ) -> None:
-        given = {"prim": prim, "fps": fps, "allow_gaps": allow_gaps or None}
-        reading = {name: value for name, value in given.items() if value is not None}
-        command(*args, reading=reading, **settings)
+        given = {
+            "prim": prim,
+            "animation": animation,
+            "fps": fps,
+            "mesh": mesh,
+            "allow_gaps": allow_gaps or None,
+        }
+        command(*args, reading=_those_given(given), **settings)
 
     return with_options
+
+
+def writer_options(command: Command) -> Command:
+    """Add the options of the formats' writers; the command gets those that are given as ``writing``."""
+
+    @click.option(
+        "--flatten", is_flag=True, help="Write USD or glTF that does not build on the original file."
+    )
+    @click.option(
+        "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
+    )
+    @click.option(
+        "--clips",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Write USD as value clips of N frames per file.",
+    )
+    @wraps(command)
+    def with_options(
+        *args: Any, flatten: bool, onto: Path | None, clips: int | None, **settings: Any
+    ) -> None:
+        given = {"flatten": flatten or None, "onto": onto, "clips": clips}
+        command(*args, writing=_those_given(given), **settings)
+
+    return with_options
+
+
+def _those_given(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}

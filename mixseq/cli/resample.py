@@ -10,7 +10,7 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import check_target, is_model, read_sequence
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ if TYPE_CHECKING:
 )
 @click.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
 @reader_options
+@writer_options
 @quiet_option
 def command(
     source: Path,
@@ -89,6 +90,7 @@ def command(
     tolerance: float | None,
     exact: bool,
     reading: dict[str, Any],
+    writing: dict[str, Any],
     quiet: bool,
 ) -> None:
     """Change the frame rate, speed or direction of a sequence.
@@ -114,12 +116,12 @@ def command(
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress))
-            mixseq.write_blocks(target, planned.header, points, speeds)
+            mixseq.write_blocks(target, planned.header, points, speeds, **writing)
         else:
-            mixseq.write_blocks(target, planned.header, planned.blocks(progress=progress))
+            mixseq.write_blocks(target, planned.header, planned.blocks(progress=progress), **writing)
     if not quiet:
         print_table(_rows(planned))
-    announce(target)
+    announce(target, planned.header, writing)
 
 
 def _model(source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress) -> Model:

@@ -248,9 +248,11 @@ def test_reader_options_go_to_the_file_that_knows_them(run: Run) -> None:
 
 def test_formats(run: Run) -> None:
     text = succeed(run("formats"))
-    assert text.split()[:3] == ["format", "extensions", "holds"]
-    for word in (".usdc", ".usdz (only read)", ".h5", ".npz", ".obj"):
+    assert text.split()[:3] == ["format", "reads", "writes"]
+    for word in (".usdc", ".usdz", ".h5", ".npz", ".obj", "skins, morph targets, transforms"):
         assert word in text
+    markdown = succeed(run("formats", "--markdown"))
+    assert markdown.startswith("| format | reads | writes | polygons |")
 
 
 def test_demo(run: Run, folder: Path) -> None:

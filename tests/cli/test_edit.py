@@ -103,7 +103,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
         ("bar.npz new.h5 --script edits.toml", REPEAT, "bar.npz is not a model"),
         ("model.h5 new.h5 --script edits.toml --fps 24", REPEAT, "--fps is for sequences"),
         ("model.h5 new.h5 --script edits.toml --velocities", REPEAT, "--velocities is for sequences"),
-        ("model.h5 new.stl --script edits.toml", REPEAT, "'.stl' is not known; write one of"),
+        ("model.h5 new.fbx --script edits.toml", REPEAT, "'.fbx' is not known; write one of"),
         ("model.h5 model.h5 --script edits.toml", REPEAT, "is the source itself and would be lost"),
         ("model.h5 edits.toml --script edits.toml", REPEAT, "is the source itself and would be lost"),
         ("model.h5 nowhere/new.h5 --script edits.toml", REPEAT, "nowhere does not exist; make it first"),

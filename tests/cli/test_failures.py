@@ -62,10 +62,9 @@ FAILURES: list[tuple[str, str]] = [
     ("decode model.h5 folder.usdc", "folder.usdc is a folder"),
     ("demo --frames 2 --out notes.txt", "notes.txt"),
     ("demo --frames 2 --out notes.txt/fox", "notes.txt"),
-    ("convert bar.npz new.stl", "'.stl' is not known; write one of"),
-    ("convert bar.npz new.usdz", ".usdz files are only read"),
+    ("convert bar.npz new.fbx", "'.fbx' is not known; write one of"),
     ("encode bar.npz old.usdc", "models are HDF5 files; end the name in .h5 or .hdf5"),
-    ("decode model.h5 new.stl", "'.stl' is not known; write one of"),
+    ("decode model.h5 new.fbx", "'.fbx' is not known; write one of"),
     ("convert bar.npz one.obj", "one.obj"),
     # Options.
     ("bogus", "No such command 'bogus'.*see mixseq --help"),

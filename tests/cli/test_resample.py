@@ -144,7 +144,7 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
         ("model.h5 model.h5", "model.h5 is the source itself"),
         ("model.h5 folder.usdc", "folder.usdc is a folder"),
         ("model.h5 nowhere/new.usdc", "nowhere does not exist; make it first"),
-        ("model.h5 new.stl", "'.stl' is not known; write one of"),
+        ("model.h5 new.fbx", "'.fbx' is not known; write one of"),
         ("bar.npz", "Missing argument 'TARGET'.*see mixseq resample --help"),
         ("model.h5 old.npz --fps 0", "--fps.*0.* is not in the range"),
         ("model.h5 old.npz --fps nan", "fps is nan"),

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,9 @@ import pytest
 
 from mixseq.errors import MixseqWarning
 from mixseq.sequence import FloatArray, MeshSequence, Polygons
-from mixseq_io import write
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq_io import FORMATS, write
+from mixseq_io.formats import Format
 
 PENTAGON_QUAD_TRIANGLE = Polygons(np.array([5, 4, 3]), np.array([0, 1, 2, 3, 4, 0, 5, 6, 1, 6, 7, 2]))
 
@@ -36,6 +38,21 @@ def subnormal() -> FloatArray:
     return points
 
 
+def dressed() -> MeshSequence:
+    """Two objects with everything that can be on them."""
+    corners = PENTAGON_QUAD_TRIANGLE.indices.size
+    polygons = Polygons(
+        np.append(PENTAGON_QUAD_TRIANGLE.counts, 4), np.append(PENTAGON_QUAD_TRIANGLE.indices, [8, 9, 10, 11])
+    )
+    surface = Surface(
+        uvs=CornerValues(np.random.default_rng(3).random((9, 2)), np.arange(corners + 4) % 9),
+        creases=np.append(np.arange(corners), [12, 13, 14, 15]),
+        face_sets=(FaceSet("skin", np.array([0, 2]), "skin"), FaceSet("cloth", np.array([3]), "cloth")),
+        objects=(MeshObject("body", "", 8, 3), MeshObject("coat", "", 4, 1)),
+    )
+    return replace(MeshSequence.from_arrays(wave(vertices=12), polygons), surface=surface)
+
+
 CASES: dict[str, Callable[[], MeshSequence]] = {
     "triangles": lambda: MeshSequence.from_arrays(wave(), fan()),
     "polygons": lambda: MeshSequence.from_arrays(wave(), PENTAGON_QUAD_TRIANGLE),
@@ -47,6 +64,8 @@ CASES: dict[str, Callable[[], MeshSequence]] = {
     ),
     "unused vertices": lambda: MeshSequence.from_arrays(wave(vertices=9), [[0, 4, 8]]),
     "one frame": lambda: MeshSequence.from_arrays(wave(1), fan()),
+    "dressed": dressed,
+    "thousand frames": lambda: MeshSequence.from_arrays(wave(1000, 4), fan(4)),
     "hundred frames": lambda: MeshSequence.from_arrays(wave(100), fan(), fps=29.97),
     "uneven times": lambda: MeshSequence.from_arrays(
         wave(4), fan(), times=[-1.0, 0.1, 0.1 + 1e-6, 7 / 3], fps=30, up_axis="Z"
@@ -60,24 +79,62 @@ CASES: dict[str, Callable[[], MeshSequence]] = {
 
 @dataclass(frozen=True)
 class Target:
-    """A format under test: the file name it is asked for, and what it promises to keep."""
+    """A format under test: the file name it is asked for, and what of a sequence it gives back.
+
+    Parameters
+    ----------
+    file_name : str
+        The name; its extension chooses the format, whose table tells the rest.
+    options : dict
+        Options for writing.
+    keeps_rate : bool
+        Whether frames per second come back.
+    keeps_name : bool
+        Whether the name comes back.
+    time_error : float
+        How exact times are, as a fraction.
+    keeps_unused : bool
+        Whether vertices that no polygon uses come back.
+    """
 
     file_name: str
-    keeps_header: bool = True
-    float32_only: bool = False
     options: dict[str, Any] = field(default_factory=dict)
+    keeps_rate: bool = True
+    keeps_name: bool = True
+    time_error: float = 1e-14
+    keeps_unused: bool = True
+
+    @property
+    def format(self) -> Format:
+        """The format of the file."""
+        extension = Path(self.file_name).suffix
+        return next(each for each in FORMATS if extension in each.extensions)
+
+    @property
+    def rounds(self) -> bool:
+        """Whether points become float32."""
+        return self.format.holds.points == "float32"
 
 
 TARGETS = (
-    Target("walk.usdc", float32_only=True),
-    Target("walk.usda", float32_only=True),
-    Target("walk.usd", float32_only=True),
+    Target("walk.usdc", {"flatten": True}),
+    Target("walk.usda", {"flatten": True}),
+    Target("walk.usd", {"flatten": True, "clips": 3}),
+    Target("walk.usdz", {"flatten": True}),
     Target("walk.npz"),
-    Target("walk.npz", options={"compress": True}),
+    Target("walk.npz", {"compress": True}),
     Target("walk.h5"),
     Target("walk.hdf5"),
-    Target("walk_####.obj", keeps_header=False),
-    Target("walk.%03d.obj", keeps_header=False, options={"start": 998}),
+    Target("walk.abc"),
+    Target("walk.glb", {"flatten": True}, time_error=1e-6),
+    Target("walk.gltf", {"flatten": True}, time_error=1e-6),
+    Target("walk.pc2", keeps_rate=False),
+    Target("walk.mdd", keeps_rate=False, time_error=1e-6),
+    Target("walk_####.obj", keeps_rate=False),
+    Target("walk.%03d.obj", {"start": 998}, keeps_rate=False),
+    Target("walk_####.ply", keeps_rate=False, keeps_name=False),
+    Target("walk_####.stl", keeps_rate=False, keeps_name=False, keeps_unused=False),
+    Target("walk_####.off", keeps_rate=False, keeps_name=False),
 )
 
 
@@ -97,7 +154,7 @@ def target(request: pytest.FixtureRequest) -> Target:
 @pytest.fixture
 def plain() -> MeshSequence:
     """A sequence that every format holds."""
-    return CASES["polygons"]()
+    return CASES["triangles"]()
 
 
 @contextmanager

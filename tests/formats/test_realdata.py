@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.errors import FormatError
 from mixseq_io import open_sequence, read, write
 
 pytestmark = pytest.mark.realdata
@@ -41,9 +40,3 @@ def test_blenders_usd_survives(data: Path, tmp_path: Path, extension: str) -> No
     np.testing.assert_array_equal(copy.points.view(np.uint32), original.points.view(np.uint32))
     for what in ("fps", "up_axis", "metres_per_unit", "name"):
         assert getattr(copy, what) == getattr(original, what)
-
-
-@pytest.mark.parametrize("name", ["CesiumMan", "RiggedFigure", "RiggedSimple"])
-def test_skeletons_are_to_be_baked(data: Path, name: str) -> None:
-    with pytest.raises(FormatError, match=f"{name}.usdz: .* is moved by a skeleton"):
-        read(data / f"usd/{name}.usdz")

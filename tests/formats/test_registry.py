@@ -64,7 +64,7 @@ def test_foreign_files(tmp_path: Path) -> None:
 
 def test_unknown_extensions(plain: MeshSequence, tmp_path: Path) -> None:
     with pytest.raises(
-        OutputError, match=r"the extension '.fbx' is not known; write one of .usd, .usda, .usdc, .h5"
+        OutputError, match=r"the extension '.fbx' is not known; write one of .usd, .usda, .usdc, .usdz, "
     ):
         write(tmp_path / "a.fbx", plain)
     (tmp_path / "a.fbx").write_bytes(b"?")

@@ -89,7 +89,8 @@ def test_a_compressed_archive(tmp_path: Path) -> None:
 def test_a_file_written_onto_itself(path: Path) -> None:
     write(path, moving(40))
     with open_sequence(path) as reader:
-        write_blocks(path, reader.header, reader.blocks(3), reader.velocity_blocks(3))
+        alone = {"flatten": True} if path.suffix.startswith(".usd") else {}
+        write_blocks(path, reader.header, reader.blocks(3), reader.velocity_blocks(3), **alone)
     assert_same(read(path), moving(40))
 
 
@@ -273,7 +274,7 @@ def move_the_mesh(mesh: UsdGeom.Mesh) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (move_the_mesh, "are those under a transform that moves, too"),
+        (move_the_mesh, "are those under a transform or a skeleton that moves, too"),
         (lambda mesh: mesh.GetVelocitiesAttr().ClearAtTime(1), "are not sampled at the times of the points"),
         (lambda mesh: mesh.GetVelocitiesAttr().Set([(0, 0, 1)], 0), "are 1 for 4 points"),
     ],
@@ -285,7 +286,7 @@ def test_velocities_that_mean_something_else(
     stage, mesh = make_stage(tmp_path / "walk.usda")
     change(mesh)
     stage.Save()
-    with pytest.warns(MixseqWarning, match=f"the velocities of /mesh/mesh {message}; they are left out"):
+    with pytest.warns(MixseqWarning, match=f"velocities {message}; they are left out: /mesh/mesh"):
         assert read(tmp_path / "walk.usda").velocities is None
 
 
@@ -294,7 +295,7 @@ def test_a_frame_with_too_few(tmp_path: Path) -> None:
     mesh.GetVelocitiesAttr().Set([(0, 0, 1)], 2)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 2 \(time code 2\) .* has 1 velocities for 4 points"
+        InvalidSequenceError, match=r"frame 2 \(time code 2\): /mesh/mesh has 1 velocities for 4 points"
     ):
         read(tmp_path / "walk.usda")
 

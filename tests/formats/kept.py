@@ -1,0 +1,126 @@
+"""What must be the same of a sequence that was written and read, by the table of what the format holds."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.polygons import IntArray, Polygons
+from mixseq.sequence import MeshSequence
+
+
+def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:
+    """Check everything that the target's format holds."""
+    holds = target.format.holds
+    if target.format.name == "glTF":
+        written = in_metres(written)
+    if holds.polygons == "triangles":
+        order, found = sorted_triangles(written), sorted_triangles(got)
+    else:
+        assert got.polygons.same_as(written.polygons)
+        order = found = np.arange(written.polygons.indices.size)
+    assert_points(target, written, got, order, found)
+    assert_header(target, written, got)
+    assert_surface(target, written, got, order, found)
+
+
+def in_metres(sequence: MeshSequence) -> MeshSequence:
+    """Return a sequence in metres with Y up, as glTF has it."""
+    x, y, z = np.moveaxis(sequence.points.astype(np.float64), 2, 0) * sequence.metres_per_unit
+    axes = (x, z, -y) if sequence.up_axis == "Z" else (x, y, z)
+    return sequence.with_points(np.stack(axes, axis=2).astype(np.float32))
+
+
+def sorted_triangles(sequence: MeshSequence) -> IntArray:
+    """Return the corners ``(3 F,)`` of all triangles, sorted by where they are in the first frame."""
+    polygons = sequence.polygons
+    # The corners of the triangles of polygons whose vertices are their own corners' numbers.
+    corners = Polygons(polygons.counts, np.arange(polygons.indices.size)).triangles
+    places = sequence.points[0].astype(np.float32)[polygons.indices[corners]].reshape(len(corners), -1)
+    return np.asarray(corners[np.lexsort(places.T[::-1])]).reshape(-1)
+
+
+def assert_points(
+    target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray
+) -> None:
+    """Compare the positions of all corners, and of vertices without corners where they are kept."""
+    dtype = np.float32 if target.rounds else written.points.dtype
+    assert got.points.dtype == dtype
+    expected = written.points.astype(dtype)
+    at = expected[:, written.polygons.indices[order]]
+    assert_close(target, got.points[:, got.polygons.indices[found]], at)
+    if target.keeps_unused:
+        assert got.vertex_count == written.vertex_count
+        if target.format.holds.polygons != "triangles":
+            assert_close(target, got.points, expected)
+
+
+def assert_close(target: Any, points: NDArray[Any], expected: NDArray[Any]) -> None:
+    if target.format.name == "glTF":  # base and difference are rounded on their own
+        size = float(np.abs(expected).max())
+        np.testing.assert_allclose(points, expected, rtol=0, atol=max(2**-23 * size, 1e-44))
+    else:
+        np.testing.assert_array_equal(points, expected)
+
+
+def assert_header(target: Any, written: MeshSequence, got: MeshSequence) -> None:
+    holds = target.format.holds
+    times = written.times - min(written.times[0], 0.0) if "from 0 on" in holds.times else written.times
+    even = np.allclose(np.diff(times, 2), 0, atol=1e-6)
+    if not holds.times.startswith(("no", "even")) or ("even" in holds.times and even and written.fps == 24):
+        np.testing.assert_allclose(
+            got.times, times, rtol=max(target.time_error, 1e-14), atol=target.time_error
+        )
+    if target.keeps_rate:
+        assert got.fps == written.fps
+    if target.keeps_name and len(written.objects) == 1:
+        assert got.name == written.name
+    if holds.units:
+        assert (got.up_axis, got.metres_per_unit) == (written.up_axis, written.metres_per_unit)
+
+
+def assert_surface(
+    target: Any, written: MeshSequence, got: MeshSequence, order: IntArray, found: IntArray
+) -> None:
+    holds, ours, theirs = target.format.holds, written.surface, got.surface
+    if holds.uvs and ours.uvs is not None:
+        assert theirs.uvs is not None
+        # glTF counts v downwards, and 1 - v rounds.
+        np.testing.assert_allclose(
+            theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7
+        )
+    if holds.creases:
+        np.testing.assert_array_equal(partition(got, found), partition(written, order))
+    if holds.face_sets:
+        sets = {each.name: each for each in theirs.face_sets}
+        for face_set in ours.face_sets:
+            assert marked(got, sets[face_set.name].polygons)[found].tolist() == (
+                marked(written, face_set.polygons)[order].tolist()
+            )
+            if holds.materials != "no":
+                assert PurePosixPath(sets[face_set.name].material or sets[face_set.name].name).name
+    if holds.objects and len(ours.objects) > 1:
+        assert [(each.name, each.vertex_count) for each in theirs.objects] == [
+            (each.name, each.vertex_count) for each in ours.objects
+        ]
+
+
+def partition(sequence: MeshSequence, order: IntArray) -> IntArray:
+    """Number the groups of corners that share a vertex and a normal, in the order of their first corners."""
+    vertices = sequence.polygons.indices
+    creases = vertices if sequence.surface.creases is None else sequence.surface.creases
+    pairs = np.stack([vertices, creases], axis=1)[order]
+    _, first, number = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))
+    return np.asarray(rank[number.reshape(-1)])
+
+
+def marked(sequence: MeshSequence, polygons: IntArray) -> NDArray[np.bool_]:
+    """Return which corners belong to polygons of a set."""
+    counts = sequence.polygons.counts
+    inside = np.zeros(len(counts), dtype=bool)
+    inside[polygons] = True
+    return np.repeat(inside, counts)
