@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ import pytest
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.sequence import FloatArray, MeshSequence
 from mixseq_io import open_sequence, read, write, write_blocks
-from tests.formats.conftest import lossy
+from tests.formats.conftest import CASES, lossy
 from tests.formats.kept import assert_close, assert_kept
 
 Store = Callable[[Any, MeshSequence], Path]
@@ -23,6 +25,27 @@ Files = Callable[[], dict[str, bytes]]
 
 def test_what_is_written_is_read(target: Any, sequence: MeshSequence, store: Store) -> None:
     assert_kept(target, sequence, read(store(target, sequence)))
+
+
+LOSSES = {
+    "uvs": "texture",
+    "creases": "crease",
+    "face_sets": "face set",
+    "objects": "object",
+    "units": " up",
+    "velocities": "velocit",
+}
+
+
+@pytest.mark.parametrize("what", LOSSES)
+def test_what_a_format_cannot_hold_is_told(target: Any, what: str, tmp_path: Path) -> None:
+    dressed = CASES["dressed"]()
+    everything = replace(dressed, up_axis="Z", metres_per_unit=0.01, velocities=dressed.points)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write(tmp_path / target.file_name, everything, **target.options)
+    told = [str(warning.message) for warning in caught if LOSSES[what] in str(warning.message)]
+    assert bool(told) == (not getattr(target.format.holds, what))
 
 
 def test_blocks_give_the_whole(target: Any, store: Store, tmp_path: Path) -> None:
