@@ -91,6 +91,33 @@ class Polygons:
         return np.array_equal(self.counts, other.counts) and np.array_equal(self.indices, other.indices)
 
 
+def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
+    """Return the order of corners that turns every polygon around: corner ``c`` becomes the old ``order[c]``.
+
+    Twice, it changes nothing.
+
+    Parameters
+    ----------
+    counts : (P,) int
+        Number of corners of each polygon.
+    keep_first : bool
+        Whether first corners stay first, so that triangles stay the same but for their order; else the last ones
+        become first.
+
+    Examples
+    --------
+    >>> reversed_corners(np.array([4, 3]), keep_first=True).tolist()
+    [0, 3, 2, 1, 4, 6, 5]
+    >>> reversed_corners(np.array([4, 3]), keep_first=False).tolist()
+    [3, 2, 1, 0, 6, 5, 4]
+    """
+    sizes = np.repeat(counts, counts)
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    corner = np.arange(len(starts)) - starts
+    new = -corner if keep_first else -corner - 1
+    return np.asarray(starts + new % sizes, dtype=np.intp)
+
+
 def as_indices(values: ArrayLike, what: str) -> NDArray[np.int32]:
     """Return whole numbers as int32, or raise an error that says what they should have been."""
     array = np.asarray(values)

@@ -254,7 +254,7 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
 
 
 def test_specification_has_nothing_else(folder: Path) -> None:
-    known: set[str] = {"mixseq-sequence", "mixseq-model"}
+    known: set[str] = {"mixseq-sequence", "mixseq-model", *(f"surface/{name}" for name in SURFACE_ARRAYS)}
     for name in ("sequence.h5", "stated.h5", "vertex.h5"):
         with h5py.File(folder / name) as file:
             for each in contents(file):

@@ -110,6 +110,11 @@ class _Worker:
                 answer, error, warnings = pickle.load(self._stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
             raise FormatError(self._obituary(path)) from None
+        except (
+            BaseException
+        ):  # Ctrl-C: the answer that is on its way must not be taken for that to another question
+            self._process.kill()
+            raise
         for message in warnings:
             warn(message)
         if error is not None:
@@ -157,6 +162,7 @@ class _Worker:
 
 
 _idle: list[_Worker] = []
+_of_parent: list[_Worker] = []
 _lock = threading.Lock()
 
 
@@ -180,6 +186,16 @@ def _dismiss(worker: _Worker) -> None:
             _idle.append(worker)
             return
     worker.close()
+
+
+def _leave_to_parent() -> None:
+    """Let a forked process start workers of its own: two askers at one pipe would get each other's answers."""
+    _of_parent.extend(_idle)
+    _idle.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 @atexit.register

@@ -75,7 +75,7 @@ def write(path: PathLike, sequence: MeshSequence, **options: Any) -> None:
     Parameters
     ----------
     path : path-like
-        The file; for several frames of OBJ, PLY or STL a pattern, ``walk_####.obj``.
+        The file; for several frames of OBJ, PLY, STL or OFF a pattern, ``walk_####.obj``.
     sequence : MeshSequence
         What to write, with its velocities if it has any.
     **options
@@ -153,7 +153,7 @@ def _format_of_folder(path: Path) -> Format:
     if len(found) > 1:
         names = " and ".join(each.name for each in found)
         raise AmbiguousError(
-            f"{path} holds {names} files; give a pattern such as {path.name}/*{found[0].extensions[0]}"
+            f"{path} holds {names} files; give a pattern such as {path}/*{found[0].extensions[0]}"
         )
     if not found:
         names = ", ".join(each.name for each in numbered)

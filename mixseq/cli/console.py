@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from mixseq.progress import Progress, silent
-
-if TYPE_CHECKING:
-    from mixseq.sequence import SequenceHeader
 
 
 def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = None) -> None:
@@ -50,36 +47,21 @@ def print_json(data: dict[str, Any]) -> None:
     click.echo(json.dumps(data, indent=2, allow_nan=False))
 
 
-def announce(
-    path: Path, header: SequenceHeader | None = None, writing: Mapping[str, Any] | None = None
-) -> None:
-    """Tell that a file is finished, and on which file it builds, if it does.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : SequenceHeader, optional
-        Header of the sequence in it.
-    writing : mapping, optional
-        The options that it was written with.
-    """
+def announce(path: Path) -> None:
+    """Tell that a file is finished, and what it lies over, if it is a layer."""
     size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    base = _base(path, header, writing or {})
-    over = f", a layer over {click.format_filename(base)}" if base else ""
+    below = _layer_below(path)
+    over = f", a layer over {below}" if below else ""
     click.echo(f"wrote {click.format_filename(path)}{size}{over}")
 
 
-def _base(path: Path, header: SequenceHeader | None, writing: Mapping[str, Any]) -> Path | None:
-    """Return the file that a USD file was laid over."""
-    origin = None if header is None else header.surface.origin
-    if not path.suffix.lower().startswith(".usd") or "flatten" in writing:
-        return None
-    if "onto" in writing:
-        return Path(writing["onto"])
-    if origin is None or origin.format != "USD" or not Path(origin.path).is_file():
-        return None
-    return Path(origin.path)
+def _layer_below(path: Path) -> str:
+    """Return the file that a USD file is not complete without, "" if it is."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
+        return ""
+    from mixseq_io.usd.paths import sublayer_of
+
+    return sublayer_of(path)
 
 
 def format_bytes(count: float) -> str:

@@ -43,4 +43,4 @@ def command(
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
         mixseq.write_blocks(target, reader.header, blocks, reader.velocity_blocks(), **writing)
-    announce(target, reader.header, writing)
+    announce(target)

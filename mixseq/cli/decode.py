@@ -91,7 +91,7 @@ def command(
                 ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
             ]
         )
-    announce(target, header, writing)
+    announce(target)
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:

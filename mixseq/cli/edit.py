@@ -111,7 +111,7 @@ def command(
             write_frames(target, model, header, velocities, writing, progress)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
-    announce(target, None if as_model else model.header, writing)
+    announce(target)
 
 
 def _extent(model: Model) -> str:

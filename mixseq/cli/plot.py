@@ -80,7 +80,7 @@ def command(
     check_settings(kind, against is not None, frames, tolerance)
     if against is None and reading:
         raise SettingsError(
-            "--prim, --input-fps and --allow-gaps tell how to read a sequence; give --against"
+            "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
         )
     model = mixseq.load(source)
     with progress_bar(quiet) as progress:

@@ -121,7 +121,7 @@ def command(
             mixseq.write_blocks(target, planned.header, planned.blocks(progress=progress), **writing)
     if not quiet:
         print_table(_rows(planned))
-    announce(target, planned.header, writing)
+    announce(target)
 
 
 def _model(source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress) -> Model:

@@ -47,16 +47,12 @@ TARGETS: dict[str, dict[str, Any]] = {
 
 
 def main() -> int:
-    match sys.argv[1:]:
-        case ["write" | "read" as step, name, folder, frames]:
-            print(
-                json.dumps(writing(name, folder, int(frames)) if step == "write" else reading(name, folder))
-            )
-            return 0
-        case []:
-            frames = 100
-        case [count, *_]:
-            frames = int(count)
+    arguments = sys.argv[1:]
+    if len(arguments) == 4:
+        step, name, folder, count = arguments
+        print(json.dumps(writing(name, folder, int(count)) if step == "write" else reading(name, folder)))
+        return 0
+    frames = int(arguments[0]) if arguments else 100
     print(f"{platform.platform()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
     columns = ("file", "bytes per vertex and frame", "write ms/frame", "read ms/frame", "max error/diag")
     memory = [f"{step} MB, {count} frames" for step in ("write", "read") for count in (frames, 4 * frames)]

@@ -18,6 +18,7 @@ from mixseq.sequence import FloatArray, MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import FORMATS, write
 from mixseq_io.formats import Format
+from tests.formats.gltf_maker import load
 
 PENTAGON_QUAD_TRIANGLE = Polygons(np.array([5, 4, 3]), np.array([0, 1, 2, 3, 4, 0, 5, 6, 1, 6, 7, 2]))
 
@@ -194,3 +195,9 @@ def data() -> Path:
     if not folder:
         pytest.skip("MIXSEQ_DATA is not set")
     return Path(folder)
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Callable[..., MeshSequence]:
+    """Write a glTF file of a `gltf_maker.Maker` and read it."""
+    return lambda maker, **options: load(maker.glb(tmp_path / "made.glb"), **options)

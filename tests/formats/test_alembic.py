@@ -171,8 +171,10 @@ def test_faces_are_turned_counter_clockwise(path: Path) -> None:
         ),
         (lambda: acyclic(-1, 0.5, 7 / 3), [-1, 0.5, 7 / 3], 24),
         (lambda: acyclic(0, 1 / 25, 4 / 25), [0, 1 / 25, 4 / 25], 25),
+        (lambda: acyclic(-0.2, 0, 0.2, 0.7, 9), [-0.2, 0, 0.2], 5),
+        (lambda: AbcCoreAbstract.TimeSampling(1 / 24, 1e6), 1e6 + np.arange(3) / 24, 24),
     ],
-    ids=["uniform", "acyclic", "acyclic on a time line"],
+    ids=["uniform", "acyclic", "acyclic on a time line", "acyclic with a pre-roll", "uniform and late"],
 )
 def test_times(path: Path, sampling: Callable[[], Any], times: ArrayLike, fps: float) -> None:
     archive = Abc.OArchive(str(path))
@@ -236,6 +238,17 @@ def test_between_samples_points_and_transforms_are_interpolated(path: Path) -> N
     angle, height = np.array([0, 45, 90, 90]), np.array([0, 1, 4 / 3, 2])
     expected = np.stack([np.cos(np.radians(angle)), np.sin(np.radians(angle)), height], axis=1)
     np.testing.assert_allclose(got.points[:, 1], expected, atol=1e-7)
+
+
+def test_transforms_are_sampled_at_times_of_their_own(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    slide = add_transform(archive.getTop(), "slide", shift(0), shift(10), sampling=acyclic(-1, 1))
+    add_mesh(slide, "square", rising(3), acyclic(-0.5, 0, 0.5))
+    del archive, slide
+    got = load(path)
+    np.testing.assert_array_equal(got.times, [-1, -0.5, 0, 0.5, 1])
+    np.testing.assert_array_equal(got.points[:, 0, 0], [0, 2.5, 5, 7.5, 10])
+    np.testing.assert_array_equal(got.points[:, 0, 2], [0, 0, 1, 2, 2])
 
 
 def test_a_mirroring_transform_keeps_faces_outward(path: Path) -> None:
@@ -452,7 +465,7 @@ def scene(path: Path) -> Path:
 
 def test_all_that_moves_is_joined(scene: Path) -> None:
     with pytest.warns(
-        MixseqWarning, match=r'/street/house stand still and are left out; prim="/" takes them'
+        MixseqWarning, match=r"stand still are left out; prim='/' .* takes them, too: '/street/house'"
     ):
         got = load(scene)
     assert [each.path for each in got.surface.objects] == ["/man/body", "/man/head/hat", "/copy/hat"]
@@ -491,13 +504,13 @@ def test_a_still_mesh_alone_has_one_frame(scene: Path) -> None:
 
 def test_unknown_and_ambiguous_names(scene: Path) -> None:
     with pytest.raises(
-        FormatError, match=r"no mesh at or below 'dog'; its meshes are /man/body, /man/head/hat"
+        FormatError, match=r"no mesh at or below 'dog'; its meshes are '/man/body', '/man/head/hat'"
     ):
         load(scene, "dog")
     with pytest.raises(FormatError, match="no mesh at or below '/camera'"):
         load(scene, "/camera")
     with pytest.raises(
-        AmbiguousError, match="'hat' is in several places, /copy/hat, /man/head/hat; name one"
+        AmbiguousError, match="'hat' is in several places, '/copy/hat', '/man/head/hat'; give its path"
     ):
         load(scene, "hat")
 
@@ -508,7 +521,7 @@ def test_meshes_that_flicker(path: Path) -> None:
     visible.setValue(1)
     visible.setValue(0)
     del archive, visible
-    with pytest.warns(MixseqWarning, match="/spark are hidden at times; they are taken as visible"):
+    with pytest.warns(MixseqWarning, match="'/spark' are hidden at times; they are taken as visible"):
         load(path)
 
 
@@ -529,7 +542,7 @@ def test_only_hidden_meshes(path: Path) -> None:
     archive = Abc.OArchive(str(path))
     AbcGeom.CreateVisibilityProperty(add_mesh(archive.getTop(), "ghost", rising()), 0).setValue(0)
     del archive
-    with pytest.raises(FormatError, match="its meshes are hidden; name one by prim: /ghost"):
+    with pytest.raises(FormatError, match="its meshes are hidden; name one by prim: '/ghost'"):
         load(path)
 
 

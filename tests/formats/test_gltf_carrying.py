@@ -155,7 +155,7 @@ def test_other_things_that_were_animated_are_named(rig: Path, tmp_path: Path) ->
     with lossy():
         sequence = read(rig)
     with pytest.warns(
-        MixseqWarning, match="animations are replaced by that of the sequence; .* still: 'tree'$"
+        MixseqWarning, match="the place of all its animations, 'nod', 'animation 1'; .* still: 'tree'$"
     ):
         written(tmp_path / "new.glb", sequence)
 
@@ -183,8 +183,11 @@ def test_images_in_files_are_taken_along(rig: Path, tmp_path: Path) -> None:
 
 
 def test_unknown_extensions_keep_everything(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
-    change(rig, lambda document: document.update(extensionsUsed=["ACME_bones"]))
-    file = written(tmp_path / "new.glb", lifted)
+    change(rig, lambda document: document.update(extensions={"ACME_bones": {}}))
+    with pytest.warns(
+        MixseqWarning, match=r"old animation is kept, too, because 'ACME_bones' may refer to it"
+    ):
+        file = written(tmp_path / "new.glb", lifted)
     assert len(file.json["skins"]) == 1
     assert len(file.json["accessors"]) > len(rigged()[0]["accessors"])
 
@@ -322,3 +325,58 @@ def test_the_validator_passes_real_characters(data: Path, tmp_path: Path, flatte
         with lossy():
             written(tmp_path / f"{name}.glb", read(data / "gltf" / f"{name}.glb"), flatten=flatten)
     validate(*sorted(tmp_path.iterdir()))
+
+
+def both(rig: Path) -> None:
+    """Move the tree as the body, under one root."""
+
+    def share(document: Json) -> None:
+        document["nodes"][5].update(mesh=0, skin=0)
+        document["nodes"] += [{"name": "all", "children": [0, 5]}]
+        document["scenes"] = [{"nodes": [6]}]
+
+    change(rig, share)
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_again_and_again_nothing_grows(rig: Path, tmp_path: Path, several: bool, suffix: str) -> None:
+    if several:
+        both(rig)
+    sizes, names, file = [], [], rig
+    for number in range(4):
+        with lossy():
+            sequence = read(file)
+        file = tmp_path / f"{number}{suffix}"
+        document = written(file, sequence).json
+        names.append((sequence.name, [each.path.rpartition("/")[2] for each in sequence.objects]))
+        sizes.append([file.stat().st_size, *(len(document[kind]) for kind in ("nodes", "accessors"))])
+    assert sizes[0] == sizes[1] == sizes[2] == sizes[3]
+    assert len({str(name) for name in names}) == 1
+
+
+def test_turned_triangles_leave_nothing_behind(rig: Path, tmp_path: Path) -> None:
+    def mirror(document: Json) -> None:
+        document["nodes"][0]["scale"] = [-1, 1, 1]
+        document["nodes"][1].pop("skin")
+
+    change(rig, mirror)
+    document = written(tmp_path / "new.glb", read(rig, prim="rig/body")).json
+    used = {number for sampler in document.get("animations", []) for number in sampler.values()}
+    for primitive in (each for mesh in document["meshes"] for each in mesh["primitives"]):
+        used |= {
+            *primitive["attributes"].values(),
+            *([primitive["indices"]] if "indices" in primitive else []),
+        }
+    assert used == set(range(len(document["accessors"])))
+
+
+def test_compression_that_is_gone_is_not_declared(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    def compress(document: Json) -> None:
+        document["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {}}
+        document["extensionsUsed"] = ["KHR_draco_mesh_compression", "KHR_mesh_quantization"]
+
+    change(rig, compress)
+    file = written(tmp_path / "new.glb", lifted)
+    assert file.json["extensionsUsed"] == ["KHR_mesh_quantization"]
+    assert "skins" not in file.json

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,6 +53,17 @@ def test_a_worker_is_used_again(new_workers: pytest.MonkeyPatch) -> None:
         process = reader._worker._process.pid  # type: ignore[attr-defined]
     with opened() as reader:
         assert reader._worker._process.pid == process  # type: ignore[attr-defined]
+
+
+def test_a_forked_process_has_workers_of_its_own(new_workers: pytest.MonkeyPatch) -> None:
+    with opened():
+        pass
+    assert len(isolation._idle) == 1
+    child = os.fork()
+    if not child:
+        os._exit(len(isolation._idle))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert len(isolation._idle) == 1
 
 
 @pytest.mark.parametrize("when", ["opening", "reading"])
@@ -114,3 +127,21 @@ def test_an_application_that_embeds_python_reads_itself(monkeypatch: pytest.Monk
     assert isolation.can_isolate()
     monkeypatch.setattr("sys.executable", "/opt/modeller/bin/modeller")
     assert not isolation.can_isolate()
+
+
+def test_an_interrupted_worker_answers_no_more(new_workers: pytest.MonkeyPatch) -> None:
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with opened("hang", "reading") as reader:
+            blocks = reader.blocks(2)
+            next(blocks)
+            signal.setitimer(signal.ITIMER_REAL, 0.1)
+            with pytest.raises(KeyboardInterrupt):
+                next(blocks)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    with opened() as reader:
+        assert [block[:, 0, 0].tolist() for block in reader.blocks(3)] == [[0, 0, 0], [3]]

@@ -158,6 +158,16 @@ def test_a_transform_that_starts_to_mirror(path: Path) -> None:
         read(path)
 
 
+def test_a_mirrored_mesh_that_pops_up(path: Path) -> None:
+    stage = make_stage(path)
+    scale = add_mesh(stage, "/mesh").AddScaleOp()
+    for code, value in ((1, 0.0), (2, -1.0), (3, -1.0)):
+        scale.Set(Gf.Vec3f(value, abs(value), abs(value)), code)
+    stage.Save()
+    # In its first frame, a single point, there is no telling.
+    assert (normals(read(path), 1)[:, 2] > 0).all()
+
+
 def test_no_mesh(path: Path) -> None:
     stage = make_stage(path)
     UsdGeom.Camera.Define(stage, "/cameras/left")
@@ -253,6 +263,24 @@ def test_references_are_followed_and_their_absence_is_told(path: Path, capfd: An
     with pytest.warns(MixseqWarning, match=r"USD reports: .*missing\.usdc"):
         read(path)
     assert capfd.readouterr().err == ""
+
+
+def test_links_are_not_followed_to_where_data_is_stored(path: Path, tmp_path: Path) -> None:
+    asset = make_stage(path.with_name("asset.usda"))
+    add_mesh(asset, "/asset/mesh")
+    asset.SetDefaultPrim(asset.GetPrimAtPath("/asset"))
+    asset.Save()
+    stage = make_stage(path)
+    stage.DefinePrim("/here").GetReferences().AddReference("./asset.usda")
+    stage.Save()
+    (tmp_path / "store").mkdir()
+    for number, file in enumerate((path, path.with_name("asset.usda"))):  # as git-annex and DVC do
+        file.rename(tmp_path / "store" / f"a1b2c3{number}")
+        file.symlink_to(tmp_path / "store" / f"a1b2c3{number}")
+    sequence = read(path)
+    assert sequence.objects[0].path == "/here/mesh"
+    assert sequence.surface.origin is not None
+    assert sequence.surface.origin.path == str(path)
 
 
 def test_unsaved_edits_of_the_process_are_not_read(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -277,6 +278,18 @@ def test_a_material_on_the_whole_mesh_is_bound_to_it(path: Path) -> None:
     assert UsdGeom.Subset.GetFamilyType(mesh, "materialBind") == TOKENS.nonOverlapping
 
 
+def test_names_that_no_prim_can_have(path: Path) -> None:
+    objects = (MeshObject("leg.L", "", 5, 2), MeshObject("leg.R", "", 3, 1))
+    points = np.concatenate([lift(), 5 + lift()[:, :3]], axis=1)
+    written = MeshSequence.from_arrays(points, FACES_OF_TWO, name="1st try")
+    save(
+        path,
+        MeshSequence(**{**header_fields(written), "surface": Surface(objects=objects), "points": points}),
+    )
+    got = load(path)
+    assert (got.name, [each.name for each in got.objects]) == ("1st try", ["leg.L", "leg.R"])
+
+
 def test_materials_that_overlap(path: Path) -> None:
     one, two, more = np.array([1]), np.array([1]), np.array([0])
     sets = (FaceSet("one", one, "one"), FaceSet("two", two, "two"), FaceSet("two", more))
@@ -351,7 +364,54 @@ def test_networks_that_leave_their_material(asset: Asset, path: Path) -> None:
         save(path, asset.read(), flatten=True)
 
 
+@pytest.mark.parametrize("folder", [".", "tiles"])
+def test_textures_of_many_tiles(asset: Asset, tmp_path: Path, folder: str) -> None:
+    (tmp_path / folder).mkdir(exist_ok=True)
+    (tmp_path / "below").mkdir()
+    for number in (1001, 1012):
+        (tmp_path / folder / f"wool.{number}.png").write_bytes(b"a tile")
+    paint(asset, f"./{folder}/wool.<UDIM>.png")
+    before = asset.read()
+    picture, flat = "/walker/Looks/wool/picture", tmp_path / "below" / "flat.usda"
+    stage = save(flat, before, flatten=True)
+    expected = Path("..") / folder / "wool.<UDIM>.png"
+    assert Path(stage.GetPrimAtPath(picture).GetAttribute("inputs:file").Get().path) == expected
+    one, two = (tmp_path / "below" / f"{name}.usdz" for name in ("one", "two"))
+    save(one, before, flatten=True)
+    save(two, load(one), flatten=True)  # from package to package
+    for package in (one, two):
+        names = zipfile.ZipFile(package).namelist()
+        assert [Path(name).name for name in names[1:]] == ["wool.1001.png", "wool.1012.png"]
+        assert not any(".." in name for name in names)
+        (file,) = {name.replace("1001", "<UDIM>").replace("1012", "<UDIM>") for name in names[1:]}
+        stage = Usd.Stage.Open(str(package))
+        assert stage.GetPrimAtPath(picture).GetAttribute("inputs:file").Get().path == file
+
+
 # Layers over other files
+
+
+def test_what_usd_takes_from_the_root_layer_only(asset: Asset, path: Path) -> None:
+    asset.stage.Save()
+    shot = Usd.Stage.CreateNew(str(path.with_name("shot.usda")))
+    UsdGeom.SetStageUpAxis(shot, "Z")
+    shot.SetTimeCodesPerSecond(1000)
+    shot.SetFramesPerSecond(25)
+    shot.SetStartTimeCode(-40)
+    shot.SetEndTimeCode(4000)
+    shot.SetMetadata("expressionVariables", {"ASSET": "asset"})
+    shot.DefinePrim("/hero").GetReferences().AddReference('`"./${ASSET}.usda"`')
+    shot.Save()
+    before = load(path.with_name("shot.usda"))
+    stage = save(path, before.with_points(before.points + 1))
+    np.testing.assert_array_equal(points_at(stage, "/hero/walker", 80), lift()[2] + 1)
+    assert not Sdf.Layer.FindOrOpen(str(path)).HasDefaultPrim()
+    assert (stage.GetFramesPerSecond(), stage.GetTimeCodesPerSecond()) == (25, 1000)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (-40, 4000)
+    later = MeshSequence.from_header(before.header.with_times([1, 2, 5], 50), before.points)
+    stage = save(path, later)  # the range is that of the shot, as long as the frames are in it
+    assert (stage.GetFramesPerSecond(), stage.GetTimeCodesPerSecond()) == (50, 50)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (-2, 250)
 
 
 def test_everything_else_of_the_file_stays(asset: Asset, path: Path) -> None:
@@ -431,6 +491,33 @@ def test_a_transform_without_inverse(asset: Asset, path: Path) -> None:
     np.testing.assert_array_equal(load(path).points, before.points)
 
 
+def test_a_transform_without_inverse_before_the_first_frame(asset: Asset, path: Path) -> None:
+    scale = asset.mesh.AddScaleOp()
+    for code, value in ((0, 0.0), (1, -2.0), (2, -2.0)):
+        scale.Set(Gf.Vec3f(value, 2, 2), code)
+    before = asset.read()
+    cut = MeshSequence.from_header(before.header.with_times(before.times[1:]), before.points[1:] + 1)
+    stage = save(path, cut)
+    np.testing.assert_allclose(world_points(stage, "/set/walker", 2), cut.points[-1])
+
+
+def test_meshes_without_points_or_faces(asset: Asset, path: Path) -> None:
+    for name, points in (("nothing", 0), ("dots", 5)):
+        mesh = UsdGeom.Mesh.Define(asset.stage, f"/set/rig/{name}")
+        mesh.CreateSubdivisionSchemeAttr("none")
+        mesh.CreatePointsAttr([(1, 1, 1)] * points)
+        mesh.CreateFaceVertexCountsAttr([])
+        mesh.CreateFaceVertexIndicesAttr([])
+    UsdSkel.Root.Define(asset.stage, "/set/rig")
+    before = asset.read("/")
+    assert [each.vertex_count for each in before.objects] == [5, 0, 5]
+    for options in ({}, {"flatten": True}):
+        save(path, before.with_points(before.points + 1), **options)
+        got = load(path, "/")
+        np.testing.assert_array_equal(got.points, before.points + 1)
+        assert [each.vertex_count for each in got.objects] == [5, 0, 5]
+
+
 def test_several_meshes_go_back_to_their_prims(asset: Asset, path: Path) -> None:
     hat = UsdGeom.Mesh.Define(asset.stage, "/set/hat")
     hat.AddTranslateOp().Set(Gf.Vec3d(0, 0, 3))
@@ -458,6 +545,11 @@ def test_velocities(asset: Asset, path: Path) -> None:
     np.testing.assert_allclose(got.Get(1), [[7, 0, 0]] * 5, atol=1e-6)
     turn.Set(0.0, 0)
     turn.Set(90.0, 2)
+    asset.mesh.SetResetXformStack(True)
+    asset.stage.Save()
+    stage = save(path, MeshSequence.from_header(header, before.points, speeds))
+    np.testing.assert_array_equal(mesh_at(stage, "/set/walker").GetVelocitiesAttr().Get(1), [[0, 7, 0]] * 5)
+    asset.mesh.SetResetXformStack(False)
     asset.stage.Save()
     with pytest.warns(MixseqWarning, match="velocities are left out where transforms move, too: /set/walker"):
         stage = save(path, MeshSequence.from_header(header, before.points, speeds))
@@ -606,6 +698,29 @@ def test_characters_are_not_moved_twice(asset: Asset, path: Path, scale: float) 
     np.testing.assert_allclose(np.array(box.GetMax()), written.points[2].max(axis=0), atol=1e-4)
     bake(stage)
     np.testing.assert_allclose(world_points(stage, "/set/rig/body", 2), written.points[2], atol=1e-5)
+
+
+@pytest.mark.parametrize("applied", [False, True])
+@pytest.mark.parametrize("options", [{}, {"clips": 2}])
+def test_a_binding_above_the_mesh_is_undone(
+    asset: Asset, path: Path, applied: bool, options: dict[str, Any]
+) -> None:
+    character(asset)
+    group = UsdGeom.Xform.Define(asset.stage, "/set/rig/props").GetPrim()
+    binding = UsdSkel.BindingAPI.Apply(group)
+    binding.CreateJointIndicesPrimvar(True, 1).Set([0])
+    binding.CreateJointWeightsPrimvar(True, 1).Set([1.0])
+    asset.stage.Save()
+    Sdf.CopySpec(
+        asset.stage.GetRootLayer(), "/set/walker", asset.stage.GetRootLayer(), "/set/rig/props/glove"
+    )
+    glove = asset.stage.GetPrimAtPath("/set/rig/props/glove")
+    if applied:
+        UsdSkel.BindingAPI.Apply(glove)
+    before = asset.read("/set/rig/props/glove")
+    np.testing.assert_allclose(before.points, lift() + np.arange(3)[:, None, None] * [0, 0, 1])
+    save(path, before, **options)
+    np.testing.assert_allclose(load(path, "/set/rig/props/glove").points, before.points)
 
 
 def test_the_bounds_of_a_skeleton_contain_its_other_meshes(asset: Asset, path: Path) -> None:
@@ -798,7 +913,7 @@ def test_clips_give_the_same_as_one_file(asset: Asset, path: Path, over: bool, l
     save(whole, written)
     stage, expected = save(path, written, clips=length), Usd.Stage.Open(str(whole))
     assert problems(stage) == set()
-    files = sorted(file.name for file in path.with_name("out.clips").iterdir())
+    files = sorted(file.name for file in path.with_name("out.usda.clips").iterdir())
     count = -(-7 // length)
     assert files == [*(f"out.{number:04d}.usdc" for number in range(1, count + 1)), "out.manifest.usdc"]
     one, other = mesh_at(stage, prim), mesh_at(expected, prim)
@@ -841,14 +956,38 @@ def test_clips_follow_the_shot_that_refers_to_them(path: Path) -> None:
 def test_clips_replace_older_ones(path: Path) -> None:
     save(path, shot(), clips=1)
     save(path, shot(lift() + 1), clips=2)
-    assert len(list(path.with_name("out.clips").iterdir())) == 3
-    assert sorted(file.name for file in path.parent.iterdir()) == ["out.clips", "out.usda"]
+    assert len(list(path.with_name("out.usda.clips").iterdir())) == 3
+    assert sorted(file.name for file in path.parent.iterdir()) == ["out.usda", "out.usda.clips"]
     np.testing.assert_array_equal(
-        Sdf.Layer.OpenAsAnonymous(str(path.with_name("out.clips") / "out.0002.usdc")).QueryTimeSample(
+        Sdf.Layer.OpenAsAnonymous(str(path.with_name("out.usda.clips") / "out.0002.usdc")).QueryTimeSample(
             "/mesh/mesh.points", 24
         ),
         lift()[2] + 1,
     )
+
+
+def test_files_of_one_name_have_clips_of_their_own(path: Path) -> None:
+    save(path, shot(), clips=1)
+    save(path.with_suffix(".usdc"), shot(lift() + 1), clips=2)
+    np.testing.assert_array_equal(load(path).points, lift())
+    np.testing.assert_array_equal(load(path.with_suffix(".usdc")).points, lift() + 1)
+
+
+@pytest.mark.parametrize("clips", [(2, 0), (0, 2), (2, 3)])
+@pytest.mark.parametrize("rates", [(24, 60), (60, 25)])
+def test_layers_over_layers(
+    asset: Asset, path: Path, clips: tuple[int, int], rates: tuple[float, float]
+) -> None:
+    before = asset.read()
+    between = path.with_name("between.usda")
+    header = before.header.with_times([0, 0.5, 1], rates[0])
+    save(between, MeshSequence.from_header(header, before.points + 1), clips=clips[0])
+    header = load(between).header.with_times(np.linspace(0, 2, 5), rates[1])
+    points = np.random.default_rng(1).normal(size=(5, 5, 3)).astype(np.float32)
+    save(path, MeshSequence.from_header(header, points), clips=clips[1])
+    got = load(path)
+    np.testing.assert_allclose(got.times, header.times, atol=1e-12)
+    np.testing.assert_array_equal(got.points, points)
 
 
 @pytest.mark.parametrize("earlier", [False, True])
@@ -872,14 +1011,14 @@ def test_nothing_half_written_stays(
         write_usd(path, shot().header, [points], clips=2)
     monkeypatch.undo()
     assert files() == before
-    assert not path.with_name("out.clips").exists() or earlier
+    assert not path.with_name("out.usda.clips").exists() or earlier
 
 
 def test_a_folder_of_clips_with_something_else_in_it(path: Path) -> None:
-    folder = path.with_name("out.clips")
+    folder = path.with_name("out.usda.clips")
     folder.mkdir()
     (folder / "notes.txt").write_text("keep me")
-    with pytest.raises(OutputError, match=r"out\.clips has other files than clips"):
+    with pytest.raises(OutputError, match=r"out\.usda\.clips has other files than clips"):
         save(path, shot(), clips=2)
     assert (folder / "notes.txt").read_text() == "keep me"
 

@@ -20,10 +20,11 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq_io.alembic.library import ERRORS, length, open_archive, values
 from mixseq_io.alembic.placement import Placement, determinant, moved, place
-from mixseq_io.alembic.scene import Mesh, choose_meshes, common_name
+from mixseq_io.alembic.scene import Mesh, choose_meshes
 from mixseq_io.alembic.surfaces import Source, read_piece
 from mixseq_io.alembic.timing import Times, Track, frame_rate, locate, merged, sample_times
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import common_name
 from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming, reading
 
@@ -61,7 +62,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
             vertex_count=parts[-1].source.vertices.stop,
             times=frames,
             fps=frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")),
-            name=common_name(meshes) or path.stem,
+            name=common_name([mesh.place for mesh in meshes]) or path.stem,
             surface=surface,
         )
         return _AlembicReader(path, header, parts, _have_velocities(path, parts))

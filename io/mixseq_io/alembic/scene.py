@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mixseq.errors import AmbiguousError, FormatError
+from mixseq.errors import FormatError
 from mixseq_io.alembic.library import Abc, AbcGeom
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import SceneObject, chosen, listed, moving
 
 _MOST_OBJECTS = 1_000_000
 _DEEPEST = 200
 """Deeper than any scene; instances of what they lie in would nest without end."""
-_NAMED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,8 @@ class Mesh:
     ----------
     node : IObject
         The object.
+    place : SceneObject
+        Its full name, its name, and what it is in.
     schema : IPolyMeshSchema or ISubDSchema
         What it consists of.
     above : tuple of IXformSchema
@@ -40,6 +42,7 @@ class Mesh:
     """
 
     node: Any
+    place: SceneObject
     schema: Any
     above: tuple[Any, ...]
     hidden: bool
@@ -48,12 +51,12 @@ class Mesh:
     @property
     def path(self) -> str:
         """Its full name."""
-        return str(self.node.getFullName())
+        return self.place.path
 
     @property
     def name(self) -> str:
         """Its own name."""
-        return str(self.node.getName())
+        return self.place.name
 
     @property
     def subdivided(self) -> bool:
@@ -78,8 +81,7 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
     archive : IArchive
         The archive.
     prim : str, optional
-        Full name of a mesh or of an object above it, or its own name if there is only one of it; "/" for all.
-        By default all that move, or all if none does.
+        See `mixseq_io.choosing.chosen`. By default all that move, or all if none does.
 
     Raises
     ------
@@ -100,31 +102,32 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
         )
         raise FormatError(f"{path} has no mesh; it has {found}. Export meshes, as PolyMesh or SubD")
     if prim is not None:
-        named = _below(path, meshes, prim)
-        chosen = [mesh for mesh in named if not mesh.hidden] or named
+        named = [meshes[i] for i in chosen(path, [mesh.place for mesh in meshes], prim)]
+        picked = [mesh for mesh in named if not mesh.hidden] or named
     else:
-        chosen = [mesh for mesh in meshes if not mesh.hidden]
-        if not chosen:
-            raise FormatError(f"{path}: its meshes are hidden; name one by prim: {_names(meshes)}")
-        moving = [mesh for mesh in chosen if mesh.moves]
-        still = [mesh for mesh in chosen if not mesh.moves]
-        if moving and still:
-            warn(f'{path}: {_names(still)} stand still and are left out; prim="/" takes them, too')
-            chosen = moving
-    flickering = [mesh for mesh in chosen if mesh.flickers]
+        shown = [mesh for mesh in meshes if not mesh.hidden]
+        if not shown:
+            hidden = listed([mesh.path for mesh in meshes])
+            raise FormatError(f"{path}: its meshes are hidden; name one by prim (--prim): {hidden}")
+        numbers = moving(path, [mesh.place for mesh in shown], [mesh.moves for mesh in shown])
+        picked = [shown[i] for i in numbers]
+    flickering = [mesh.path for mesh in picked if mesh.flickers]
     if flickering:
-        warn(f"{path}: {_names(flickering)} are hidden at times; they are taken as visible")
-    return chosen
+        warn(f"{path}: {listed(flickering)} are hidden at times; they are taken as visible")
+    return picked
 
 
 def _find(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
     """Return all meshes that have points, and how many objects of other kinds there are."""
     meshes: list[Mesh] = []
     others: Counter[str] = Counter()
-    stack: list[tuple[Any, tuple[Any, ...], bool, bool, int]] = [(archive.getTop(), (), False, False, 0)]
+    top = SceneObject("/", ())
+    stack: list[tuple[Any, SceneObject, tuple[Any, ...], bool, bool, int]] = [
+        (archive.getTop(), top, (), False, False, 0)
+    ]
     seen = 0
     while stack:
-        node, above, hidden, flickers, depth = stack.pop()
+        node, place, above, hidden, flickers, depth = stack.pop()
         seen += 1
         if depth > _DEEPEST or seen > _MOST_OBJECTS:
             raise FormatError(
@@ -142,45 +145,21 @@ def _find(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
             kind = AbcGeom.IPolyMesh if AbcGeom.IPolyMesh.matches(metadata) else AbcGeom.ISubD
             schema = kind(node, existing).getSchema()
             if schema.getPositionsProperty().getNumSamples():
-                meshes.append(Mesh(node, schema, above, hidden, flickers))
+                meshes.append(Mesh(node, place, schema, above, hidden, flickers))
         elif AbcGeom.IXform.matches(metadata):
             above = (AbcGeom.IXform(node, existing).getSchema(), *above)
         elif not AbcGeom.IFaceSet.matches(metadata) and metadata.get("schema"):
             others[metadata.get("schema").removeprefix("AbcGeom_").partition("_")[0]] += 1
         children = [node.getChild(index) for index in range(node.getNumChildren())]
-        stack += [(child, above, hidden, flickers, depth + 1) for child in reversed(children)]
-    return meshes, others
-
-
-def _below(path: Path, meshes: list[Mesh], prim: str) -> list[Mesh]:
-    """Return the meshes at or below the object called `prim`."""
-    root = "/" + prim.strip("/")
-    if not prim.startswith("/"):
-        parts = [mesh.path.split("/") for mesh in meshes]
-        places = {"/".join(names[: names.index(prim) + 1]) for names in parts if prim in names}
-        if len(places) > 1:
-            raise AmbiguousError(
-                f"{path}: {prim!r} is in several places, {', '.join(sorted(places)[:_NAMED])}; name one"
+        stack += [
+            (
+                child,
+                SceneObject(str(child.getFullName()), (str(child.getName()),), place),
+                above,
+                hidden,
+                flickers,
+                depth + 1,
             )
-        root = min(places, default=root)
-    found = [mesh for mesh in meshes if root in ("/", mesh.path) or mesh.path.startswith(root + "/")]
-    if not found:
-        raise FormatError(f"{path}: there is no mesh at or below {prim!r}; its meshes are {_names(meshes)}")
-    return found
-
-
-def _names(meshes: list[Mesh]) -> str:
-    more = f" and {len(meshes) - _NAMED} more" if len(meshes) > _NAMED else ""
-    return ", ".join(mesh.path for mesh in meshes[:_NAMED]) + more
-
-
-def common_name(meshes: list[Mesh]) -> str:
-    """Return the name of the one mesh, or of the deepest object above all; "" if that is the archive."""
-    if len(meshes) == 1:
-        return meshes[0].name
-    shared = ""
-    for names in zip(*(mesh.path.split("/") for mesh in meshes), strict=False):
-        if len(set(names)) > 1:
-            break
-        shared = names[0]
-    return shared
+            for child in reversed(children)
+        ]
+    return meshes, others

@@ -1,7 +1,7 @@
 """What is on a mesh: its faces, texture coordinates, creases and face sets.
 
-Alembic lists the corners of a face clockwise seen from outside. Values on a mesh come per face, vertex or corner (its
-"scope"), with or without indices.
+Alembic lists the corners of a face clockwise seen from outside; applications write them from the last to the first.
+Values on a mesh come per face, vertex or corner (its "scope"), with or without indices.
 
 Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``, ``IGeomParam``, ``IFaceSet``)
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import creases_of_normals
-from mixseq.polygons import IntArray, Polygons
+from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
 from mixseq_io.alembic.scene import Mesh
@@ -27,19 +27,6 @@ from mixseq_io.blocks import warn
 from mixseq_io.pieces import Piece
 
 _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
-
-
-def reversing(polygons: Polygons) -> IntArray:
-    """Return the order of the corners that turns every polygon around: corner ``c`` becomes the old ``order[c]``.
-
-    Examples
-    --------
-    >>> reversing(Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 7, 8, 9]))).tolist()
-    [3, 2, 1, 0, 6, 5, 4]
-    """
-    starts = np.cumsum(polygons.counts) - polygons.counts
-    last = np.repeat(2 * starts + polygons.counts - 1, polygons.counts)
-    return np.asarray(last - np.arange(len(last)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +74,11 @@ def read_piece(source: Source) -> Piece:
     stored = Polygons(
         _constant(source, schema.getFaceCountsProperty()), _constant(source, schema.getFaceIndicesProperty())
     )
-    order = np.arange(stored.indices.size) if source.mirrored else reversing(stored)
+    order = (
+        np.arange(stored.indices.size)
+        if source.mirrored
+        else reversed_corners(stored.counts, keep_first=False)
+    )
     polygons = Polygons(stored.counts, stored.indices[order])
     uvs, creases = _texture_coordinates(source, stored), None
     if not mesh.subdivided:

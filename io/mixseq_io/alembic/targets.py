@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from mixseq.geometry.normals import shared_normals
-from mixseq.polygons import FloatArray, IntArray
+from mixseq.polygons import FloatArray, IntArray, reversed_corners
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, array_of, imath
-from mixseq_io.alembic.surfaces import reversing
 from mixseq_io.pieces import Piece
 
 _SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
@@ -94,7 +93,7 @@ class Target:
 
     @cached_property
     def _order(self) -> IntArray:
-        return reversing(self.piece.polygons)
+        return reversed_corners(self.piece.polygons.counts, keep_first=False)
 
     @cached_property
     def _corners(self) -> Any:

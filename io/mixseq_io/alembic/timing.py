@@ -121,7 +121,8 @@ def frame_rate(times: Times, declared: str) -> float:
     """
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
     even = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
-    rate = _plain(1 / step, 1e-12) if even else 0.0
+    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)  # late times are less precise
+    rate = _plain(1 / step, 1e-12 + rounding) if even else 0.0
     try:
         said = float(declared or 0)
     except ValueError:

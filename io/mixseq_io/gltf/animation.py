@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import listed
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.scene import Pose
+from mixseq_io.gltf.timing import time_tolerance
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
@@ -48,9 +50,9 @@ class Channel:
     @property
     def moves(self) -> bool:
         """Whether the property changes at all."""
-        return bool(
-            (self.values[1:] != self.values[:-1]).any() or (self.values.ndim == 3 and self.values.any())
-        )
+        at_keys = self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
+        tangents = self.values[:, ::2] if self.interpolation == "CUBICSPLINE" else self.values[:0]
+        return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values ``(B, k)`` at times ``(B,)``; before the first key and after the last they hold still."""
@@ -60,7 +62,9 @@ class Channel:
         s = np.clip((times - self.times[before]) / np.where(step > 0, step, 1.0), 0.0, 1.0)[:, None]
         first, second = self.values[before].astype(np.float64), self.values[after].astype(np.float64)
         if self.interpolation == "STEP":
-            return np.where(s < 1, first, second)
+            # Keys are float32: frames at a rate may be just before the key that they are meant for.
+            almost = (s > 0) & ((self.times[after] - times)[:, None] <= time_tolerance(times)[:, None])
+            return np.where((s < 1) & ~almost, first, second)
         if self.interpolation == "CUBICSPLINE":
             return hermite(
                 first[:, 1], step[:, None] * first[:, 2], second[:, 1], step[:, None] * second[:, 0], s
@@ -136,10 +140,9 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
     if choice is None:
         if len(animations) > 1:
-            others = ", ".join(map(repr, names[1:21])) + (" ..." if len(names) > 21 else "")
             warn(
                 f"{document.path}: of {len(names)} animations the first, {names[0]!r}, is read; the option animation "
-                f"chooses another one: {others}"
+                f"chooses another one: {listed(names[1:])}"
             )
         return animations[0] if animations else None
     if choice in names:
@@ -147,8 +150,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     number = str(choice)
     if number.isdecimal() and len(number) < 10 and int(number) < len(animations):
         return animations[int(number)]
-    there = ", ".join(map(repr, names[:20])) + (" ..." if len(names) > 20 else "") if names else "none"
-    raise SettingsError(f"{document.path} has no animation {choice!r}; there are {there}")
+    raise SettingsError(f"{document.path} has no animation {choice!r}; there are {listed(names) or 'none'}")
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:

@@ -4,7 +4,8 @@ Kept are materials, textures, images, samplers, cameras, lights, other meshes, a
 that change: the meshes of the sequence get new positions and normals (normals only where they had some, else they
 would look smoother), and lose skins, morph targets, tangents. Triangles, strips and fans stay as they are, and the
 vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Since points
-are in world space, the nodes of these meshes become roots of the scene. What hung below them stays where it was.
+are in world space, the nodes of these meshes become a root of the scene, or several below one. What hung below them
+stays where it was. A file that is written again and again has one such root, and does not grow.
 
 All animations of the file are replaced by the sequence. What nothing refers to any more is taken out.
 """
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import listed
 from mixseq_io.gltf.buffers import GENERATOR, INDICES, Json, Layout, append
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.extensions import COMPRESSIONS
@@ -29,14 +31,14 @@ from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.images import embed_images
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
 from mixseq_io.gltf.primitives import Primitive
-from mixseq_io.gltf.pruning import prune
-from mixseq_io.gltf.roots import detach, moved_by_animations
+from mixseq_io.gltf.pruning import prune, used_extensions
+from mixseq_io.gltf.roots import detach, moved_by_animations, vacant
 from mixseq_io.gltf.scene import Scene, read_scene
 from mixseq_io.gltf.standalone import add_vertex_numbers, group
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.pieces import Piece, split
 
-_OF_OLD_POSITIONS = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_")
+_REPLACED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
 _TRIANGLES = 4
 
 
@@ -119,7 +121,8 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     Warns
     -----
     MixseqWarning
-        If something of the file is lost: animations of something else, points and lines.
+        If something of the file is lost: other animations, points and lines; or if data that may be of
+        no use is kept, see `prune`.
     """
     scene = read_scene(document)
     places = find_places(document, scene, header)
@@ -128,14 +131,17 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     meshes = [_new_mesh(carried, document, place) for place in places]
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
+    above = {scene.parents[place.node] for place in places}
     for place in places:
         detach(carried, place.node)
-    root = group(carried, [place.node for place in places], header)
+    root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
     for each in shown_in:
-        each.setdefault("nodes", []).append(root)
+        if root not in each.setdefault("nodes", []):
+            each["nodes"].append(root)
     carried["asset"]["generator"] = GENERATOR
     json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written: better to know it now
-    layout = _with_data(prune(carried), document)
+    prune(document.path, carried)
+    layout = _with_data(carried, document)
     for place, mesh in zip(places, meshes, strict=True):
         for primitive, moving in zip(place.weld.primitives, mesh.primitives, strict=True):
             add_vertex_numbers(layout, moving, place.weld.count)
@@ -148,12 +154,12 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
 def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:
     animations = carried.pop("animations", [])
     others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
-    if others:
-        names = ", ".join(repr(scene.paths[node]) for node in sorted(others)[:20])
-        warn(
-            f"{document.path}: its animations are replaced by that of the sequence; what else they moved will stand "
-            f"still: {names}"
-        )
+    if len(animations) < 2 and not others:
+        return
+    names = [each.get("name") or f"animation {number}" for number, each in enumerate(animations)]
+    still = [scene.paths[node] for node in sorted(others)]
+    rest = f"; what else they moved will stand still: {listed(still)}" if still else ""
+    warn(f"{document.path}: the sequence takes the place of all its animations, {listed(names)}{rest}")
 
 
 def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
@@ -167,6 +173,8 @@ def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
         entry = deepcopy(old["primitives"][primitive.number])
         corners = slice(corner, corner + primitive.triangles.size)
         normals = _groups(place, primitive, corners) if "NORMAL" in entry["attributes"] else None
+        if place.mirrored:
+            entry.pop("indices", None)
         moving.append(MovingPrimitive(_without_positions(entry), vertices, normals))
         corner = corners.stop
     mesh = {key: value for key, value in old.items() if key != "weights"}
@@ -189,9 +197,7 @@ def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.in
 
 def _without_positions(entry: Json) -> Json:
     attributes = {
-        name: accessor
-        for name, accessor in entry["attributes"].items()
-        if not name.startswith(_OF_OLD_POSITIONS)
+        name: accessor for name, accessor in entry["attributes"].items() if not name.startswith(_REPLACED)
     }
     kept = _uncompressed({key: value for key, value in entry.items() if key != "targets"})
     return {**kept, "attributes": attributes}
@@ -204,7 +210,7 @@ def _with_data(carried: Json, document: Document) -> Layout:
     for number, view in enumerate(views):
         fields = Fields(document.path, f"bufferViews[{number}]", view)
         start, length = fields.integer("byteOffset", 0), fields.integer("byteLength")
-        data = memoryview(document.buffer(fields.integer("buffer")))[start : start + length]
+        data = document.buffer(fields.integer("buffer")).read(start, length)
         if len(data) != length:
             raise fields.error("goes beyond its buffer; the file is damaged")
         rest = {
@@ -212,6 +218,10 @@ def _with_data(carried: Json, document: Document) -> Layout:
         }
         layout.add([data], length, **_uncompressed(rest))
     embed_images(layout, document)
+    unused = set(COMPRESSIONS) - used_extensions(carried)
+    declared = [name for name in carried.pop("extensionsUsed", []) if name not in unused]
+    if declared:
+        carried["extensionsUsed"] = declared
     return layout
 
 

@@ -12,33 +12,35 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from mixseq.errors import FormatError
+from mixseq_io.gltf.data import Data, data_in_memory, data_of_file
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.reader import reading
 
 
-def chunks(path: Path, content: bytes) -> tuple[bytes, bytes | None]:
+def chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
     """Return the JSON and the binary chunk of a .glb."""
-    if len(content) < 20:
-        raise FormatError(f"{path} has {len(content)} bytes, too few for a .glb; it is truncated")
-    version, length = struct.unpack_from("<II", content, 4)
+    if data.size < 20:
+        raise FormatError(f"{path} has {data.size} bytes, too few for a .glb; it is truncated")
+    version, length = struct.unpack("<II", data.read(4, 8))
     if version != 2:
         raise FormatError(f"{path} is a .glb of version {version}; version 2 is read, convert it first")
-    if length > len(content):
-        raise FormatError(f"{path} has {len(content)} bytes of {length}; it is truncated")
-    found: list[tuple[bytes, bytes]] = []
+    if length > data.size:
+        raise FormatError(f"{path} has {data.size} bytes of {length}; it is truncated")
+    found: list[tuple[bytes, Data]] = []
     offset = 12
     while offset + 8 <= length and len(found) < 2:
-        size, kind = struct.unpack_from("<I4s", content, offset)
+        size, kind = struct.unpack("<I4s", data.read(offset, 8))
         if offset + 8 + size > length:
             raise FormatError(f"{path}: a chunk of {size} bytes goes beyond the end; the file is damaged")
-        found.append((kind, content[offset + 8 : offset + 8 + size]))
+        found.append((kind, data.part(offset + 8, size)))
         offset += 8 + size
     if not found or found[0][0] != b"JSON":
         raise FormatError(f"{path} has no JSON where a .glb begins; it is damaged")
-    return found[0][1], found[1][1] if len(found) > 1 and found[1][0] == b"BIN\0" else None
+    text = found[0][1]
+    return text.read(0, text.size), found[1][1] if len(found) > 1 and found[1][0] == b"BIN\0" else None
 
 
-def bytes_of_uri(buffer: Fields, uri: str) -> bytes:
+def data_of_uri(buffer: Fields, uri: str) -> Data:
     """Return the bytes of a data URI, or of a file beside.
 
     Parameters
@@ -58,7 +60,7 @@ def bytes_of_uri(buffer: Fields, uri: str) -> bytes:
         if not header.endswith(";base64"):
             raise buffer.error("is a data URI without base64; it is damaged")
         try:
-            return base64.b64decode(data, validate=True)
+            return data_in_memory(base64.b64decode(data, validate=True))
         except (binascii.Error, ValueError):
             raise buffer.error("is a data URI that is not base64; it is damaged") from None
     name, folder = unquote(uri), buffer.file.parent.resolve()
@@ -75,4 +77,4 @@ def bytes_of_uri(buffer: Fields, uri: str) -> bytes:
             raise buffer.error(
                 f"is in {name[:80]!r}, which is not a file beside {buffer.file.name}; put it there"
             )
-        return file.read_bytes()
+        return data_of_file(file)

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.gltf.containers import bytes_of_uri, chunks
+from mixseq_io.gltf.containers import chunks, data_of_uri
+from mixseq_io.gltf.data import Data, data_of_file
 from mixseq_io.gltf.extensions import check_extensions
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.reader import reading
@@ -47,7 +48,7 @@ _KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file in memory.
+    """A glTF file: its JSON in memory, its numbers where they are.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ class Document:
         The file.
     json : dict
         Its JSON, as it stands.
-    chunk : bytes or None
+    chunk : Data or None
         The binary chunk of a .glb, which is its first buffer.
     size : int
         Bytes of the file.
@@ -63,10 +64,10 @@ class Document:
 
     path: Path
     json: dict[str, Any]
-    chunk: bytes | None
+    chunk: Data | None
     size: int
     _items: dict[str, list[Fields]] = field(default_factory=dict, repr=False)
-    _buffers: dict[int, bytes] = field(default_factory=dict, repr=False)
+    _buffers: dict[int, Data] = field(default_factory=dict, repr=False)
 
     @property
     def top(self) -> Fields:
@@ -128,7 +129,7 @@ class Document:
     @cached_property
     def data_size(self) -> int:
         """Bytes of the file and its buffers."""
-        return self.size + sum(len(self.buffer(index)) for index in range(len(self.items("buffers"))))
+        return self.size + sum(self.buffer(index).size for index in range(len(self.items("buffers"))))
 
     def check_effort(self, numbers: int, what: str) -> None:
         """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count.
@@ -144,7 +145,7 @@ class Document:
                 "or repeats one mesh too often: choose fewer with prim"
             )
 
-    def buffer(self, index: int) -> bytes:
+    def buffer(self, index: int) -> Data:
         """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside.
 
         Raises
@@ -156,35 +157,36 @@ class Document:
             self._buffers[index] = self._read_buffer(index)
         return self._buffers[index]
 
-    def _read_buffer(self, index: int) -> bytes:
+    def _read_buffer(self, index: int) -> Data:
         buffer = self.item("buffers", index)
         length = buffer.integer("byteLength")
         if "uri" in buffer:
-            data = bytes_of_uri(buffer, buffer.text("uri"))
+            data = data_of_uri(buffer, buffer.text("uri"))
         elif index == 0 and self.chunk is not None:
             data = self.chunk
         else:
             raise buffer.error("has no data; it is compressed or kept elsewhere, export it with its data")
-        if length > len(data):
-            raise buffer.error(f"has {len(data)} bytes of {length}; it is truncated")
-        return data[:length]
+        if length > data.size:
+            raise buffer.error(f"has {data.size} bytes of {length}; it is truncated")
+        return data.part(0, length)
 
     def _numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
-        """Return a view of the bytes that an accessor, or a part of a sparse one, points at."""
+        """Return the numbers that an accessor, or a part of a sparse one, points at."""
         view = self.item("bufferViews", owner.integer("bufferView"))
         data = self.buffer(view.integer("buffer"))
         start, length = view.integer("byteOffset", 0), view.integer("byteLength")
         element = dtype.itemsize * shape[1]
         stride, offset = view.integer("byteStride", element), owner.integer("byteOffset", 0)
-        if start + length > len(data) or stride < element:
-            raise view.error(f"does not fit its buffer of {len(data)} bytes; the file is damaged")
+        if start + length > data.size or stride < element:
+            raise view.error(f"does not fit its buffer of {data.size} bytes; the file is damaged")
         if shape[0] and offset + stride * (shape[0] - 1) + element > length:
             raise owner.error(
                 f"has {shape[0]} elements, more than its {length} bytes hold; the file is damaged"
             )
         if not shape[0]:
             return np.empty(shape, dtype)
-        return np.ndarray(shape, dtype, data, start + offset, (stride, dtype.itemsize))
+        content = data.read(start + offset, stride * (shape[0] - 1) + element)
+        return np.ndarray(shape, dtype, content, 0, (stride, dtype.itemsize))
 
     def _with_sparse(self, accessor: Fields, values: NDArray[Any]) -> NDArray[Any]:
         sparse = accessor.object("sparse")
@@ -210,8 +212,9 @@ def load_document(path: Path) -> Document:
         If the file is missing, damaged, of another version, or needs an extension that is not known here.
     """
     with reading(path, "glTF"):
-        content = path.read_bytes()
-    text, chunk = chunks(path, content) if content.startswith(b"glTF") else (content, None)
+        data = data_of_file(path)
+        binary = data.read(0, 4) == b"glTF"
+        text, chunk = chunks(path, data) if binary else (data.read(0, data.size), None)
     with reading(path, "glTF", ValueError, RecursionError):
         parsed = json.loads(text.decode("utf-8-sig"))
     if not isinstance(parsed, dict):
@@ -223,7 +226,7 @@ def load_document(path: Path) -> Document:
             f"{path} is glTF version {version or 'unknown'}; version 2 is read, convert it first"
         )
     check_extensions(top)
-    return Document(path, parsed, chunk, len(content), {kind: top.objects(kind) for kind in _KINDS})
+    return Document(path, parsed, chunk, data.size, {kind: top.objects(kind) for kind in _KINDS})
 
 
 def _layout(accessor: Fields) -> tuple[np.dtype[Any], int]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from mixseq.errors import FormatError
 from mixseq_io.blocks import warn
 from mixseq_io.gltf.buffers import Layout
-from mixseq_io.gltf.containers import bytes_of_uri
+from mixseq_io.gltf.containers import data_of_uri
+from mixseq_io.gltf.data import Data
 from mixseq_io.gltf.document import Document
 
 _BEGINNINGS = {
@@ -30,7 +31,7 @@ def embed_images(layout: Layout, document: Document) -> None:
         if uri.startswith("data:"):
             continue
         try:
-            data = bytes_of_uri(image, uri)
+            data = _content(data_of_uri(image, uri))
             mime_type = _type_of(data)
             if not mime_type:
                 raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
@@ -39,6 +40,10 @@ def embed_images(layout: Layout, document: Document) -> None:
             continue
         del entry["uri"]
         entry.update(bufferView=layout.add([data], len(data)), mimeType=mime_type)
+
+
+def _content(data: Data) -> bytes:
+    return data.read(0, data.size)
 
 
 def _type_of(data: bytes) -> str:

@@ -80,7 +80,7 @@ class Morphs:
         """Add the animation that steps through the targets."""
         if header.frame_count == 1:
             return
-        keys = key_times(header)
+        keys = float_times(header)
         times = layout.add_array(keys)
         layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
         count = len(keys) * (len(keys) - 1)
@@ -151,7 +151,7 @@ class Morphs:
         writer.put(start, chunks)
 
 
-def key_times(header: SequenceHeader) -> NDArray[np.float32]:
+def float_times(header: SequenceHeader) -> NDArray[np.float32]:
     """Return the times of the keys ``(T,)``: glTF's begin at 0 or later, and are float32.
 
     Raises

@@ -7,11 +7,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import AmbiguousError, FormatError
 from mixseq.geometry.normals import creases_of_normals
 from mixseq.polygons import IntArray, Polygons
 from mixseq.surface import CornerValues, FaceSet
-from mixseq_io.blocks import warn
+from mixseq_io.choosing import chosen, moving
 from mixseq_io.gltf.animation import Channel
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.primitives import Primitive
@@ -20,15 +19,13 @@ from mixseq_io.gltf.skinning import Shape, bearers
 from mixseq_io.pieces import Piece
 
 
-def chosen_nodes(document: Document, scene: Scene, having: Sequence[int], prim: str) -> list[int]:
-    """Return the nodes with meshes at or below a path, or a node's or mesh's name.
+def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
+    """Return the nodes with meshes that `prim` means, or all; those that are hidden only if there are no others.
 
     Parameters
     ----------
-    having : sequence of int
-        The nodes with meshes, in order.
-    prim : str
-        The path, see `Scene.paths`; "/" is everything.
+    prim : str or None
+        See `mixseq_io.choosing.chosen`.
 
     Raises
     ------
@@ -37,32 +34,14 @@ def chosen_nodes(document: Document, scene: Scene, having: Sequence[int], prim: 
     AmbiguousError
         If several have that name.
     """
-    path = prim.strip("/")
-    if not path:
-        return list(having)
-    paths = [node for node, own in scene.paths.items() if own == path]
-    names = [node for node in scene.paths if scene.nodes[node].text("name") == prim]
-    meshes = [node for node in having if mesh_name(document, scene, node) == prim]
-    for found in (paths, names, meshes):
-        below = [node for node in having if set(scene.above(node)) & set(found)]
-        if below and len(found) > 1:
-            several = ", ".join(repr(scene.paths[node]) for node in found[:20])
-            raise AmbiguousError(
-                f"{document.path}: {prim!r} is the name of {len(found)} nodes; give a path: {several}"
-            )
-        if below:
-            return below
-    there = ", ".join(repr(scene.paths[node]) for node in having[:20]) + (" ..." if len(having) > 20 else "")
-    raise FormatError(f"{document.path} has no mesh at {prim!r}; there are {there}")
-
-
-def mesh_name(document: Document, scene: Scene, node: int) -> str:
-    """Return the name of a node's mesh."""
-    return document.item("meshes", scene.nodes[node].integer("mesh")).text("name")
+    nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
+    if prim is not None:
+        nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
+    return [node for node in nodes if node not in scene.hidden] or nodes
 
 
 def moving_nodes(
-    document: Document, scene: Scene, having: Sequence[int], channels: Collection[Channel]
+    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[int]:
     """Return the nodes whose meshes move; all if none does.
 
@@ -73,20 +52,11 @@ def moving_nodes(
     """
     moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
     morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
-    moving = [
-        node
-        for node in having
-        if node in morphed or moved & scene.with_above(bearers(document, scene.nodes[node], node))
+    moves = [
+        node in morphed or not moved.isdisjoint(scene.with_above(bearers(document, scene.nodes[node], node)))
+        for node in nodes
     ]
-    still = [node for node in having if node not in moving]
-    if moving and still:
-        names = ", ".join(repr(scene.paths[node]) for node in still[:20]) + (
-            " ..." if len(still) > 20 else ""
-        )
-        warn(
-            f"{document.path}: {len(still)} meshes stand still and are left out: {names}; prim='/' takes them, too"
-        )
-    return moving or list(having)
+    return [nodes[i] for i in moving(document.path, [scene.objects[node] for node in nodes], moves)]
 
 
 def piece_of(document: Document, shape: Shape, first: int, mirrored: bool) -> Piece:
@@ -108,11 +78,10 @@ def piece_of(document: Document, shape: Shape, first: int, mirrored: bool) -> Pi
         ]
     ).reshape(-1)
     polygons = Polygons.from_triangles(weld.faces[:, order])
-    name = scene.nodes[shape.node].text("name") or mesh_name(document, scene, shape.node)
-    path = scene.paths[shape.node]
+    found = scene.objects[shape.node]
     return Piece(
-        name=name or path.rpartition("/")[2],
-        path=path,
+        name=found.name or found.path.rpartition("/")[2],
+        path=found.path,
         vertices=slice(first, first + weld.count),
         polygons=polygons,
         uvs=_uvs(weld.primitives, corners),
@@ -126,8 +95,9 @@ def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | N
     found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
     if all(each is None for each in found):
         return None
+    flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
     values = [
-        np.zeros((len(each.positions), 2)) if uvs is None else np.column_stack([uvs[:, 0], 1 - uvs[:, 1]])
+        np.zeros((len(each.positions), 2)) if uvs is None else uvs * flip + up
         for each, uvs in zip(primitives, found, strict=True)
     ]
     rows, indices = np.unique(np.concatenate(values), axis=0, return_inverse=True)
@@ -153,14 +123,13 @@ def _creases(
 
 
 def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[FaceSet, ...]:
+    """Return a face set for every primitive with a material: that is what glTF has primitives for."""
     face_sets, count = [], 0
     for each in primitives:
         polygons = np.arange(count, count + len(each.triangles))
         count += len(each.triangles)
         index = each.fields.index("material")
-        if index is None:
-            face_sets.append(FaceSet(f"primitive {each.number}", polygons))
-        else:
+        if index is not None:
             name = document.item("materials", index).text("name") or f"material {index}"
             face_sets.append(FaceSet(name, polygons, name))
     return tuple(face_sets)

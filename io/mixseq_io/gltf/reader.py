@@ -8,7 +8,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +18,17 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import common_name
 from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
 from mixseq_io.gltf.primitives import primitives_of
-from mixseq_io.gltf.scene import Pose, Scene, read_scene
+from mixseq_io.gltf.scene import Matrices, Pose, Scene, read_scene
 from mixseq_io.gltf.skinning import Shape, bearers, read_shape
 from mixseq_io.gltf.timing import key_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
-from mixseq_io.pieces import Piece, join
+from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
 
 
@@ -63,8 +64,7 @@ def open_gltf(
     with naming(path), np.errstate(all="ignore"):
         document = load_document(path)
         scene = read_scene(document)
-        having = [node for node in scene.paths if "mesh" in scene.nodes[node]]
-        nodes = having if prim is None else chosen_nodes(document, scene, having, prim)
+        nodes = chosen_nodes(document, scene, prim)
         chosen = choose_animation(document, animation)
         channels = read_channels(document, chosen, _influencing(document, scene, nodes))
         if prim is None:
@@ -72,13 +72,15 @@ def open_gltf(
             influencing = _influencing(document, scene, nodes)
             channels = [channel for channel in channels if channel.node in influencing]
         shapes = _shapes(document, scene, nodes, channels)
+        name = common_name([scene.objects[shape.node] for shape in shapes]) or path.stem
         keys = key_times(channel.times for channel in channels)
         times = keys if fps is None else sampled_times(path, keys, fps)
         if not times.size:
             times = np.zeros(1)
         rate = fps or _told_rate(chosen) or rate_of(times)
-        mirrored = [bool(shape.handedness(pose_at(channels, times[:1]))[0] < 0) for shape in shapes]
-        return _GltfReader(document, shapes, mirrored, channels, times, rate)
+        world = _world(scene, shapes, pose_at(channels, times[:1]))
+        mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
+        return _GltfReader(document, name, shapes, mirrored, channels, times, rate)
 
 
 def _influencing(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
@@ -132,6 +134,11 @@ def _welded(document: Document, mesh: int) -> Weld | None:
     return weld(document, mesh) if primitives else None
 
 
+def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Matrices]:
+    """Return the matrices of all nodes that bear meshes, which have many nodes above them in common."""
+    return scene.world((node for shape in shapes for node in shape.bearers), pose)
+
+
 def _told_rate(animation: Fields | None) -> float | None:
     """Return the rate that files written by mixseq tell, where the times of frames need not."""
     extras = {} if animation is None else animation.values.get("extras")
@@ -147,6 +154,7 @@ class _GltfReader(SequenceReader):
     def __init__(
         self,
         document: Document,
+        name: str,
         shapes: Sequence[Shape],
         mirrored: Sequence[bool],
         channels: Sequence[Channel],
@@ -165,7 +173,7 @@ class _GltfReader(SequenceReader):
             vertex_count=ends[-1],
             times=times,
             fps=rate,
-            name=_common_name(path, pieces),
+            name=name,
             surface=surface,
         )
         super().__init__(path, header)
@@ -176,25 +184,17 @@ class _GltfReader(SequenceReader):
             times = self.header.times[start : start + size]
             with np.errstate(all="ignore"):
                 pose = pose_at(self._channels, times)
-                self._check_handedness(pose, start)
-                points = [shape.points(pose, len(times)).astype(np.float32) for shape in self._shapes]
+                world = _world(self._shapes[0].scene, self._shapes, pose)
+                self._check_handedness(world, start)
+                points = [shape.points(pose, world, len(times)).astype(np.float32) for shape in self._shapes]
             yield np.concatenate(points, axis=1)
 
-    def _check_handedness(self, pose: Pose, first: int) -> None:
+    def _check_handedness(self, world: Mapping[int, Matrices], first: int) -> None:
         for shape, mirrored in zip(self._shapes, self._mirrored, strict=True):
-            turned = shape.handedness(pose) * (-1 if mirrored else 1) < 0
+            turned = shape.handedness(world) * (-1 if mirrored else 1) < 0
             if turned.any() and shape.skin is None:
                 raise InvalidSequenceError(
                     f"{self.path}: frame {first + int(np.argmax(turned))}: {shape.scene.paths[shape.node]!r} is "
                     "mirrored relative to the first frame, which turns its faces inside out; give the animated scale "
                     "one sign"
                 )
-
-
-def _common_name(path: Path, pieces: Sequence[Piece]) -> str:
-    """Return the name of the only mesh, of the deepest node above all meshes, or of the file."""
-    if len(pieces) == 1:
-        return pieces[0].name
-    above = [piece.path.split("/")[:-1] for piece in pieces]
-    common = [names[0] for names in zip(*above, strict=False) if len(set(names)) == 1]
-    return common[-1] if common else path.stem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from mixseq_io.gltf.buffers import Json, append
 from mixseq_io.gltf.scene import Scene
@@ -10,6 +10,7 @@ from mixseq_io.gltf.scene import Scene
 _OF_THE_MESH = ("name", "mesh", "extras")
 _OF_THE_OLD_MESH = ("skin", "weights")
 _WORTH_A_NODE = ("children", "camera", "extensions")
+_OF_A_GROUP = {"name", "matrix", "translation", "rotation", "scale"}
 
 
 def detach(document: Json, node: int) -> None:
@@ -42,6 +43,20 @@ def detach(document: Json, node: int) -> None:
         skin["joints"] = [place[0] if joint == node else joint for joint in skin["joints"]]
         if skin.get("skeleton") == node:
             skin["skeleton"] = place[0]
+
+
+def vacant(document: Json, scene: Scene, above: Collection[int]) -> int | None:
+    """Return the node that was above all that was detached if it is a root and of no more use, else None.
+
+    Where a file was written by mixseq, that is the one which `group` had made.
+    """
+    if len(above) != 1 or min(above) < 0 or scene.parents[min(above)] >= 0:
+        return None
+    (node,) = above
+    joints = {
+        joint for skin in document.get("skins", ()) for joint in (*skin["joints"], skin.get("skeleton"))
+    }
+    return node if node not in joints and set(document["nodes"][node]) <= _OF_A_GROUP else None
 
 
 def _replace(owner: Json, key: str, node: int, place: Sequence[int]) -> None:

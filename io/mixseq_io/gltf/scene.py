@@ -5,12 +5,14 @@ Matrices act on column vectors, ``p' = M p``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq_io.choosing import SceneObject
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.fields import Fields
 
@@ -20,7 +22,7 @@ Matrices = NDArray[np.float64]
 Pose = Mapping[tuple[int, str], NDArray[np.float64]]
 """Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
 
-_LONGEST_PATH = 4096
+_LONGEST_PATH = 1 << 14
 _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
 
@@ -34,14 +36,22 @@ class Scene:
         The JSON of every node of the file.
     parents : sequence of int
         Parent of every node, -1 where there is none.
-    paths : dict of int to str
-        The nodes of the default scene, depth-first, with their paths: the names from the root down with slashes
-        between, no two alike.
+    objects : dict of int to SceneObject
+        The nodes of the default scene, depth-first. Their paths are the names from the root down with slashes
+        between, no two alike; they can be called by their mesh's name, too.
+    hidden : set of int
+        Those of them that the extension KHR_node_visibility hides, by themselves or from above.
     """
 
     nodes: Sequence[Fields]
     parents: Sequence[int]
-    paths: Mapping[int, str]
+    objects: Mapping[int, SceneObject]
+    hidden: Set[int]
+
+    @cached_property
+    def paths(self) -> Mapping[int, str]:
+        """The paths of the nodes of the default scene, depth-first."""
+        return {node: each.path for node, each in self.objects.items()}
 
     def above(self, node: int) -> list[int]:
         """Return a node and all nodes above it, the root last."""
@@ -72,9 +82,12 @@ class Scene:
         """
         found: dict[int, Matrices] = {-1: np.eye(4)[None]}
         for node in wanted:
-            for each in reversed(self.above(node)):
-                if each not in found:
-                    found[each] = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
+            missing = []
+            while node not in found:
+                missing.append(node)
+                node = self.parents[node]
+            for each in reversed(missing):
+                found[each] = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
         return found
 
 
@@ -97,7 +110,7 @@ def read_scene(document: Document) -> Scene:
             parents[child] = parent
     _check_acyclic(nodes, parents)
     order = _depth_first(_roots(document, parents), children)
-    return Scene(nodes, parents, _paths(nodes, parents, order))
+    return Scene(nodes, parents, _objects(document, parents, order), _hidden(nodes, parents, order))
 
 
 def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:
@@ -134,22 +147,34 @@ def _depth_first(roots: Sequence[int], children: Sequence[Sequence[int]]) -> lis
     return list(dict.fromkeys(order))
 
 
-def _paths(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int]) -> dict[int, str]:
-    paths: dict[int, str] = {}
-    taken = set()
+def _objects(document: Document, parents: Sequence[int], order: Sequence[int]) -> dict[int, SceneObject]:
+    objects: dict[int, SceneObject] = {}
+    taken: set[str] = set()
+    letters = 0
     for node in order:
-        name = nodes[node].text("name") or f"node {node}"
-        above = paths.get(parents[node], "")
-        path = f"{above}/{name}" if above else name
+        fields = document.item("nodes", node)
+        mesh, name = fields.index("mesh"), fields.text("name")
+        above = objects.get(parents[node])
+        path = f"{above.path}/{name or f'node {node}'}" if above else name or f"node {node}"
         if path in taken:
             path = f"{path} (node {node})"
         if len(path) > _LONGEST_PATH:
-            raise nodes[node].error(
-                f"is too deep below others; names of all together have {len(path)} characters"
-            )
+            raise fields.error(f"is too deep below others; names of all together have {len(path)} characters")
+        letters += len(path)
+        document.check_effort(letters, "paths of all nodes together")
         taken.add(path)
-        paths[node] = path
-    return paths
+        mesh_name = "" if mesh is None else document.item("meshes", mesh).text("name")
+        objects[node] = SceneObject(path, (name, mesh_name), above)
+    return objects
+
+
+def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int]) -> set[int]:
+    hidden: set[int] = set()
+    for node in order:
+        visibility = nodes[node].object("extensions").object("KHR_node_visibility")
+        if parents[node] in hidden or ("visible" in visibility and not visibility.flag("visible")):
+            hidden.add(node)
+    return hidden
 
 
 def _local(node: Fields, index: int, pose: Pose) -> Matrices:

@@ -5,7 +5,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,7 @@ class Skin:
     inverse_binds: NDArray[np.float64]
     weights: csr_array
 
-    def matrices(self, world: dict[int, Matrices]) -> NDArray[np.float64]:
+    def matrices(self, world: Mapping[int, Matrices]) -> NDArray[np.float64]:
         """Return the matrices ``(B, J, 4, 4)`` that move what is bound to the joints."""
         joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
         return np.stack(joints, axis=1) @ self.inverse_binds
@@ -70,21 +70,30 @@ class Shape:
     weights: NDArray[np.float64]
     skin: Skin | None
 
-    def handedness(self, pose: Pose) -> NDArray[np.float64]:
+    @property
+    def bearers(self) -> Sequence[int]:
+        """The nodes whose matrices move it."""
+        return [self.node] if self.skin is None else self.skin.joints
+
+    def handedness(self, world: Mapping[int, Matrices]) -> NDArray[np.float64]:
         """Return 1 for each of the B frames where the mesh is as modelled, -1 where it is mirrored, 0 where flat.
 
         Of a skin's joints, the majority decides.
+
+        Parameters
+        ----------
+        world : dict of int to (B, 4, 4) array
+            The matrices of its bearers, see `Scene.world`.
         """
         if self.skin is None:
-            return _signs(self.scene.world([self.node], pose)[self.node])
+            return _signs(world[self.node])
         used = np.unique(self.skin.weights.indices)
-        matrices = self.skin.matrices(self.scene.world(self.skin.joints, pose))
+        matrices = self.skin.matrices(world)
         return np.asarray(np.sign(_signs(matrices[:, used]).sum(axis=1)))
 
-    def points(self, pose: Pose, frames: int) -> FloatArray:
-        """Return the points ``(B, W, 3)`` in world space in the B frames of a pose."""
+    def points(self, pose: Pose, world: Mapping[int, Matrices], frames: int) -> FloatArray:
+        """Return the points ``(B, W, 3)`` in world space in the B frames of a pose, with its bearers' matrices."""
         own = self._morphed(pose, frames)
-        world = self.scene.world([self.node] if self.skin is None else self.skin.joints, pose)
         if self.skin is None:
             matrices = np.broadcast_to(world[self.node], (frames, 4, 4))
             return own @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]

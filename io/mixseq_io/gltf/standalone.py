@@ -30,11 +30,19 @@ def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     return layout, meshes
 
 
-def group(document: Json, nodes: list[int], header: SequenceHeader) -> int:
-    """Return the root of a sequence's nodes: the only one, or one above them; it shows the points upright."""
-    root = (
-        nodes[0] if len(nodes) == 1 else append(document, "nodes", {**named(header.name), "children": nodes})
-    )
+def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
+    """Return the root of a sequence's nodes: the only one, or one above them; it shows the points upright.
+
+    The one above them takes the place of the node `vacant`, if there is such a node.
+    """
+    entry = {**named(header.name), "children": nodes}
+    if len(nodes) == 1:
+        root = nodes[0]
+    elif vacant is None:
+        root = append(document, "nodes", entry)
+    else:
+        root = vacant
+        document["nodes"][root] = entry
     document["nodes"][root].update(upright(header))
     return root
 

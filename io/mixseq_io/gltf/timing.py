@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence import DEFAULT_FPS
 
-SAME_TIME = 1e-6
-"""Seconds; times that are closer count once."""
-
 USUAL_RATES = (
     24.0,
     30.0,
@@ -33,6 +30,18 @@ USUAL_RATES = (
 
 _MOST_FRAMES = 1_000_000
 _GRID = 2e-3  # of a frame; keys are float32
+_SAME_TIME = 1e-6
+
+
+def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much times can differ and yet be the same: a microsecond, or the next float32.
+
+    Examples
+    --------
+    >>> time_tolerance(np.array([0.5, 100.0])).tolist()
+    [1e-06, 7.62939453125e-06]
+    """
+    return np.maximum(_SAME_TIME, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
 
 
 def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -49,7 +58,7 @@ def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
             # Those within a channel differ on purpose, however close they are.
             ends = np.concatenate([[-np.inf], found, [np.inf]])
             place = np.searchsorted(found, times)
-            near = np.minimum(times - ends[place], ends[place + 1] - times) <= SAME_TIME
+            near = np.minimum(times - ends[place], ends[place + 1] - times) <= time_tolerance(times)
             found = np.sort(np.concatenate([found, times[~near]]))
     return found
 
@@ -68,7 +77,7 @@ def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     if not keys.size:
         return keys
-    count = (keys[-1] - keys[0] + SAME_TIME) * fps
+    count = (keys[-1] - keys[0]) * fps + _GRID
     if not count < _MOST_FRAMES:
         raise FormatError(
             f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"

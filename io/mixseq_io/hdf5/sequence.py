@@ -9,6 +9,7 @@
     /times               (T,) float64, seconds
     /polygons/counts     (P,) int32
     /polygons/indices    (sum of counts,) int32
+    /surface/...         texture coordinates and the like, see `mixseq_io.surface_arrays`; optional
 
 A file of `format` "mixseq-model" holds a shape space instead; it is sampled at the times it was made from.
 """

@@ -1,4 +1,4 @@
-"""Sequences of numbered files that hold one frame each: what OBJ, PLY and STL have in common.
+"""Sequences of numbered files that hold one frame each: what OBJ, PLY, STL and OFF have in common.
 
 A format brings a parser of one file and an encoder of one frame. Its parser gets the first frame's mesh along for
 all later files: where their faces are written in the same bytes, they need not be parsed again.

@@ -13,12 +13,38 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from mixseq.errors import FormatError, OutputError
+from mixseq.polygons import reversed_corners
 from mixseq.sequence import IntArray, SequenceHeader
 from mixseq_io.pieces import Piece, split
 from mixseq_io.usd.diagnostics import reading_usd
 from mixseq_io.usd.paths import is_prim_path
+from mixseq_io.usd.seams import Weld, unwelded, weld
 from mixseq_io.usd.stage import open_stage, prims_of
-from mixseq_io.usd.surface import reversal
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A piece of the sequence and the mesh that it is laid over.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    mesh : UsdGeom.Mesh
+        The mesh.
+    corner_points : (C,) int
+        The point at every corner of the mesh.
+    order : (C,) int
+        Which of the piece's corners each corner of the mesh is.
+    weld : Weld
+        Which of the piece's vertices each point of the mesh is.
+    """
+
+    piece: Piece
+    mesh: UsdGeom.Mesh
+    corner_points: IntArray
+    order: IntArray
+    weld: Weld
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +57,13 @@ class Base:
         The file.
     stage : Usd.Stage
         What it holds.
-    meshes : tuple of (Piece, UsdGeom.Mesh, order)
-        The pieces of the sequence, their meshes, and which of the piece's corners each corner of the mesh is.
+    fits : tuple of Fit
+        The pieces of the sequence and their meshes.
     """
 
     path: Path
     stage: Usd.Stage
-    meshes: tuple[tuple[Piece, UsdGeom.Mesh, IntArray], ...]
+    fits: tuple[Fit, ...]
 
 
 def open_base(path: Path, header: SequenceHeader) -> Base:
@@ -46,7 +72,7 @@ def open_base(path: Path, header: SequenceHeader) -> Base:
     Raises
     ------
     OutputError
-        If it cannot be opened, or does not fit: other faces, units or up axis.
+        If it cannot be opened, has no time, or does not fit: other faces, units or up axis.
     """
     try:
         with reading_usd(path):
@@ -59,34 +85,44 @@ def open_base(path: Path, header: SequenceHeader) -> Base:
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not np.isclose(unit, header.metres_per_unit, rtol=1e-6):
         raise OutputError(f"{path} has units of {unit:g} m, the sequence of {header.metres_per_unit:g} m")
-    meshes = tuple((piece, *_mesh_of(path, stage, piece)) for piece in split(header))
-    if len({mesh.GetPath() for _, mesh, _ in meshes}) < len(meshes):
-        raise OutputError(f"{path} has fewer meshes than the sequence, which has {len(meshes)}")
-    return Base(path, stage, meshes)
+    rate = stage.GetTimeCodesPerSecond()
+    if not 0 < rate < np.inf:
+        raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
+    fits = tuple(_fit(path, stage, piece) for piece in split(header))
+    if len({fit.mesh.GetPath() for fit in fits}) < len(fits):
+        raise OutputError(f"{path} has fewer meshes than the sequence, which has {len(fits)}")
+    return Base(path, stage, fits)
 
 
-def _mesh_of(path: Path, stage: Usd.Stage, piece: Piece) -> tuple[UsdGeom.Mesh, IntArray]:
-    """Return the mesh that a piece came from, and the order of its corners."""
+def _fit(path: Path, stage: Usd.Stage, piece: Piece) -> Fit:
+    """Return the mesh that a piece came from."""
     named = stage.GetPrimAtPath(piece.path) if is_prim_path(piece.path) else None
     candidates = [named] if named and UsdGeom.Mesh(named) else prims_of(path, stage)
     meshes = [mesh for prim in candidates if (mesh := UsdGeom.Mesh(prim))]
-    fitting = [(mesh, order) for mesh in meshes if (order := _corner_order(mesh, piece)) is not None]
+    fitting = [fit for mesh in meshes if (fit := _fit_to(mesh, piece)) is not None]
     if len(fitting) != 1:
         what = f"{len(fitting)} meshes" if fitting else "no mesh"
         raise OutputError(f"{path} has {what} with the faces of {piece.path or piece.name!r}")
     return fitting[0]
 
 
-def _corner_order(mesh: UsdGeom.Mesh, piece: Piece) -> IntArray | None:
-    """Return which of the piece's corners each corner of the mesh is; None if they are of other faces."""
+def _fit_to(mesh: UsdGeom.Mesh, piece: Piece) -> Fit | None:
+    """Lay a piece over a mesh; None if it has other faces."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
-    if not np.array_equal(counts, piece.polygons.counts):
+    points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
+    places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
+    if not np.array_equal(counts, piece.polygons.counts) or not _within(points, len(places)):
         return None
-    if len(mesh.GetPointsAttr().Get(earliest) or ()) != piece.vertex_count:
-        return None
-    for order in (np.arange(indices.size), reversal(counts)):  # readers reverse left-handed faces
-        if np.array_equal(indices, piece.polygons.indices[order]):
-            return order
+    # The sequence may have come from elsewhere, with a vertex for every point.
+    for seams in (weld(mesh, places), unwelded(len(places))):
+        # Readers reverse left-handed faces.
+        for order in (np.arange(points.size), reversed_corners(counts, keep_first=True)):
+            same = np.array_equal(seams.of_point[points], piece.polygons.indices[order])
+            if same and seams.vertex_count == piece.vertex_count:
+                return Fit(piece, mesh, points, order, seams)
     return None
+
+
+def _within(indices: IntArray, count: int) -> bool:
+    return not indices.size or bool(indices.min() >= 0 and indices.max() < count)

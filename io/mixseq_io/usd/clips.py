@@ -81,11 +81,13 @@ def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
 
 
 class NewFolder:
-    """A folder that is written under another name, and takes its place when it is complete."""
+    """A folder for the clips of a file, written under another name; it takes its place when it is complete."""
 
-    def __init__(self, target: Path) -> None:
+    def __init__(self, owner: Path) -> None:
         token = secrets.token_hex(4)
-        self.target = target
+        # The extension stays in its name, else x.usda and x.usdc would take each other's clips away.
+        self.target = target = owner.with_name(f"{owner.name}.clips")
+        self._stem = owner.stem
         self.path = target.with_name(f".{target.stem[:40]}.{token}.new")
         self._old = target.with_name(f".{target.stem[:40]}.{token}.old")
         self._installed = False
@@ -93,11 +95,11 @@ class NewFolder:
     @property
     def manifest(self) -> str:
         """File name of the manifest."""
-        return f"{self.target.stem}.manifest.usdc"
+        return f"{self._stem}.manifest.usdc"
 
     def clip(self, number: int) -> str:
         """Return the file name of a clip, counted from 1."""
-        return f"{self.target.stem}.{number:04d}.usdc"
+        return f"{self._stem}.{number:04d}.usdc"
 
     def asset(self, name: str) -> str:
         """Return what a layer beside the folder calls a file in it."""
@@ -105,7 +107,7 @@ class NewFolder:
 
     def make(self) -> None:
         """Make it, empty."""
-        if self.target.exists() and not _is_of_clips(self.target):
+        if self.target.exists() and not _is_of_clips(self.target, self._stem):
             raise OutputError(
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
@@ -136,9 +138,9 @@ class NewFolder:
 
 
 @contextmanager
-def new_folder(target: Path) -> Iterator[NewFolder]:
-    """Yield a folder to make, fill and install; after an exception all is as it was."""
-    folder = NewFolder(target)
+def new_folder(owner: Path) -> Iterator[NewFolder]:
+    """Yield a folder for the clips of a file, to make, fill and install; after an exception all is as it was."""
+    folder = NewFolder(owner)
     try:
         yield folder
     except BaseException:
@@ -149,7 +151,7 @@ def new_folder(target: Path) -> Iterator[NewFolder]:
         folder.clean()
 
 
-def _is_of_clips(folder: Path) -> bool:
+def _is_of_clips(folder: Path, stem: str) -> bool:
     return folder.is_dir() and all(
-        file.name.startswith(f"{folder.stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
+        file.name.startswith(f"{stem}.") and file.suffix == ".usdc" for file in folder.iterdir()
     )

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Vt
+from pxr import Gf, Vt
 
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import FloatArray, IntArray
@@ -80,6 +80,8 @@ class Placed:
         Path of its prim.
     piece : Piece
         Its faces, and which of the sequence's vertices are its own.
+    of_point : (P,) int, optional
+        Which of the piece's vertices each point of the prim is; by default they are the points.
     space : SpaceAt
         Its space.
     normals : Normals, optional
@@ -90,6 +92,7 @@ class Placed:
 
     path: str
     piece: Piece
+    of_point: IntArray | None = None
     space: SpaceAt = lambda time: WORLD
     normals: Normals | None = None
     velocities: bool = False
@@ -100,6 +103,11 @@ class Placed:
         velocities = ("velocities",) if self.velocities else ()
         normals = (self.normals.attribute,) if self.normals else ()
         return ("points", "extent", *velocities, *normals)
+
+    def points(self, values: FloatArray) -> FloatArray:
+        """Return of values (V, 3) of the sequence's vertices those of the prim's points."""
+        own = values[self.piece.vertices]
+        return own if self.of_point is None else own[self.of_point]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -165,7 +173,7 @@ def _values(
     placed = [(mesh, mesh.space(time)) for mesh in cast.meshes]
     local = as_float32(_in_spaces(points, placed, direction=False)[None], frame, "USD")[0]
     for mesh, space in placed:
-        own = local[mesh.piece.vertices]
+        own = mesh.points(local)
         yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(own)
         yield f"{mesh.path}.extent", _extent(own)
         if mesh.normals:
@@ -176,7 +184,7 @@ def _values(
         local = as_float32(turned[None], frame, "USD", "the velocity of vertex")[0]
         for mesh, _ in placed:
             if mesh.velocities:
-                yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(local[mesh.piece.vertices])
+                yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(mesh.points(local))
     for bounds in cast.bounds:
         yield f"{bounds.path}.extent", _extent(_box(bounds, points, time))
 
@@ -204,12 +212,14 @@ def _normals(normals: Normals, points: FloatArray, piece: Piece, space: Space) -
 
 def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
     """Return the corners of boxes around everything below a prim, in the prim's space."""
-    own = [points[piece.vertices] for piece in bounds.pieces]
+    own = [points[piece.vertices] for piece in bounds.pieces if piece.vertex_count]
     sides = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in own]
-    corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64)
+    corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
     to_local = bounds.space(time).to_local
     return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], bounds.others(time)])
 
 
 def _extent(points: FloatArray) -> Any:
+    if not len(points):
+        return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's box around nothing
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))

@@ -17,7 +17,7 @@ from mixseq.errors import FormatError
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.usd.diagnostics import reading_usd
-from mixseq_io.usd.paths import identifier, is_prim_path, reference_to
+from mixseq_io.usd.paths import TILES, identifier, is_prim_path, reference_to
 from mixseq_io.usd.stage import lineage, open_stage, shortened
 
 _UV_READERS = {
@@ -74,7 +74,8 @@ def define_materials(
         warn(
             f"{target}: materials are written by name only: {shortened(empty)}; bind them anew to networks of yours"
         )
-    UsdUtils.ModifyAssetPaths(stage.GetRootLayer(), lambda asset: _from(target, asset))
+    known = origin.path if origin else ""
+    UsdUtils.ModifyAssetPaths(stage.GetRootLayer(), lambda asset: _from(target, asset, known))
     return made
 
 
@@ -130,11 +131,14 @@ def _prims(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
         yield from _prims(child)
 
 
-def _from(target: Path, asset: str) -> str:
+def _from(target: Path, asset: str, origin: str) -> str:
     """Return how the target names a texture, which may be inside of a .usdz file."""
+    # USD has made paths absolute, but not those in packages that stand for several files.
+    if TILES in asset and origin.endswith(".usdz") and not Path(asset).is_absolute():
+        asset = Ar.JoinPackageRelativePath(origin, asset)
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
     file = Path(outer)
-    if not (file.is_absolute() and file.exists()):
+    if not (file.is_absolute() and file.parent.is_dir()):
         return asset
     named = reference_to(file, target)
     return Ar.JoinPackageRelativePath(named, inner) if inner else named

@@ -7,13 +7,15 @@ https://openusd.org/release/api/class_usd_geom_point_instancer.html
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
 
-from mixseq.errors import AmbiguousError, FormatError
-from mixseq_io.usd.stage import LONGEST_LIST, Notes, lineage, prims_of, shortened
+from mixseq.errors import FormatError
+from mixseq_io.choosing import SceneObject, chosen
+from mixseq_io.usd.stage import Notes, lineage, prims_of, shortened
 
 
 def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> list[UsdGeom.Mesh]:
@@ -24,7 +26,7 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
     Raises
     ------
     AmbiguousError
-        If `prim` is a plain name that several prims have.
+        If `prim` is a plain name that prims in several places have.
     FormatError
         If there is none; the message lists what there is.
     """
@@ -34,28 +36,33 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
     if not meshes:
         raise FormatError(f"{path} holds no mesh; {_what_else(prims, instancers)}")
     if prim is not None:
-        root = _root(path, meshes, prim)
-        meshes = [mesh for mesh in meshes if mesh.GetPath().HasPrefix(root)]
-        instancers = [each for each in instancers if each.GetPath().HasPrefix(root)]
+        places = places_of(meshes)
+        instancers = [instancers[i] for i in chosen(path, places, prim, among=places_of(instancers))]
+        meshes = [meshes[i] for i in chosen(path, places, prim)]
     for each in instancers:
         notes.add(each, "point instances cannot be read and are left out; make them real first")
-    shown = [mesh for mesh in meshes if not _is_hidden(mesh.GetPrim())] or meshes
-    chosen = [mesh for mesh in shown if mesh.GetPointsAttr().HasAuthoredValue()] or shown
-    for mesh in chosen:
-        if any(_visibility(each).GetNumTimeSamples() > 1 for each in lineage(mesh.GetPrim())):
+    visibility = cache(_visibility)
+    shown = [mesh for mesh in meshes if not _is_hidden(mesh.GetPrim(), visibility)] or meshes
+    found = [mesh for mesh in shown if mesh.GetPointsAttr().HasAuthoredValue()] or shown
+    for mesh in found:
+        if any(len(visibility(each)) > 1 for each in lineage(mesh.GetPrim())):
             notes.add(
                 mesh.GetPrim(), "visibility that changes over time is left out; these are always visible"
             )
-    return chosen
+    return found
 
 
-def name_of(path: Path, meshes: Sequence[UsdGeom.Mesh]) -> str:
-    """Return the name of a mesh, or of the deepest prim that all meshes are below, or of the file."""
-    common = meshes[0].GetPath()
-    for mesh in meshes:
-        common = common.GetCommonPrefix(mesh.GetPath())
-    prim = meshes[0].GetPrim().GetStage().GetPrimAtPath(common)
-    return path.stem if prim.IsPseudoRoot() else display_name(prim)
+def places_of(objects: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
+    """Return where meshes or other prims are in the scene; what is above several is one object."""
+    places: dict[Sdf.Path, SceneObject] = {}
+    for each in objects:
+        place = None
+        for prim in reversed(list(lineage(each.GetPrim()))):
+            path = prim.GetPath()
+            if path not in places:
+                places[path] = SceneObject(str(path), (display_name(prim), prim.GetName()), place)
+            place = places[path]
+    return [places[each.GetPath()] for each in objects]
 
 
 def display_name(prim: Usd.Prim) -> str:
@@ -63,36 +70,17 @@ def display_name(prim: Usd.Prim) -> str:
     return prim.GetDisplayName() or prim.GetName()
 
 
-def _root(path: Path, meshes: Sequence[UsdGeom.Mesh], prim: str) -> Sdf.Path:
-    """Return the path that `prim`, a path or a plain name, stands for."""
-    above = {prefix for mesh in meshes for prefix in mesh.GetPath().GetPrefixes()}
-    named = Sdf.Path.RemoveDescendentPaths([each for each in above if each.name == prim])
-    if len(named) > 1:
-        raise AmbiguousError(
-            f"{path} has several prims called {prim!r}; choose one by its path: "
-            f"{shortened(sorted(map(str, named)))}"
-        )
-    if named:
-        return Sdf.Path(named[0])
-    if Sdf.Path.IsValidPathString(prim) and Sdf.Path(prim) in above | {Sdf.Path.absoluteRootPath}:
-        return Sdf.Path(prim)
-    raise FormatError(f"{path} has no mesh at or below {prim!r}; its meshes are{_listing(meshes)}")
-
-
-def _is_hidden(prim: Usd.Prim) -> bool:
+def _is_hidden(prim: Usd.Prim, visibility: Callable[[Usd.Prim], frozenset[str]]) -> bool:
     """Whether a prim is always invisible, or only a helper of its authors."""
     if UsdGeom.Imageable(prim).ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
         return True
-    first = Usd.TimeCode.EarliestTime()
-    return any(
-        (attribute := _visibility(each)).GetNumTimeSamples() < 2
-        and attribute.Get(first) == UsdGeom.Tokens.invisible
-        for each in lineage(prim)
-    )
+    return any(visibility(each) == {UsdGeom.Tokens.invisible} for each in lineage(prim))
 
 
-def _visibility(prim: Usd.Prim) -> Usd.Attribute:
-    return prim.GetAttribute(UsdGeom.Tokens.visibility)
+def _visibility(prim: Usd.Prim) -> frozenset[str]:
+    """Return the values that a prim's own visibility has; some exporters repeat one at every frame."""
+    attribute = prim.GetAttribute(UsdGeom.Tokens.visibility)
+    return frozenset(attribute.Get(code) for code in attribute.GetTimeSamples() or [0.0])
 
 
 def _what_else(prims: Sequence[Usd.Prim], instancers: Sequence[Usd.Prim]) -> str:
@@ -101,12 +89,3 @@ def _what_else(prims: Sequence[Usd.Prim], instancers: Sequence[Usd.Prim]) -> str
         return f"it has point instancers, whose instances cannot be read; make them real first: {paths}"
     kinds = Counter(str(each.GetTypeName()) or "untyped" for each in prims)
     return "it has " + (", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "nothing")
-
-
-def _listing(meshes: Sequence[UsdGeom.Mesh]) -> str:
-    lines = [
-        f"\n  {mesh.GetPath()} ({len(mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ())} vertices)"
-        for mesh in meshes[:LONGEST_LIST]
-    ]
-    more = len(meshes) - LONGEST_LIST
-    return "".join(lines) + (f"\n  and {more} more" if more > 0 else "")

@@ -1,9 +1,4 @@
-"""USD, motion: what moves a mesh, when, and where its points are in the world.
-
-Frames are all times at which something that moves a mesh has a sample: its points, the transforms above it, its
-skeleton, its blend shapes. Where one of them has none, USD interpolates. Between two samples of a rotation points
-move on arcs, so where there is more than points that moves, the frames at which the stage is played are added in the
-gaps between samples, as `UsdSkel.BakeSkinning` does.
+"""USD, motion: what moves a mesh, and where its points are in the world.
 
 Specifications: https://openusd.org/release/api/class_usd_geom_xformable.html,
 https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
@@ -11,24 +6,18 @@ https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, Vt
 
-from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.errors import InvalidSequenceError
+from mixseq_io.usd.seams import Weld, weld
 from mixseq_io.usd.skinning import Pose, Skin
 from mixseq_io.usd.stage import Notes, lineage
-
-_SAME_TIME = 1e-6
-"""Samples of different attributes that are closer than this, in seconds, make one frame."""
-
-_MOST_PLAYED = 100_000
-"""More frames than this are not added between samples; an hour has 86 400 at 24 frames per second."""
 
 
 def local_to_world(prim: Usd.Prim, code: float) -> NDArray[np.float64]:
@@ -65,7 +54,7 @@ class Mover:
         """The attributes that change over time and move it. A single sample holds at all times."""
         deforming = self.skin.attributes() if self.skin else ()
         every = (self.mesh.GetPointsAttr(), *_transform_attributes(self.space), *deforming)
-        return tuple(each for each in every if each.GetNumTimeSamples() > 1 or _is_spline(each))
+        return tuple(each for each in every if _varies(each))
 
     @property
     def only_points_move(self) -> bool:
@@ -81,12 +70,17 @@ class Track:
     ----------
     mover : Mover
         The mesh.
-    start : float
-        Time code of the first frame.
+    codes : (T,) float64
+        Time codes of the frames.
     """
 
     mover: Mover
-    start: float
+    codes: NDArray[np.float64]
+
+    @property
+    def start(self) -> float:
+        """Time code of the first frame."""
+        return float(self.codes[0])
 
     @property
     def mesh(self) -> UsdGeom.Mesh:
@@ -94,14 +88,26 @@ class Track:
         return self.mover.mesh
 
     @cached_property
-    def vertex_count(self) -> int:
-        """Number of vertices, in the first frame and to be in all others."""
+    def weld(self) -> Weld:
+        """Which points, in the first frame and to be in all others, are which vertex."""
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
-        return 0 if value is None else len(value)
+        return weld(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
+
+    @property
+    def point_count(self) -> int:
+        """Number of points."""
+        return len(self.weld.of_point)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return self.weld.vertex_count
 
     @cached_property
     def _first_determinant(self) -> float:
-        return _to_world(self.mover.space, self.start).GetDeterminant3()
+        """That of the first frame in which there is one: things pop up by a scale that starts at zero."""
+        every = (_to_world(self.mover.space, code).GetDeterminant3() for code in self.codes.tolist())
+        return next((each for each in every if each), 1.0)
 
     @property
     def mirrored(self) -> bool:
@@ -111,21 +117,21 @@ class Track:
         return bool(self._first_determinant * bind < 0)
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
-        """Return the points (V, 3) in the world at a time code, the skeleton being in a pose.
+        """Return the vertices (V, 3) in the world at a time code, the skeleton being in a pose.
 
         Raises
         ------
         InvalidSequenceError
-            If there are others than in the first frame, or the transform mirrors otherwise than there; in words
+            If there are others than in the first frame, or the transform mirrors otherwise than before; in words
             that follow the number of the frame.
         """
         path = self.mesh.GetPath()
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
             raise InvalidSequenceError(f"{path} has no points")
-        if len(value) != self.vertex_count:
+        if len(value) != self.point_count:
             raise InvalidSequenceError(
-                f"{path} has {len(value)} points, the first frame {self.vertex_count}; every frame needs the same "
+                f"{path} has {len(value)} points, the first frame {self.point_count}; every frame needs the same "
                 "vertices in the same order"
             )
         if self.mover.skin and pose:
@@ -133,10 +139,10 @@ class Track:
         matrix = _to_world(self.mover.space, code)
         if matrix.GetDeterminant3() * self._first_determinant < 0:
             raise InvalidSequenceError(
-                f"the transform of {path} mirrors it relative to the first frame, which turns its faces inside "
+                f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
                 "out; give the animated scale one sign"
             )
-        return _placed(value, matrix, 1.0)
+        return _placed(value, matrix, 1.0)[self.weld.representatives]
 
     def velocities(self, code: float) -> NDArray[np.float32]:
         """Return the velocities (V, 3) in the world, in units per second.
@@ -147,11 +153,11 @@ class Track:
             If there are more or fewer than points.
         """
         value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
-        if value is None or len(value) != self.vertex_count:
+        if value is None or len(value) != self.point_count:
             raise InvalidSequenceError(
-                f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.vertex_count} points; give as many"
+                f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give as many"
             )
-        return _placed(value, _to_world(self.mover.space, code), 0.0)
+        return _placed(value, _to_world(self.mover.space, code), 0.0)[self.weld.representatives]
 
     def has_velocities(self, notes: Notes) -> bool:
         """Whether velocities can be read; those that cannot are noted."""
@@ -161,8 +167,8 @@ class Track:
         first = velocities.Get(Usd.TimeCode(self.start))
         if velocities.GetTimeSamples() != self.mesh.GetPointsAttr().GetTimeSamples():
             problem = "are not sampled at the times of the points"
-        elif len(first or ()) != self.vertex_count:
-            problem = f"are {len(first or ())} for {self.vertex_count} points"
+        elif len(first or ()) != self.point_count:
+            problem = f"are {len(first or ())} for {self.point_count} points"
         elif self.mover.skin or not self.mover.only_points_move:
             problem = "are those under a transform or a skeleton that moves, too"
         else:
@@ -171,66 +177,9 @@ class Track:
         return False
 
 
-def frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArray[np.float64]:
-    """Return the time codes (T,) of the frames in which all meshes are to be read.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    stage : Usd.Stage
-        The stage.
-    movers : sequence of Mover
-        The meshes.
-
-    Raises
-    ------
-    FormatError
-        If something moves by a spline.
-    """
-    sources = list(dict.fromkeys(each for mover in movers for each in mover.sources))
-    for each in sources:
-        if _is_spline(each):
-            raise FormatError(f"{path}: {each.GetPath()} is a spline; bake it into time samples")
-    codes = np.empty(0)
-    for samples in dict.fromkeys(tuple(each.GetTimeSamples()) for each in sources):
-        codes = _united(codes, np.array(samples), _SAME_TIME * stage.GetTimeCodesPerSecond())
-    if not codes.size:  # the time of the only sample of the points, if there is one
-        return np.array(movers[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
-    if all(mover.only_points_move for mover in movers):
-        return codes
-    played, step = _played(stage, codes[0], codes[-1])
-    return _united(codes, played, step / 2)
-
-
-def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
-    """Return the time codes at which the stage is played, from `first` to `last`, and the step between them."""
-    start, rate = stage.GetStartTimeCode(), stage.GetFramesPerSecond()
-    step = stage.GetTimeCodesPerSecond() / rate if rate else 0.0
-    if not (stage.HasAuthoredTimeCodeRange() and np.isfinite(step) and step > 0 and np.isfinite(start)):
-        return np.empty(0), 0.0
-    begin = np.ceil((max(first, start) - start) / step)
-    end = np.floor((min(last, stage.GetEndTimeCode()) - start) / step)
-    if not end - begin < _MOST_PLAYED:
-        return np.empty(0), 0.0
-    return start + np.arange(begin, end + 1) * step, step
-
-
-def _united(codes: NDArray[np.float64], more: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
-    """Return both, sorted, without those of `more` that are as good as one of `codes`.
-
-    Examples
-    --------
-    >>> _united(np.array([1.0, 2.0]), np.array([1.5, 2.0 + 1e-9]), 1e-6).tolist()
-    [1.0, 1.5, 2.0]
-    """
-    if not codes.size:
-        return more
-    after = np.minimum(np.searchsorted(codes, more), len(codes) - 1)
-    near = (
-        np.minimum(np.abs(codes[after] - more), np.abs(codes[np.maximum(after - 1, 0)] - more)) <= tolerance
-    )
-    return np.union1d(codes, more[~near])
+def moves(prim: Usd.Prim) -> bool:
+    """Whether the local-to-world transform of a prim changes over time."""
+    return any(map(_varies, _transform_attributes(prim)))
 
 
 def _transform_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
@@ -243,7 +192,12 @@ def _transform_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
                 return
 
 
-def _is_spline(attribute: Usd.Attribute) -> bool:
+def _varies(attribute: Usd.Attribute) -> bool:
+    return attribute.GetNumTimeSamples() > 1 or is_spline(attribute)
+
+
+def is_spline(attribute: Usd.Attribute) -> bool:
+    """Whether an attribute changes over time without samples."""
     return bool(attribute.ValueMightBeTimeVarying()) and not attribute.GetNumTimeSamples()
 
 

@@ -21,23 +21,32 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.errors import OutputError
-from mixseq.sequence import FloatArray, IntArray
+from mixseq.sequence import FloatArray
 from mixseq_io.blocks import warn
 from mixseq_io.pieces import Piece
-from mixseq_io.usd.base import Base
+from mixseq_io.usd.base import Base, Fit
 from mixseq_io.usd.frames import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
 from mixseq_io.usd.layers import attribute_in
-from mixseq_io.usd.motion import local_to_world
+from mixseq_io.usd.motion import local_to_world, moves
 from mixseq_io.usd.paths import reference_to
+from mixseq_io.usd.seams import VERTICES
 from mixseq_io.usd.stage import lineage, shortened
 
-_COPIED = ("kilogramsPerUnit", "renderSettingsPrimPath", "colorConfiguration", "colorManagementSystem")
+_COPIED = (
+    "defaultPrim",
+    "expressionVariables",
+    "kilogramsPerUnit",
+    "renderSettingsPrimPath",
+    "colorConfiguration",
+    "colorManagementSystem",
+)
+"""What USD takes from the root layer only, and not from sublayers."""
 
 
-def lay_over(layer: Sdf.Layer, target: Path, base: Base, velocities: bool) -> Cast:
+def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocities: bool) -> Cast:
     """Author everything but samples, and return what is to get them.
 
     Parameters
@@ -48,6 +57,8 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, velocities: bool) -> Ca
         Where it will be.
     base : Base
         What it is laid over.
+    start : float
+        Time of the first frame, in seconds.
     velocities : bool
         Whether there are velocities.
 
@@ -63,15 +74,15 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, velocities: bool) -> Ca
     """
     layer.subLayerPaths.append(reference_to(base.path, target))
     below = base.stage.GetRootLayer()
-    layer.defaultPrim = below.defaultPrim
     for key in _COPIED:
         if below.pseudoRoot.HasInfo(key):
             layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
     _split_instances(layer, target, base)
-    meshes = tuple(_placed(base, *each, velocities) for each in base.meshes)
-    for (_, mesh, order), placed in zip(base.meshes, meshes, strict=True):
-        _switch_off(layer, mesh, placed)
-        _orient(layer, mesh, placed, order)
+    meshes = tuple(_placed(base, fit, velocities) for fit in base.fits)
+    for fit, placed in zip(base.fits, meshes, strict=True):
+        _switch_off(layer, fit.mesh, placed)
+        _orient(layer, fit, placed, start)
+        _tell_vertices(layer, fit)
     left_out = [each.path for each in meshes if velocities and not each.velocities]
     if left_out:
         warn(
@@ -82,7 +93,7 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, velocities: bool) -> Ca
 
 def _split_instances(layer: Sdf.Layer, target: Path, base: Base) -> None:
     """Give instances prims of their own, on which there can be opinions."""
-    above = [prim for _, mesh, _ in base.meshes for prim in lineage(mesh.GetPrim()) if prim.IsInstance()]
+    above = [prim for fit in base.fits for prim in lineage(fit.mesh.GetPrim()) if prim.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
     for path in paths:
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
@@ -90,21 +101,16 @@ def _split_instances(layer: Sdf.Layer, target: Path, base: Base) -> None:
         warn(f"{target}: instances with moving meshes are instances no longer: {shortened(paths)}")
 
 
-def _placed(base: Base, piece: Piece, mesh: UsdGeom.Mesh, order: IntArray, velocities: bool) -> Placed:
-    prim = mesh.GetPrim()
+def _placed(base: Base, fit: Fit, velocities: bool) -> Placed:
+    prim = fit.mesh.GetPrim()
     return Placed(
-        path=str(mesh.GetPath()),
-        piece=piece,
+        path=str(prim.GetPath()),
+        piece=fit.piece,
+        of_point=None if fit.weld.is_identity else fit.weld.of_point,
         space=_space(base, prim),
-        normals=_normals(mesh, piece, order),
-        velocities=velocities and not _moves(prim),
+        normals=_normals(fit),
+        velocities=velocities and not moves(prim),
     )
-
-
-def _moves(prim: Usd.Prim) -> bool:
-    """Whether transforms move a prim."""
-    spaces = [space for each in lineage(prim) if (space := UsdGeom.Xformable(each))]
-    return any(space.TransformMightBeTimeVarying() for space in spaces)
 
 
 def _space(base: Base, prim: Usd.Prim) -> SpaceAt:
@@ -121,14 +127,15 @@ def _space(base: Base, prim: Usd.Prim) -> SpaceAt:
             )
         return Space(to_world, np.asarray(np.linalg.inv(to_world), dtype=np.float64))
 
-    if _moves(prim):
+    if moves(prim):
         return at
     fixed = at(0.0)
     return lambda time: fixed
 
 
-def _normals(mesh: UsdGeom.Mesh, piece: Piece, order: IntArray) -> Normals | None:
+def _normals(fit: Fit) -> Normals | None:
     """Return how to replace authored normals, which would be stale; subdivided meshes have none that count."""
+    mesh, piece = fit.mesh, fit.piece
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none:
         return None
     primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")  # counts before the attribute
@@ -138,31 +145,38 @@ def _normals(mesh: UsdGeom.Mesh, piece: Piece, order: IntArray) -> Normals | Non
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
+    groups = piece.polygons.indices if piece.creases is None else piece.creases
     if interpolation == UsdGeom.Tokens.faceVarying:
-        groups = piece.polygons.indices if piece.creases is None else piece.creases
-        return Normals(attribute=attribute, interpolation=interpolation, groups=groups, order=groups[order])
+        return Normals(
+            attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.order]
+        )
     if interpolation == UsdGeom.Tokens.uniform:
         faces = np.arange(len(piece.polygons.counts))
         groups = np.repeat(faces, piece.polygons.counts)
         return Normals(attribute=attribute, interpolation=interpolation, groups=groups)
-    return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
+    if fit.weld.is_identity:
+        return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
+    of_point = np.zeros(len(fit.weld.of_point), dtype=np.int64)  # all corners of a point share their normal
+    of_point[fit.corner_points] = groups[fit.order]
+    return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex, groups=groups, order=of_point)
 
 
 def _switch_off(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed) -> None:
     """Block what belongs to the old points, or would move the new ones."""
     prim = mesh.GetPrim()
-    skinned = bool(UsdSkel.BindingAPI(prim))
+    skinned = any(UsdSkel.BindingAPI(each) for each in lineage(prim))
     stale = [prim.GetAttribute(name) for name in ("velocities", "accelerations", "primvars:normals:indices")]
     deforming = [each for each in prim.GetAuthoredAttributes() if _is_of_skeletons(each.GetName())]
     for attribute in [*stale, *(deforming if skinned else [])]:
         if attribute.HasAuthoredValue() and attribute.GetName() not in placed.attributes:
             _block(layer, attribute)
-    if skinned:  # the schema stays applied: only by it an inherited binding can be undone
+    if skinned:  # also by a binding above it, which can be undone only where the schema is applied
+        over = Sdf.CreatePrimInLayer(layer, placed.path)
+        if not UsdSkel.BindingAPI(prim):
+            over.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
         names = [each.GetName() for each in prim.GetAuthoredRelationships()]
         for name in {"skel:skeleton", *filter(_is_of_skeletons, names)}:
-            unbound = Sdf.RelationshipSpec(
-                layer.GetPrimAtPath(placed.path), name, False, Sdf.VariabilityUniform
-            )
+            unbound = Sdf.RelationshipSpec(over, name, False, Sdf.VariabilityUniform)
             unbound.targetPathList.ClearEditsAndMakeExplicit()
     for each in lineage(prim):
         hint = each.GetAttribute("extentsHint")
@@ -174,17 +188,31 @@ def _is_of_skeletons(name: str) -> bool:
     return name.startswith(("skel:", "primvars:skel:"))
 
 
-def _orient(layer: Sdf.Layer, mesh: UsdGeom.Mesh, placed: Placed, order: IntArray) -> None:
+def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
     """Turn faces that would be inside out: those of a mesh that its skeleton mirrored, or its transform does not."""
-    tokens, orientation = UsdGeom.Tokens, mesh.GetOrientationAttr()
-    mirrored = np.linalg.det(placed.space(0.0).to_world[:3, :3]) < 0
-    clockwise = order[1] != 1  # of the sequence, whose faces are counter-clockwise, the mesh has the reverse
+    if not fit.order.size:
+        return
+    tokens, orientation = UsdGeom.Tokens, fit.mesh.GetOrientationAttr()
+    mirrored = np.linalg.det(placed.space(start).to_world[:3, :3]) < 0
+    clockwise = (
+        fit.order[1] != 1
+    )  # of the sequence, whose faces are counter-clockwise, the mesh has the reverse
     left_handed = clockwise != mirrored
     if left_handed != (orientation.Get() == tokens.leftHanded):
         turned = attribute_in(
             layer, str(orientation.GetPath()), orientation.GetTypeName(), orientation.GetVariability()
         )
         turned.default = tokens.leftHanded if left_handed else tokens.rightHanded
+
+
+def _tell_vertices(layer: Sdf.Layer, fit: Fit) -> None:
+    """Tell which points are one vertex, which cannot be seen any more where points have samples."""
+    if fit.weld.is_identity:
+        return
+    path = f"{fit.mesh.GetPath()}.{VERTICES}"
+    vertices = attribute_in(layer, path, Sdf.ValueTypeNames.IntArray, Sdf.VariabilityUniform)
+    vertices.custom = True
+    vertices.default = Vt.IntArrayFromBuffer(fit.weld.of_point.astype(np.int32))
 
 
 def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
@@ -196,10 +224,10 @@ def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
 def _bounds(base: Base) -> tuple[Bounds, ...]:
     """Return the roots of skeletons: their extents follow the skeleton, and count instead of those of the meshes."""
     below: dict[Usd.Prim, list[Piece]] = {}
-    for piece, mesh, _ in base.meshes:
-        for prim in lineage(mesh.GetPrim()):
+    for fit in base.fits:
+        for prim in lineage(fit.mesh.GetPrim()):
             if UsdSkel.Root(prim):
-                below.setdefault(prim, []).append(piece)
+                below.setdefault(prim, []).append(fit.piece)
     return tuple(
         Bounds(
             path=str(root.GetPath()),

@@ -5,6 +5,7 @@ Specification: https://openusd.org/release/spec_usdz.html
 
 from __future__ import annotations
 
+import re
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,7 @@ from tempfile import TemporaryDirectory
 from pxr import Ar, Sdf, UsdUtils
 
 from mixseq.errors import OutputError
+from mixseq_io.usd.paths import TILES
 
 
 def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
@@ -42,18 +44,20 @@ def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
 def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:
     """Return where a texture is, taken out if it is in a package: packages in packages are not for all viewers."""
     outer, inner = Ar.SplitPackageRelativePathOuter(asset)
-    if not inner:
-        return asset
+    if not inner:  # USD would take tiles of other folders into the package as "../wool.1001.png"
+        return layer.ComputeAbsolutePath(asset) if TILES in asset else asset
     with (
         suppress(OSError, KeyError, zipfile.BadZipFile),
         zipfile.ZipFile(layer.ComputeAbsolutePath(outer)) as whole,
     ):
-        if whole.getinfo(inner).compress_type != zipfile.ZIP_STORED:  # as the specification has it
+        pattern = re.escape(inner).replace(TILES, r"\d{4}")
+        textures = [each for each in whole.infolist() if re.fullmatch(pattern, each.filename)]
+        if any(each.compress_type != zipfile.ZIP_STORED for each in textures):  # as the specification has it
             return asset
-        data = whole.read(inner)
+        data = {Path(each.filename).name: whole.read(each) for each in textures}
         own = folder / str(len(list(folder.iterdir())))
         own.mkdir()
-        file = own / Path(inner).name
-        file.write_bytes(data)
-        return str(file)
+        for name, content in data.items():
+            (own / name).write_bytes(content)
+        return str(own / Path(inner).name)
     return asset

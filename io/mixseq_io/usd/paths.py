@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf
 
+TILES = "<UDIM>"
+"""In the name of a texture: it stands for several files, tiles of one picture, with numbers from 1001 on."""
+
 
 def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
     """Return ``times * fps``, whole numbers where only rounding keeps them from being whole.
@@ -79,8 +82,14 @@ def reference_to(file: Path, target: Path) -> str:
         shared = os.path.commonpath([absolute, folder])
     except ValueError:  # on different drives
         return absolute.as_posix()
-    real = folder.resolve() / relative
-    if Path(shared) == Path(absolute.anchor) or not (real.exists() and real.samefile(absolute)):
+    real = (folder.resolve() / relative).parent
+    if Path(shared) == Path(absolute.anchor) or not (real.exists() and real.samefile(absolute.parent)):
         return absolute.as_posix()
     named = Path(relative).as_posix()
     return named if named.startswith("../") else f"./{named}"
+
+
+def sublayer_of(path: Path) -> str:
+    """Return the file that a USD file is a layer over, as the file names it; "" if it stands alone."""
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    return next(iter(layer.subLayerPaths), "") if layer else ""

@@ -1,8 +1,9 @@
 """USD, reading: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
 
 Values come from the composed stage, so that references, layers, variants and value clips count. Several meshes are
-joined; see `mixseq_io.usd.meshes` for which, `mixseq_io.usd.motion` for when and where, `mixseq_io.usd.skinning` for
-characters, and `mixseq_io.usd.surface` for what is on them. Points are float32, which is USD's precision.
+joined; see `mixseq_io.usd.meshes` for which, `mixseq_io.usd.timing` for when, `mixseq_io.usd.motion` for where,
+`mixseq_io.usd.skinning` for characters, and `mixseq_io.usd.surface` for what is on them. Points are float32, which is
+USD's precision.
 """
 
 from __future__ import annotations
@@ -18,14 +19,16 @@ from pxr import Usd, UsdGeom
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
+from mixseq_io.choosing import common_name, moving
 from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.usd.diagnostics import quiet, reading_usd
-from mixseq_io.usd.meshes import meshes_of, name_of
-from mixseq_io.usd.motion import Mover, Track, frame_codes
+from mixseq_io.usd.meshes import meshes_of, places_of
+from mixseq_io.usd.motion import Mover, Track
 from mixseq_io.usd.skinning import skins_of
-from mixseq_io.usd.stage import Notes, open_stage, shortened
+from mixseq_io.usd.stage import Notes, absolute, open_stage
 from mixseq_io.usd.surface import piece_of
+from mixseq_io.usd.timing import frame_codes
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
@@ -138,16 +141,11 @@ def _shot(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> _Shot
     meshes = meshes_of(path, stage, prim, notes)
     skins = skins_of(meshes, notes)
     movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
-    moving = [mover for mover in movers if mover.sources]
-    if prim is None and moving:
-        still = [str(mover.mesh.GetPath()) for mover in movers if not mover.sources]
-        if still:
-            warn(
-                f"{path}: meshes that stand still are left out; prim='/' takes them, too: {shortened(still)}"
-            )
-        movers = moving
+    if prim is None:
+        numbers = moving(path, places_of(meshes), [bool(mover.sources) for mover in movers])
+        movers = [movers[i] for i in numbers]
     codes = frame_codes(path, stage, movers)
-    return _Shot(stage, [Track(mover, float(codes[0])) for mover in movers], codes)
+    return _Shot(stage, [Track(mover, codes) for mover in movers], codes)
 
 
 def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
@@ -158,7 +156,7 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
         piece_of(track, end - track.vertex_count, shot.codes, notes)
         for track, end in zip(shot.tracks, ends, strict=True)
     ]
-    polygons, surface = join(path, pieces, Origin("USD", str(path.resolve())))
+    polygons, surface = join(path, pieces, Origin("USD", absolute(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],
@@ -166,6 +164,6 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
-        name=name_of(path, [track.mesh for track in shot.tracks]),
+        name=common_name(places_of([track.mesh for track in shot.tracks])) or path.stem,
         surface=surface,
     )

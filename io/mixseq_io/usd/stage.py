@@ -5,6 +5,7 @@ Specification: https://openusd.org/release/api/class_usd_stage.html
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from mixseq_io.blocks import warn
 _MOST_PRIMS = 1_000_000
 """Instances of instances can be more than atoms in the universe, in a file of a few lines."""
 
-LONGEST_LIST = 20
+_LONGEST_LIST = 20
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -33,10 +34,19 @@ def open_stage(path: Path) -> Usd.Stage:
         raise FormatError(f"{path} does not exist")
     # A process shares its layers by their identifier, with an application's unsaved edits in them, or with
     # what the file held before it was replaced. An argument that no one else gives makes this one our own.
-    layer = Sdf.Layer.FindOrOpen(str(path.resolve()), {"mixseq": token_hex(8)})
+    layer = Sdf.Layer.FindOrOpen(absolute(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
     return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
+
+
+def absolute(path: Path) -> str:
+    """Return the path by which USD opens a file.
+
+    Links are not followed: what a file refers to is searched from the folder in which it is named, and stores of data
+    (git-annex, DVC) keep the file itself elsewhere, without its extension.
+    """
+    return os.path.abspath(path)  # noqa: PTH100 - Path.resolve follows links
 
 
 def prims_of(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
@@ -96,5 +106,5 @@ def shortened(paths: list[str]) -> str:
     >>> shortened(["/a", "/b"])
     '/a, /b'
     """
-    more = len(paths) - LONGEST_LIST
-    return ", ".join(paths[:LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")
+    more = len(paths) - _LONGEST_LIST
+    return ", ".join(paths[:_LONGEST_LIST]) + (f" and {more} more" if more > 0 else "")

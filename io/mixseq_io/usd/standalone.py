@@ -49,6 +49,7 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, vel
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
     root = UsdGeom.Xform.Define(stage, f"/{name}")
+    _show_name(root.GetPrim(), header.name)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
     pieces = split(header)
@@ -66,8 +67,7 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, vel
 
 def _define_mesh(stage: Usd.Stage, path: str, piece: Piece) -> None:
     mesh = UsdGeom.Mesh.Define(stage, path)
-    if mesh.GetPrim().GetName() != piece.name:
-        mesh.GetPrim().SetDisplayName(piece.name)
+    _show_name(mesh.GetPrim(), piece.name)
     mesh.CreateSubdivisionSchemeAttr(piece.subdivision)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(piece.polygons.counts))
@@ -80,6 +80,12 @@ def _define_mesh(stage: Usd.Stage, path: str, piece: Piece) -> None:
             Vt.IntArrayFromBuffer(piece.uvs.indices),
             UsdGeom.Tokens.faceVarying,
         )
+
+
+def _show_name(prim: Usd.Prim, name: str) -> None:
+    """Keep a name that a prim cannot have."""
+    if prim.GetName() != name:
+        prim.SetDisplayName(name)
 
 
 def _normals(piece: Piece) -> Normals | None:
@@ -115,8 +121,7 @@ def _bind(prim: Usd.Prim, target: Path, piece: Piece, materials: Mapping[str, Us
             Vt.IntArray(faces),
             UsdShade.Tokens.materialBind if each.material else "",
         )
-        if taken[-1] != each.name:
-            subset.GetPrim().SetDisplayName(each.name)
+        _show_name(subset.GetPrim(), each.name)
         if each.material:
             UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[each.material])
             for face in faces:

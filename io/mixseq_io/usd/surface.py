@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import creases_of_normals
-from mixseq.polygons import IntArray, Polygons
+from mixseq.polygons import IntArray, Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.pieces import Piece
 from mixseq_io.reader import naming
@@ -30,6 +30,8 @@ _UV_TYPES = (
     Sdf.ValueTypeNames.TexCoord2hArray,
     Sdf.ValueTypeNames.Float2Array,
 )
+
+_PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
 
 
 def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes: Notes) -> Piece:
@@ -62,7 +64,7 @@ def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes:
         name=display_name(mesh.GetPrim()),
         path=path,
         vertices=slice(first_vertex, first_vertex + track.vertex_count),
-        polygons=polygons,
+        polygons=track.weld.polygons(polygons),
         uvs=_uvs(track, polygons, notes),
         # The normals of a surface that is subdivided follow from the subdivision.
         creases=_creases(track, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
@@ -74,22 +76,8 @@ def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes:
     return _turned(piece) if left_handed != track.mirrored else piece
 
 
-def reversal(counts: IntArray) -> NDArray[np.intp]:
-    """Return the order of corners that reverses every polygon, each from the same first corner.
-
-    Examples
-    --------
-    >>> reversal(np.array([4, 3])).tolist()
-    [0, 3, 2, 1, 4, 6, 5]
-    """
-    of_corner = np.repeat(counts, counts)
-    starts = np.repeat(np.cumsum(counts) - counts, counts)
-    corner = np.arange(len(starts)) - starts
-    return np.asarray(starts + (of_corner - corner) % np.maximum(of_corner, 1), dtype=np.intp)
-
-
 def _turned(piece: Piece) -> Piece:
-    order = reversal(piece.polygons.counts)
+    order = reversed_corners(piece.polygons.counts, keep_first=True)
     return replace(
         piece,
         polygons=Polygons(piece.polygons.counts, piece.polygons.indices[order]),
@@ -101,12 +89,12 @@ def _turned(piece: Piece) -> Piece:
 def _polygons(track: Track, codes: NDArray[np.float64]) -> Polygons:
     counts = _constant(track.mesh.GetFaceVertexCountsAttr(), codes)
     polygons = Polygons(counts, _constant(track.mesh.GetFaceVertexIndicesAttr(), codes))
-    outside = (polygons.indices < 0) | (polygons.indices >= track.vertex_count)
+    outside = (polygons.indices < 0) | (polygons.indices >= track.point_count)
     if outside.any():
         corner = int(np.argmax(outside))
         face = int(np.searchsorted(np.cumsum(polygons.counts), corner, side="right"))
         raise InvalidSequenceError(
-            f"face {face} uses vertex {polygons.indices[corner]}, but vertices are 0 to {track.vertex_count - 1}"
+            f"face {face} uses vertex {polygons.indices[corner]}, but vertices are 0 to {track.point_count - 1}"
         )
     return polygons
 
@@ -157,14 +145,15 @@ def _creases(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32
         interpolation, values = primvar.GetInterpolation(), primvar.ComputeFlattened(code)
     else:
         interpolation, values = mesh.GetNormalsInterpolation(), mesh.GetNormalsAttr().Get(code)
-    if values is None or interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+    of_points = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    if values is None or (of_points and track.weld.is_identity):
         return None
     normals = np.array(values, dtype=np.float32).reshape(-1, 3)
     rows = _rows_of_corners(interpolation, polygons)
     if not _within(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
-    return creases_of_normals(polygons, normals[rows])
+    return creases_of_normals(track.weld.polygons(polygons), normals[rows])
 
 
 def _rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
@@ -192,12 +181,15 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(subset.GetPrim(), "subsets of other elements than faces are left out")
             continue
+        if subset.GetIndicesAttr().ValueMightBeTimeVarying():
+            notes.add(subset.GetPrim(), "subsets that change over time stay as they are in the first frame")
         polygons = np.array(subset.GetIndicesAttr().Get(code) or (), dtype=np.int32)
         inside = (polygons >= 0) & (polygons < polygon_count)
         if not inside.all():
             notes.add(subset.GetPrim(), "faces of subsets that the mesh does not have are left out")
         # Without a binding of its own a subset has the mesh's material, which is not to be bound to it.
-        own = UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterialPath()
+        bindings = UsdShade.MaterialBindingAPI(subset.GetPrim())
+        own = any(bindings.GetDirectBinding(purpose).GetMaterialPath() for purpose in _PURPOSES)
         material = _material(subset.GetPrim()) if own else None
         sets.append(
             FaceSet(
@@ -208,5 +200,7 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
 
 
 def _material(prim: Usd.Prim) -> UsdShade.Material | None:
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
-    return material if material else None
+    """Return the material for all purposes, or that for final renders, or for previews, whichever there is first."""
+    bindings = UsdShade.MaterialBindingAPI(prim)
+    found = (bindings.ComputeBoundMaterial(purpose)[0] for purpose in _PURPOSES)
+    return next(filter(None, found), None)

@@ -50,7 +50,7 @@ def write_usd(
     onto : path-like, optional
         The USD file to lay the points over; by default the one that the sequence was read from.
     clips : int
-        Put the samples into files of this many frames each, in a folder ``<name>.clips`` beside the file; 0: into
+        Put the samples into files of this many frames each, in a folder ``<file>.clips`` beside the file; 0: into
         the file itself.
 
     Raises
@@ -79,14 +79,18 @@ def write_usd(
 
     def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
         layer = Sdf.Layer.CreateNew(str(file))
-        _author_times(layer, header, codes)
-        moving = velocities is not None
-        cast = lay_over(layer, path, base, moving) if base else define_component(layer, path, header, moving)
+        _author_times(layer, header, codes, base)
+        moving, start = velocities is not None, float(header.times[0])
+        cast = (
+            lay_over(layer, path, base, start, moving)
+            if base
+            else define_component(layer, path, header, moving)
+        )
         declare(layer, cast)
         return layer, cast, frames(cast, codes, header.times, numbered)
 
     with (
-        new_folder(path.with_suffix(".clips")) as folder,
+        new_folder(path) as folder,
         replacing(path) as temporary,
         quiet(),
         writing_usd(path),
@@ -144,8 +148,22 @@ def _base(path: Path, header: SequenceHeader, onto: str | PathLike[str] | None) 
     return base
 
 
-def _author_times(layer: Sdf.Layer, header: SequenceHeader, codes: NDArray[np.float64]) -> None:
+def _author_times(
+    layer: Sdf.Layer, header: SequenceHeader, codes: NDArray[np.float64], base: Base | None
+) -> None:
+    """Author units and times; over a file its range is kept, and grows where frames are outside of it."""
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
-    layer.startTimeCode, layer.endTimeCode = float(codes[0]), float(codes[-1])
+    start, end = float(codes[0]), float(codes[-1])
+    if base:
+        below = base.stage
+        scale = header.fps / below.GetTimeCodesPerSecond()
+        if scale == 1.0:
+            layer.framesPerSecond = below.GetFramesPerSecond()
+        if below.HasAuthoredTimeCodeRange():
+            start, end = (
+                min(start, scale * below.GetStartTimeCode()),
+                max(end, scale * below.GetEndTimeCode()),
+            )
+    layer.startTimeCode, layer.endTimeCode = start, end
     layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
     layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)

@@ -1,0 +1,160 @@
+"""Which of a scene's meshes are meant: those that `prim` names, or those that move.
+
+Scenes of all formats are trees of named objects with meshes in them. A reader makes a `SceneObject` of every mesh and
+of what is above it; what is chosen comes back as numbers of meshes, in their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mixseq.errors import AmbiguousError, FormatError
+from mixseq_io.blocks import warn
+
+_LONGEST_LIST = 20
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """An object of a scene, with or without a mesh.
+
+    Parameters
+    ----------
+    path : str
+        Its path, which no other object has.
+    names : tuple of str
+        What it is called, best first; empty ones do not count.
+    above : SceneObject or None
+        The object that it is in.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    above: SceneObject | None = None
+
+    @property
+    def name(self) -> str:
+        """The name to show, "" if it has none."""
+        return next(filter(None, self.names), "")
+
+    @property
+    def lineage(self) -> list[SceneObject]:
+        """The object and all that are above it, the root last."""
+        found, here = [], self
+        while True:
+            found.append(here)
+            if here.above is None:
+                return found
+            here = here.above
+
+
+def chosen(
+    file: Path, meshes: Sequence[SceneObject], prim: str, among: Sequence[SceneObject] | None = None
+) -> list[int]:
+    """Return the numbers of the meshes at or below an object.
+
+    Parameters
+    ----------
+    file : Path
+        The file, for messages.
+    meshes : sequence of SceneObject
+        All meshes.
+    prim : str
+        Path of the object, or its name if no other place has it; "/" is everything.
+    among : sequence of SceneObject, optional
+        Other objects, whose numbers are wanted instead of those of the meshes.
+
+    Raises
+    ------
+    FormatError
+        If there is no mesh; the message lists what there is.
+    AmbiguousError
+        If objects in several places have that name.
+
+    Examples
+    --------
+    >>> man = SceneObject("/man", ("man",))
+    >>> body, house = SceneObject("/man/body", ("body",), man), SceneObject("/house", ("house",))
+    >>> [chosen(Path("a.abc"), [body, house], prim) for prim in ("man", "/man/body", "/")]
+    [[0], [0], [0, 1]]
+    """
+    among = meshes if among is None else among
+    if not prim.strip("/"):
+        return list(range(len(among)))
+    root = _path_of(file, meshes, prim)
+    return [number for number, place in enumerate(among) if root in (each.path for each in place.lineage)]
+
+
+def _path_of(file: Path, meshes: Sequence[SceneObject], prim: str) -> str:
+    """Return the path of what `prim` names: as it is listed, or a name, or a path but for slashes at its ends."""
+    paths = {each.path.strip("/"): each.path for mesh in meshes for each in mesh.lineage}
+    path = paths.get(prim.strip("/"))
+    if path == prim:
+        return path
+    # The outermost of those that are in each other.
+    named = {each.path for mesh in meshes for each in _called(mesh, prim)[-1:]}
+    if len(named) > 1:
+        raise AmbiguousError(f"{file}: {prim!r} is in several places, {listed(sorted(named))}; give its path")
+    found = next(iter(named), path)
+    if found is None:
+        raise FormatError(
+            f"{file} has no mesh at or below {prim!r}; its meshes are {listed([mesh.path for mesh in meshes])}"
+        )
+    return found
+
+
+def _called(mesh: SceneObject, name: str) -> list[SceneObject]:
+    return [each for each in mesh.lineage if name in each.names]
+
+
+def moving(file: Path, meshes: Sequence[SceneObject], moves: Sequence[bool]) -> list[int]:
+    """Return the numbers of the meshes that move; all if none does.
+
+    Parameters
+    ----------
+    file, meshes
+        See `chosen`.
+    moves : sequence of bool
+        Whether each of the meshes moves.
+
+    Warns
+    -----
+    MixseqWarning
+        Of those that are left out.
+    """
+    still = [mesh.path for mesh, it_moves in zip(meshes, moves, strict=True) if not it_moves]
+    if not any(moves):
+        return list(range(len(meshes)))
+    if still:
+        warn(
+            f"{file}: meshes that stand still are left out; prim='/' (--prim / on the command line) takes them, too: "
+            f"{listed(still)}"
+        )
+    return [number for number, it_moves in enumerate(moves) if it_moves]
+
+
+def common_name(meshes: Sequence[SceneObject]) -> str:
+    """Return the name of the only mesh, or of the deepest object with a name that is above all; "" if there is none.
+
+    Examples
+    --------
+    >>> man = SceneObject("/man", ("man",))
+    >>> common_name([SceneObject("/man/body", ("body",), man), SceneObject("/man/hat", ("hat",), man)])
+    'man'
+    """
+    shared = set.intersection(*({each.path for each in mesh.lineage} for mesh in meshes))
+    return next((each.name for each in meshes[0].lineage if each.path in shared and each.name), "")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names for a message, at most 20.
+
+    Examples
+    --------
+    >>> listed(["a", "b c"])
+    "'a', 'b c'"
+    """
+    more = len(names) - _LONGEST_LIST
+    return ", ".join(map(repr, names[:_LONGEST_LIST])) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,116 @@
+"""USD, seams: points that are one vertex, split where texture coordinates or normals differ.
+
+Characters from engines have a point for every combination of position, texture coordinates and normal. Cut open along
+all these seams a mesh falls to pieces, so what moves as one vertex is read as one vertex: the same position, the same
+joints and weights, the same blend shapes, bit for bit. So are only the meshes of skeletons: of points with time samples
+it could not be told without reading all frames.
+
+A layer that lays new points over such a mesh tells the vertex of every point in the attribute `VERTICES`, and so
+reads as the same vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, UsdGeom, UsdSkel
+
+from mixseq.polygons import IntArray, Polygons
+
+VERTICES = "mixseq:vertices"
+
+
+@dataclass(frozen=True, eq=False)
+class Weld:
+    """Which points of a mesh are which vertex.
+
+    Parameters
+    ----------
+    of_point : (P,) int
+        The vertex of every point.
+    representatives : (W,) int
+        The first point of every vertex; vertices are numbered in this order.
+    """
+
+    of_point: IntArray
+    representatives: IntArray
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether every point is a vertex of its own."""
+        return len(self.of_point) == len(self.representatives)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices W."""
+        return len(self.representatives)
+
+    def polygons(self, polygons: Polygons) -> Polygons:
+        """Return polygons of points as polygons of vertices."""
+        return Polygons(polygons.counts, self.of_point[polygons.indices])
+
+
+def unwelded(count: int) -> Weld:
+    """Return a weld in which every point is a vertex of its own."""
+    return Weld(np.arange(count), np.arange(count))
+
+
+def weld(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> Weld:
+    """Return which points of a mesh, at ``(P, 3)`` in some frame, are one vertex."""
+    labels = _told(mesh, len(points))
+    if labels is None:
+        labels = _found(mesh, points)
+    _, first, of_point = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return Weld(rank[of_point.reshape(-1)], first[order])
+
+
+def _told(mesh: UsdGeom.Mesh, count: int) -> IntArray | None:
+    """Return what a layer of ours says, if it is about as many points."""
+    attribute = mesh.GetPrim().GetAttribute(VERTICES)
+    if not attribute or attribute.GetTypeName() != Sdf.ValueTypeNames.IntArray:
+        return None
+    labels = np.array(attribute.Get() or (), dtype=np.int32)
+    return labels if len(labels) == count else None
+
+
+def _found(mesh: UsdGeom.Mesh, points: NDArray[np.float32]) -> IntArray:
+    attribute = mesh.GetPointsAttr()
+    influences = list(_influences(mesh, len(points)))
+    known = [each for each in influences if each is not None]
+    if attribute.ValueMightBeTimeVarying() or not known or len(known) < len(influences):
+        return np.arange(len(points))
+    rows = np.hstack([points, *known])
+    return np.unique(np.ascontiguousarray(rows), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _influences(mesh: UsdGeom.Mesh, count: int) -> Iterator[NDArray[np.float32] | None]:
+    """Yield what moves the points, an array ``(P, n)`` each; None for what changes or does not fit."""
+    binding = UsdSkel.BindingAPI(mesh.GetPrim())
+    for primvar in (binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()):
+        if not primvar or primvar.GetInterpolation() != UsdGeom.Tokens.vertex:
+            continue  # one for all points
+        values = np.array(primvar.ComputeFlattened() or (), dtype=np.float32)
+        fits = len(values) == count * primvar.GetElementSize() and not primvar.ValueMightBeTimeVarying()
+        yield values.reshape(count, -1) if fits else None
+    if not binding.GetBlendShapesAttr().HasAuthoredValue():
+        return
+    query = UsdSkel.BlendShapeQuery(binding)
+    indices = [np.array(each, dtype=np.int64) for each in query.ComputeBlendShapePointIndices()]
+    for subshape, value in enumerate(query.ComputeSubShapePointOffsets()):
+        offsets = np.array(value or (), dtype=np.float32).reshape(-1, 3)
+        if not len(offsets):
+            continue  # the shape at weight 0
+        rows = indices[query.GetBlendShapeIndex(subshape)]
+        rows = rows if rows.size else np.arange(count)
+        if len(rows) != len(offsets) or (rows.size and (rows.min() < 0 or rows.max() >= count)):
+            yield None
+            continue
+        dense = np.zeros((count, 3), dtype=np.float32)
+        dense[rows] = offsets
+        yield dense

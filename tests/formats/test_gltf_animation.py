@@ -1,0 +1,195 @@
+"""glTF files in: what is between the keys of animations, and when frames are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, MixseqWarning, SettingsError
+from mixseq.sequence import MeshSequence
+from tests.formats.gltf_maker import TRIANGLE, Maker, moving
+
+
+def test_linear_translation_and_what_is_beyond_the_keys(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0.5, 1.0, 2.0], [[0, 0, 0], [2, 0, 0], [2, 4, 0]])
+    other = maker.node("later", mesh=maker.mesh(TRIANGLE))
+    maker.animate(other, "translation", [0, 3], [[0, 0, 0], [0, 0, 3]])
+    got = made(maker)
+    assert got.times.tolist() == [0, 0.5, 1, 2, 3]
+    np.testing.assert_allclose(got.points[:, 0, :2], [[0, 0], [0, 0], [2, 0], [2, 4], [2, 4]])
+    np.testing.assert_allclose(got.points[:, 3, 2], [0, 0.5, 1, 2, 3])
+
+
+def test_linear_rotation_is_an_arc_the_short_way(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    third = np.array([0, 0, np.sin(np.pi / 3), np.cos(np.pi / 3)])
+    maker.animate(node, "rotation", [0, 1], [[0, 0, 0, 1], -third])
+    got = made(maker, fps=4)
+    angles = np.linspace(0, 2 * np.pi / 3, 5)
+    np.testing.assert_allclose(got.points[:, 1, :2], np.stack([np.cos(angles), np.sin(angles)], 1), atol=1e-6)
+
+
+def test_step(made: Callable[..., MeshSequence]) -> None:
+    got = made(moving([0, 1, 2], [[0, 0, 0], [2, 0, 0], [5, 0, 0]], "STEP"), fps=2)
+    assert got.points[:, 0, 0].tolist() == [0, 0, 2, 2, 5]
+
+
+def test_cubic_spline(made: Callable[..., MeshSequence]) -> None:
+    """Hermite's form gives any cubic back, here (2 t)^3 over two steps of unequal length."""
+    times = np.array([0, 0.5, 2.0])
+    keys = np.zeros((3, 3, 3))
+    keys[:, 1, 1], keys[:, 0, 1], keys[:, 2, 1] = 8 * times**3, 24 * times**2, 24 * times**2
+    got = made(moving(times, keys.reshape(-1, 3), "CUBICSPLINE"), fps=8)
+    np.testing.assert_allclose(got.points[:, 0, 1], 8 * got.times**3, rtol=1e-6)
+
+
+def test_cubic_rotations_are_normalised(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    zero, half = [0, 0, 0, 0], np.sqrt(0.5)
+    keys = [zero, [0, 0, 0, 1], zero, zero, [0, 0, half, half], zero]
+    maker.animate(node, "rotation", [0, 1], keys, "CUBICSPLINE")
+    got = made(maker, fps=2)
+    np.testing.assert_allclose(
+        got.points[1, 1], [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6
+    )  # by symmetry 45°
+
+
+def test_normalised_rotations(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    maker.animate(node, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 1, 0]])
+    output = maker.json["animations"][0]["samplers"][0]
+    output["output"] = maker.add([[0, 0, 0, 32767], [0, 0, -32767, 0]], "i2", normalized=True)
+    np.testing.assert_allclose(made(maker).points[1, 1], [-1, 0, 0], atol=1e-7)
+
+
+def test_a_single_frame_without_animation(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    maker.node(mesh=maker.mesh(TRIANGLE), translation=[1, 2, 3])
+    for fps in (None, 24):
+        got = made(maker, fps=fps)
+        assert got.times.tolist() == [0]
+        assert got.points.tolist() == [[[1, 2, 3], [2, 2, 3], [1, 3, 3]]]
+    assert (got.up_axis, got.metres_per_unit) == ("Y", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("times", "rate"),
+    [
+        (np.arange(5) / 24, 24),
+        (np.arange(5) / 29.97, 30000 / 1001),
+        (np.array([0.1, 0.3, 0.4, 0.7]), 30),
+        (np.array([0, 1.25]), 24),
+        (np.arange(5) / 90, 90),
+        (np.array([0, 0.1, 0.1333333]), 30),
+        (np.array([0, 0.1, 0.137]), 24),
+    ],
+)
+def test_the_rate_is_that_of_the_keys(
+    made: Callable[..., MeshSequence], times: NDArray[np.float64], rate: float
+) -> None:
+    got = made(moving(times, np.outer(times, [1, 0, 0])))
+    assert got.fps == pytest.approx(rate, rel=1e-6)
+    np.testing.assert_array_equal(got.times, times.astype(np.float32))
+
+
+def test_times_that_nearly_coincide_count_once(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0, 0.1], [[0, 0, 0], [1, 0, 0]])
+    maker.animate(0, "scale", [0, np.nextafter(np.float32(0.1), 1)], [[1, 1, 1], [2, 2, 2]])
+    assert made(maker).frame_count == 2
+
+
+def test_frames_at_a_rate(made: Callable[..., MeshSequence]) -> None:
+    got = made(moving([0.25, 1.3], [[0, 0, 0], [1, 0, 0]]), fps=10)
+    assert got.fps == 10
+    np.testing.assert_allclose(got.times, 0.25 + np.arange(11) / 10)
+
+
+def test_the_choice_of_an_animation(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    maker.animate(node, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]], name="walk")
+    maker.animate(node, "translation", [0, 1], [[0, 0, 0], [2, 0, 0]], name="run")
+    for choice in ("run", 1, "1"):
+        assert made(maker, animation=choice).points[1, 0, 0] == 2
+    with pytest.warns(
+        MixseqWarning, match="of 2 animations the first, 'walk', is read; the option animation .* 'run'"
+    ):
+        assert made(maker).points[1, 0, 0] == 1
+    for wrong in ("fly", 2, -1):
+        with pytest.raises(SettingsError, match=r"has no animation .*; there are 'walk', 'run'"):
+            made(maker, animation=wrong)
+
+
+@pytest.mark.parametrize("fps", [0, -1, np.nan, np.inf])
+def test_rates_that_are_none(made: Callable[..., MeshSequence], fps: float) -> None:
+    with pytest.raises(SettingsError, match=r"fps is .*; a positive number"):
+        made(moving(), fps=fps)
+
+
+def test_too_many_frames(made: Callable[..., MeshSequence]) -> None:
+    with pytest.raises(FormatError, match="too many frames"):
+        made(moving([0, 1e30]), fps=24)
+
+
+def test_animation_pointers_are_warned_about(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    maker.json["animations"][0]["channels"].append({"sampler": 0, "target": {"path": "pointer"}})
+    with pytest.warns(MixseqWarning, match="1 channels of KHR_animation_pointer are left out"):
+        made(maker)
+
+
+def test_keys_that_are_close_within_a_channel(made: Callable[..., MeshSequence]) -> None:
+    times = np.array([1, 1 + 2**-22, 2], np.float32)
+    assert made(moving(times, np.outer(times, [1, 0, 0]))).times.tolist() == times.tolist()
+
+
+def test_cubic_splines_that_stand_still(made: Callable[..., MeshSequence]) -> None:
+    maker = moving()
+    still = maker.node("still", mesh=maker.mesh(TRIANGLE))
+    keys = np.zeros((2, 3, 3))
+    keys[:, 1] = 5
+    maker.animate(still, "translation", [0, 1], keys.reshape(-1, 3), "CUBICSPLINE")
+    with pytest.warns(MixseqWarning, match="stand still are left out.*'still'"):
+        assert [each.name for each in made(maker).objects] == ["body"]
+    keys[0, 2, 0] = 1  # a tangent moves it between its keys
+    maker.animate(still, "translation", [0, 1], keys.reshape(-1, 3), "CUBICSPLINE")
+    assert made(maker).vertex_count == 6
+
+
+def test_one_key_stands_still(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0.5], [[0, 0, 0], [5, 0, 0], [9, 9, 9]], "CUBICSPLINE")
+    got = made(maker)
+    assert (got.times.tolist(), got.points[0, 0].tolist()) == ([0.5], [5, 0, 0])
+
+
+def test_steps_at_a_rate_are_on_the_beat(made: Callable[..., MeshSequence]) -> None:
+    """Keys are float32, frames at a rate are not: 0.1 is before its key."""
+    numbers = np.arange(11)
+    got = made(moving(numbers / 10, np.outer(numbers, [1, 0, 0]), "STEP"), fps=10)
+    assert got.points[:, 0, 0].tolist() == numbers.tolist()
+
+
+@pytest.mark.parametrize("last", [697, 1697])
+def test_the_last_frame_of_long_animations(made: Callable[..., MeshSequence], last: int) -> None:
+    got = made(moving(np.array([0, last]) / 10, [[0, 0, 0], [1, 0, 0]]), fps=10)
+    assert got.frame_count == last + 1
+
+
+def test_late_times_count_once_if_they_are_the_next_float(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0, 100], [[0, 0, 0], [1, 0, 0]])
+    maker.animate(0, "scale", [0, np.nextafter(np.float32(100), 0)], [[1, 1, 1], [2, 2, 2]])
+    assert made(maker).frame_count == 2
+
+
+def test_a_chosen_animation_is_not_warned_about(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    for name in ("walk", "run"):
+        maker.animate(node, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]], name=name)
+    assert made(maker, animation="walk").frame_count == 2  # warnings are errors
