@@ -101,7 +101,7 @@ def reversed_corners(counts: IntArray, *, keep_first: bool) -> NDArray[np.intp]:
     counts : (P,) int
         Number of corners of each polygon.
     keep_first : bool
-        Whether first corners stay first, so that triangles stay the same but for their order; else the last ones
+        Whether first corners stay first, and with them the way polygons are cut into triangles; else the last ones
         become first.
 
     Examples

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
@@ -56,12 +57,10 @@ def places_of(objects: Sequence[UsdGeom.Mesh | Usd.Prim]) -> list[SceneObject]:
     """Return where meshes or other prims are in the scene; what is above several is one object."""
     places: dict[Sdf.Path, SceneObject] = {}
     for each in objects:
-        place = None
-        for prim in reversed(list(lineage(each.GetPrim()))):
-            path = prim.GetPath()
-            if path not in places:
-                places[path] = SceneObject(str(path), (display_name(prim), prim.GetName()), place)
-            place = places[path]
+        new = takewhile(lambda prim: prim.GetPath() not in places, lineage(each.GetPrim()))
+        for prim in reversed(list(new)):
+            path, names = prim.GetPath(), (display_name(prim), prim.GetName())
+            places[path] = SceneObject(str(path), names, places.get(path.GetParentPath()))
     return [places[each.GetPath()] for each in objects]
 
 

@@ -1,0 +1,185 @@
+"""USD, writing: value clips, and packages."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+
+from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
+from mixseq.sequence import MeshSequence
+from mixseq_io.usd.writer import write_usd
+from tests.formats.usd_maker import (
+    Asset,
+    author_normals,
+    character,
+    lift,
+    load,
+    mesh_at,
+    paint,
+    problems,
+    save,
+    shot,
+)
+
+
+@pytest.fixture
+def asset(tmp_path: Path) -> Asset:
+    return Asset(tmp_path / "asset.usda")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "out.usda"
+
+
+# Value clips
+
+
+@pytest.mark.parametrize("over", [False, True])
+@pytest.mark.parametrize("length", [1, 2, 3, 7, 100])
+def test_clips_give_the_same_as_one_file(asset: Asset, path: Path, over: bool, length: int) -> None:
+    points = np.random.default_rng(3).normal(size=(7, 5, 3)).astype(np.float32)
+    times = np.array([0, 0.1, 0.2, 0.3, 0.35, 0.4, 1.7])
+    beneath = asset.read()
+    header = (beneath if over else shot()).header.with_times(times, 30)
+    written = MeshSequence.from_header(header, points, -points)
+    whole, prim = path.with_name("whole.usdc"), "/set/walker" if over else "/mesh/mesh"
+    save(whole, written)
+    stage, expected = save(path, written, clips=length), Usd.Stage.Open(str(whole))
+    assert problems(stage) == set()
+    files = sorted(file.name for file in path.with_name("out.usda.clips").iterdir())
+    count = -(-7 // length)
+    assert files == [*(f"out.{number:04d}.usdc" for number in range(1, count + 1)), "out.manifest.usdc"]
+    one, other = mesh_at(stage, prim), mesh_at(expected, prim)
+    codes = other.GetPointsAttr().GetTimeSamples()
+    assert one.GetPointsAttr().GetTimeSamples() == codes
+    between = (np.array(codes[1:]) + np.array(codes[:-1])) / 2
+    for code in [codes[0] - 1, *codes, *between.tolist(), codes[-1] + 1]:
+        for name in ("points", "extent", "velocities"):
+            got, known = (mesh.GetPrim().GetAttribute(name).Get(code) for mesh in (one, other))
+            assert got == known
+    back = load(path)
+    np.testing.assert_array_equal(back.points, points)
+    np.testing.assert_array_equal(back.times, load(whole).times)
+
+
+def test_clips_of_a_character_with_normals(asset: Asset, path: Path) -> None:
+    body = character(asset)
+    author_normals(body, "primvars:normals", "constant")
+    before = asset.read("/set/rig/body")
+    stage = save(path, before.with_points(before.points + 1), clips=2)
+    assert problems(stage) - problems(asset.stage) == set()
+    np.testing.assert_array_equal(load(path, "/set/rig/body").points, before.points + 1)
+    primvar = UsdGeom.PrimvarsAPI(mesh_at(stage, "/set/rig/body")).GetPrimvar("normals")
+    assert primvar.GetInterpolation() == "vertex"
+    np.testing.assert_allclose(primvar.Get(2), [(0, 0, 1)] * 3)
+    root = UsdGeom.Boundable(stage.GetPrimAtPath("/set/rig"))
+    np.testing.assert_allclose(root.GetExtentAttr().Get(2)[1], before.points[2].max(axis=0) + 1)
+
+
+def test_clips_follow_the_shot_that_refers_to_them(path: Path) -> None:
+    save(path, shot(), clips=1)
+    later = Usd.Stage.CreateInMemory()
+    later.SetTimeCodesPerSecond(24)
+    later.DefinePrim("/there").GetReferences().AddReference(str(path), Sdf.LayerOffset(1000, 2))
+    points = mesh_at(later, "/there/mesh").GetPointsAttr()
+    assert points.GetTimeSamples() == [1000, 1024, 1048]
+    np.testing.assert_array_equal(points.Get(1024), lift()[1])
+
+
+def test_clips_replace_older_ones(path: Path) -> None:
+    save(path, shot(), clips=1)
+    save(path, shot(lift() + 1), clips=2)
+    assert len(list(path.with_name("out.usda.clips").iterdir())) == 3
+    assert sorted(file.name for file in path.parent.iterdir()) == ["out.usda", "out.usda.clips"]
+    np.testing.assert_array_equal(
+        Sdf.Layer.OpenAsAnonymous(str(path.with_name("out.usda.clips") / "out.0002.usdc")).QueryTimeSample(
+            "/mesh/mesh.points", 24
+        ),
+        lift()[2] + 1,
+    )
+
+
+def test_files_of_one_name_have_clips_of_their_own(path: Path) -> None:
+    save(path, shot(), clips=1)
+    save(path.with_suffix(".usdc"), shot(lift() + 1), clips=2)
+    np.testing.assert_array_equal(load(path).points, lift())
+    np.testing.assert_array_equal(load(path.with_suffix(".usdc")).points, lift() + 1)
+
+
+@pytest.mark.parametrize("clips", [(2, 0), (0, 2), (2, 3)])
+@pytest.mark.parametrize("rates", [(24, 60), (60, 25)])
+def test_layers_over_layers(
+    asset: Asset, path: Path, clips: tuple[int, int], rates: tuple[float, float]
+) -> None:
+    before = asset.read()
+    between = path.with_name("between.usda")
+    header = before.header.with_times([0, 0.5, 1], rates[0])
+    save(between, MeshSequence.from_header(header, before.points + 1), clips=clips[0])
+    header = load(between).header.with_times(np.linspace(0, 2, 5), rates[1])
+    points = np.random.default_rng(1).normal(size=(5, 5, 3)).astype(np.float32)
+    save(path, MeshSequence.from_header(header, points), clips=clips[1])
+    got = load(path)
+    np.testing.assert_allclose(got.times, header.times, atol=1e-12)
+    np.testing.assert_array_equal(got.points, points)
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+@pytest.mark.parametrize("step", ["values", "fsync", "rename", "replace"])
+def test_nothing_half_written_stays(
+    path: Path, files: Any, monkeypatch: pytest.MonkeyPatch, earlier: bool, step: str
+) -> None:
+    if earlier:
+        save(path, shot(), clips=1)
+    before = files()
+    points = lift() + 1.0
+
+    def refuse(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    if step == "values":
+        points[2] = np.inf
+    else:
+        monkeypatch.setattr("os.fsync" if step == "fsync" else f"pathlib.Path.{step}", refuse)
+    with pytest.raises((OutputError, InvalidSequenceError)):
+        write_usd(path, shot().header, [points], clips=2)
+    monkeypatch.undo()
+    assert files() == before
+    assert not path.with_name("out.usda.clips").exists() or earlier
+
+
+def test_a_folder_of_clips_with_something_else_in_it(path: Path) -> None:
+    folder = path.with_name("out.usda.clips")
+    folder.mkdir()
+    (folder / "notes.txt").write_text("keep me")
+    with pytest.raises(OutputError, match=r"out\.usda\.clips has other files than clips"):
+        save(path, shot(), clips=2)
+    assert (folder / "notes.txt").read_text() == "keep me"
+
+
+# Packages
+
+
+def test_a_package_has_its_textures(asset: Asset, tmp_path: Path) -> None:
+    (tmp_path / "wool.png").write_bytes(b"a picture")
+    paint(asset)
+    before = asset.read()
+    with pytest.warns(MixseqWarning, match=r"stands alone, as \.usdz files do: .*asset\.usda"):
+        save(tmp_path / "one.usdz", before)
+    again = load(tmp_path / "one.usdz")
+    save(tmp_path / "two.usdz", again, flatten=True)  # from package to package
+    for name, inside in (("one", "wool.png"), ("two", "0/wool.png")):
+        moved = tmp_path / "alone"
+        moved.mkdir()
+        shutil.copy(tmp_path / f"{name}.usdz", moved)
+        stage = Usd.Stage.Open(str(moved / f"{name}.usdz"))
+        assert problems(stage) == set()
+        prim = stage.GetPrimAtPath("/walker/Looks/wool/picture")
+        assert prim.GetAttribute("inputs:file").Get().resolvedPath == f"{moved}/{name}.usdz[{inside}]"
+        np.testing.assert_array_equal(load(moved / f"{name}.usdz").points, before.points)
+        shutil.rmtree(moved)
