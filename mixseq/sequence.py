@@ -35,7 +35,7 @@ UP_AXES = ("X", "Y", "Z")
 DEFAULT_FPS = 24.0
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SequenceHeader:
     """Everything about a mesh sequence but its points.
 
@@ -82,6 +82,12 @@ class SequenceHeader:
         object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
         _check_header(self)
 
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.name!r}: {self.frame_count} frames, {self.vertex_count} vertices, "
+            f"{len(self.polygons.counts)} faces, {self.fps:g} fps)"
+        )
+
     @property
     def faces(self) -> NDArray[np.int32]:
         """Triangles ``(F, 3)`` of the polygons."""
@@ -114,7 +120,7 @@ def header_fields(header: SequenceHeader) -> dict[str, Any]:
     return {field: getattr(header, field) for field in SequenceHeader.__dataclass_fields__}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MeshSequence(SequenceHeader):
     """A deforming mesh: fixed polygons, ``(T, V, 3)`` points.
 
@@ -221,12 +227,6 @@ class MeshSequence(SequenceHeader):
 
     def __len__(self) -> int:
         return self.frame_count
-
-    def __repr__(self) -> str:
-        return (
-            f"MeshSequence({self.name!r}: {self.frame_count} frames, {self.vertex_count} vertices, "
-            f"{len(self.polygons.counts)} faces, {self.fps:g} fps)"
-        )
 
 
 def bounding_diagonal(points: FloatArray) -> float:

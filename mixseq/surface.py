@@ -114,7 +114,7 @@ class Origin:
     path: str
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Surface:
     """What a mesh has besides its faces.
 
@@ -151,6 +151,17 @@ class Surface:
             raise InvalidSequenceError(
                 f"subdivision is {self.subdivision!r}; one of {', '.join(SUBDIVISIONS)} is expected"
             )
+
+    def __repr__(self) -> str:
+        held = {
+            "uvs": self.uvs is not None and str(len(self.uvs.values)),
+            "creases": self.creases is not None and "yes",
+            "face_sets": self.face_sets and [each.name for each in self.face_sets],
+            "objects": self.objects and [each.path or each.name for each in self.objects],
+            "subdivision": self.subdivision != "none" and repr(self.subdivision),
+            "origin": self.origin is not None and repr(self.origin.path),
+        }
+        return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"
 
     def check(self, polygons: Polygons, vertex_count: int) -> None:
         """Check that everything fits the mesh.

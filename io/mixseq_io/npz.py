@@ -154,7 +154,7 @@ def _header(
         up_axis=str(small["up_axis"].item()) if "up_axis" in small else "Y",
         metres_per_unit=float(small["metres_per_unit"].item()) if "metres_per_unit" in small else 1.0,
         name=str(small["name"].item()) if "name" in small else path.stem,
-        surface=surface_of_arrays(small),
+        surface=surface_of_arrays(small, path.parent),
     )
 
 

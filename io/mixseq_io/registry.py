@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.errors import AmbiguousError, FormatError, OutputError
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, collect
 from mixseq_io.formats import FORMATS, Format
-from mixseq_io.reader import SequenceReader
+from mixseq_io.reader import SequenceReader, naming
 
 PathLike = str | os.PathLike[str]
 
@@ -25,7 +25,9 @@ _FOREIGN_SIGNATURES = {
 }
 
 
-def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
+def open_sequence(
+    path: PathLike, *, up_axis: str | None = None, metres_per_unit: float | None = None, **options: Any
+) -> SequenceReader:
     """Open a file for reading frame by frame.
 
     Parameters
@@ -33,6 +35,10 @@ def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
     path : path-like
         The file; numbered files (OBJ, PLY, STL, OFF) by folder or by pattern: ``walk_####.obj``,
         ``walk_%04d.obj``, ``walk_*.obj``.
+    up_axis : {"X", "Y", "Z"}, optional
+        Which axis points up, where the file does not tell or tells wrong. Points stay as they are.
+    metres_per_unit : float, optional
+        Length of a unit, likewise.
     **options
         The format's ``read_options``, see `FORMATS`.
 
@@ -56,7 +62,17 @@ def open_sequence(path: PathLike, **options: Any) -> SequenceReader:
     chosen = _format_to_read(file)
     if file.is_file():
         _check_signature(file, chosen)
-    return chosen.open(file, **options)
+    reader = chosen.open(file, **options)
+    told: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
+    try:
+        with naming(file):
+            reader.header = replace(
+                reader.header, **{key: value for key, value in told.items() if value is not None}
+            )
+    except InvalidSequenceError:
+        reader.close()
+        raise
+    return reader
 
 
 def read(path: PathLike, **options: Any) -> MeshSequence:

@@ -23,6 +23,7 @@ All are optional; those that begin with the same word come together.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,8 +76,15 @@ def surface_arrays(surface: Surface) -> Arrays:
     return arrays
 
 
-def surface_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> Surface:
+def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = None) -> Surface:
     """Make a surface of what `surface_arrays` returned.
+
+    Parameters
+    ----------
+    arrays : mapping
+        The arrays.
+    folder : Path, optional
+        Where the origin is looked for if it has moved: beside the file of the arrays.
 
     Raises
     ------
@@ -94,7 +102,7 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> Surface:
     if "origin" in arrays:
         if arrays["origin"].size != 2:
             raise InvalidSequenceError("the origin of the surface is not a format and a path")
-        origin = Origin(*map(str, arrays["origin"].reshape(-1)))
+        origin = _beside(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
     return Surface(
         uvs=uvs,
         creases=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
@@ -103,6 +111,14 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> Surface:
         subdivision=str(arrays["subdivision"].item()) if "subdivision" in arrays else "none",
         origin=origin,
     )
+
+
+def _beside(origin: Origin, folder: Path | None) -> Origin:
+    """Return the origin where it is now, if it moved together with the file that names it."""
+    if folder is None or Path(origin.path).exists():
+        return origin
+    moved = folder.absolute() / Path(origin.path).name
+    return Origin(origin.format, str(moved)) if moved.is_file() else origin
 
 
 def _face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:

@@ -19,6 +19,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mixseq.errors import FormatError, MixseqError
 from mixseq_io.reader import SequenceReader
 
@@ -69,7 +71,8 @@ class Worker:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                answer = self.answer(*question)
+                with np.errstate(all="ignore"):  # what is not finite is told with its frame and vertex
+                    answer = self.answer(*question)
             except MixseqError as raised:
                 error = raised
             except MemoryError:

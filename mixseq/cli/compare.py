@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +13,7 @@ import mixseq
 from mixseq.cli.console import print_json, print_table, progress_bar
 from mixseq.cli.files import read_sequence
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison, Spread
@@ -39,6 +41,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     with progress_bar(quiet) as progress:
         a = read_sequence(reference, ours, progress)
         b = read_sequence(other, theirs, progress)
+    _warn_of_axes(reference, a, other, b)
     shared = at_times_of(a, b)
     result = mixseq.compare(a, shared)
     if as_json:
@@ -63,13 +66,24 @@ def at_times_of(a: MeshSequence, b: MeshSequence) -> MeshSequence:
     return MeshSequence.from_header(b.header.with_times(b.times[frames]), b.points[frames])
 
 
+def _warn_of_axes(reference: Path, a: MeshSequence, other: Path, b: MeshSequence) -> None:
+    """Tell of up axes and units that differ: points are compared as they are."""
+    if a.up_axis != b.up_axis or not math.isclose(a.metres_per_unit, b.metres_per_unit, rel_tol=1e-6):
+        first, second = (f"{each.up_axis} up and units of {each.metres_per_unit:g} m" for each in (a, b))
+        warnings.warn(
+            f"{reference} has {first}, {other} has {second}; points are compared as they are",
+            MixseqWarning,
+            stacklevel=2,
+        )
+
+
 def _options_of(path: Path, reading: dict[str, Any]) -> dict[str, Any]:
     """Return those of the options that the file's format knows: the two files may differ in format."""
     from mixseq_io import FORMATS
 
     extension = path.suffix.lower()
     forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
-    known = {name for form in forms for name in form.read_options}
+    known = {"up_axis", "metres_per_unit"} | {name for form in forms for name in form.read_options}
     return {name: value for name, value in reading.items() if name in known}
 
 

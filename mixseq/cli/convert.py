@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import check_target, counted
+from mixseq.cli.files import check_target, counted, write_sequence
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
 
 
@@ -42,5 +42,5 @@ def command(
     check_target(target, source)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
-        mixseq.write_blocks(target, reader.header, blocks, reader.velocity_blocks(), **writing)
+        write_sequence(target, reader.header, blocks, reader.velocity_blocks(), writing)
     announce(target)

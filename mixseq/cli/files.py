@@ -63,15 +63,31 @@ def write_frames(
 
     if velocities:
         points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
-        mixseq.write_blocks(path, header, points, speeds, **writing)
+        write_sequence(path, header, points, speeds, writing)
     else:
-        mixseq.write_blocks(path, header, model.blocks(header.times, progress=progress), **writing)
+        write_sequence(path, header, model.blocks(header.times, progress=progress), None, writing)
+
+
+def write_sequence(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    writing: Mapping[str, Any],
+) -> None:
+    """Write frames as they come, but never over the file that they once came from."""
+    origin = header.surface.origin
+    if origin is not None and path.exists() and Path(origin.path).exists() and path.samefile(origin.path):
+        raise OutputError(
+            f"{path} is the file that the sequence came from, which would be lost; give another name"
+        )
+    mixseq.write_blocks(path, header, blocks, velocities, **writing)
 
 
 def check_target(path: Path, source: Path) -> None:
     """Refuse a file that could not be written or would replace the source, before the work and not after it."""
     folder = path.parent
-    if path.exists() and source.exists() and path.samefile(source):
+    if (path.exists() and source.exists() and path.samefile(source)) or _share_files(path, source):
         raise OutputError(f"{path} is the source itself and would be lost; give another name")
     if path.is_dir():
         raise OutputError(f"{path} is a folder; give the name of a file")
@@ -79,6 +95,19 @@ def check_target(path: Path, source: Path) -> None:
         raise OutputError(f"{path}: the folder {folder} does not exist; make it first")
     if not os.access(folder, os.W_OK):
         raise OutputError(f"cannot write {path}: no permission; choose a folder that you may write to")
+
+
+def _share_files(target: Path, source: Path) -> bool:
+    """Whether files of a numbered target are files of a numbered source."""
+    from mixseq_io.numbered.names import files_of_pattern
+
+    if target.suffix.lower() != source.suffix.lower() and not source.is_dir():
+        return False
+    of_source = (
+        source.iterdir() if source.is_dir() else [source, *(file for _, file in files_of_pattern(source))]
+    )
+    ours = {file.resolve() for _, file in files_of_pattern(target)}
+    return not ours.isdisjoint(file.resolve() for file in of_source)
 
 
 def check_model_target(path: Path, source: Path) -> None:

@@ -40,6 +40,18 @@ def reader_options(command: Command) -> Command:
     )
     @click.option("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
     @click.option("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
+    @click.option(
+        "--up-axis",
+        type=click.Choice(["X", "Y", "Z"]),
+        help="Axis that points up, where the file does not tell; nothing is turned.",
+    )
+    @click.option(
+        "--units",
+        "metres_per_unit",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="M",
+        help="Metres per unit, where the file does not tell; nothing is scaled.",
+    )
     @wraps(command)
     def with_options(
         *args: Any,
@@ -48,9 +60,13 @@ def reader_options(command: Command) -> Command:
         fps: float | None,
         mesh: Path | None,
         allow_gaps: bool,
+        up_axis: str | None,
+        metres_per_unit: float | None,
         **settings: Any,
     ) -> None:
         given = {
+            "up_axis": up_axis,
+            "metres_per_unit": metres_per_unit,
             "prim": prim,
             "animation": animation,
             "fps": fps,

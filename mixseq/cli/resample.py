@@ -9,7 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target, is_model, read_sequence
+from mixseq.cli.files import check_target, is_model, read_sequence, write_sequence
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
 from mixseq.errors import SettingsError
 
@@ -116,9 +116,9 @@ def command(
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress))
-            mixseq.write_blocks(target, planned.header, points, speeds, **writing)
+            write_sequence(target, planned.header, points, speeds, writing)
         else:
-            mixseq.write_blocks(target, planned.header, planned.blocks(progress=progress), **writing)
+            write_sequence(target, planned.header, planned.blocks(progress=progress), None, writing)
     if not quiet:
         print_table(_rows(planned))
     announce(target)

@@ -229,6 +229,15 @@ def test_compare(run: Run) -> None:
     assert succeed(run("compare", "bar.npz", "bar.usdc", "--quiet")) == ""
 
 
+def test_compare_tells_of_axes_and_units(run: Run) -> None:
+    result = run("compare", "bar.npz", "bar.npz", "--quiet")
+    assert (result.exit_code, result.stderr) == (0, "")
+    succeed(run("convert", "bar.npz", "z.npz", "--up-axis", "Z", "--units", "0.01"))
+    result = run("compare", "bar.npz", "z.npz", "--quiet")
+    told = "bar.npz has Y up and units of 1 m, z.npz has Z up and units of 0.01 m; points are compared as they are"
+    assert (result.exit_code, result.stderr) == (0, f"mixseq: warning: {told}\n")
+
+
 def test_compare_at_shared_times(run: Run) -> None:
     succeed(run("decode", "model.h5", "new.npz", "--fps", "20"))
     text = succeed(run("compare", "bar.npz", "new.npz"))

@@ -37,6 +37,34 @@ def test_another_name_for_the_source_is_noticed(run: Callable[..., Result], fold
     assert "is the source itself" in run("convert", "bar.usdc", "link.usdc").stderr
 
 
+@pytest.mark.parametrize("target", ["bar_####.obj", "bar_%02d.obj"])
+def test_numbered_sources_are_noticed(
+    run: Callable[..., Result], contents: Callable[[], dict[str, bytes | None]], target: str
+) -> None:
+    assert run("convert", "bar.npz", "bar_####.obj").exit_code == 0
+    before = contents()
+    for source in ("bar_####.obj", "bar_0001.obj"):
+        result = run("convert", source, target)
+        assert (result.exit_code, "is the source itself" in result.stderr) == (2, True)
+    assert contents() == before
+
+
+@pytest.mark.parametrize("options", [(), ("--flatten",)])
+def test_what_a_model_was_made_from_is_not_overwritten(
+    run: Callable[..., Result],
+    folder: Path,
+    contents: Callable[[], dict[str, bytes | None]],
+    options: tuple[str, ...],
+) -> None:
+    assert run("encode", "bar.usdc", "bar.h5").exit_code == 0
+    before = contents()
+    for command in (("decode",), ("resample",)):
+        result = run(*command, "bar.h5", "bar.usdc", *options)
+        assert result.exit_code == 2
+        assert "bar.usdc is the file that the sequence came from, which would be lost" in result.stderr
+    assert contents() == before
+
+
 def test_models_are_only_saved_under_their_extension(folder: Path, bar_model: Model) -> None:
     with pytest.raises(OutputError, match=r"old\.usdc: models are HDF5 files; end the name in \.h5"):
         mixseq.save("old.usdc", bar_model)

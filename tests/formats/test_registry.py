@@ -5,12 +5,15 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, InvalidSequenceError, OutputError
 from mixseq.sequence import MeshSequence
+from mixseq.surface import Origin, Surface
 from mixseq_io import FORMATS, read, write
 
 
@@ -72,3 +75,23 @@ def test_unknown_extensions(plain: MeshSequence, tmp_path: Path) -> None:
         read(tmp_path / "a.fbx")
     with pytest.raises(FormatError, match="does not exist"):
         read(tmp_path / "b.fbx")
+
+
+def test_axes_and_units_can_be_told(plain: MeshSequence, tmp_path: Path) -> None:
+    write(tmp_path / "walk.pc2", plain)
+    told = read(tmp_path / "walk.pc2", up_axis="Z", metres_per_unit=0.01)
+    assert (told.up_axis, told.metres_per_unit) == ("Z", 0.01)
+    np.testing.assert_array_equal(told.points, plain.points)
+    with pytest.raises(InvalidSequenceError, match=r"walk.pc2: up axis is 'W'"):
+        read(tmp_path / "walk.pc2", up_axis="W")
+
+
+@pytest.mark.parametrize("extension", ["npz", "h5"])
+def test_the_origin_may_move_with_the_file(plain: MeshSequence, tmp_path: Path, extension: str) -> None:
+    (tmp_path / "new").mkdir()
+    surface = Surface(origin=Origin("USD", str(tmp_path / "old" / "fox.usd")))
+    write(tmp_path / "new" / f"walk.{extension}", replace(plain, surface=surface))
+    assert read(tmp_path / "new" / f"walk.{extension}").surface.origin == surface.origin
+    (tmp_path / "new" / "fox.usd").touch()
+    found = read(tmp_path / "new" / f"walk.{extension}").surface.origin
+    assert found == Origin("USD", str(tmp_path / "new" / "fox.usd"))

@@ -80,7 +80,7 @@ def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[n
         up_axis=str(file.attrs["up_axis"]),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=str(file.attrs["name"]),
-        surface=surface_of_arrays(_surface_arrays(path, file)),
+        surface=surface_of_arrays(_surface_arrays(path, file), path.parent),
     )
 
 
