@@ -120,6 +120,9 @@ def _flush_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
+_ALMOST_FULL = 1 << 20
+"""Bytes: a library that fails with less free space than this has failed for want of space."""
+
 _CURES = {
     errno.ENOSPC: "free some space or choose another disk",
     errno.EDQUOT: "free some of your quota or choose another disk",
@@ -129,6 +132,30 @@ _CURES = {
     errno.EROFS: "choose a folder that you may write to",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
+
+
+def raise_system_error(message: str, folder: Path) -> None:
+    """Raise the error of the system behind a library's failure to write, if there seems to be one.
+
+    In the block of `replacing` it is explained like all errors of the system.
+
+    Parameters
+    ----------
+    message : str
+        What the library says; it may quote the system.
+    folder : Path
+        Where it wrote; if its disk is full, that is the error.
+
+    Raises
+    ------
+    OSError
+        If the system is quoted, or the disk is full.
+    """
+    codes = [code for code in _CURES if os.strerror(code) in message]
+    if not codes and shutil.disk_usage(folder).free < _ALMOST_FULL:
+        codes = [errno.ENOSPC]
+    if codes:
+        raise OSError(codes[0], os.strerror(codes[0]))
 
 
 @contextmanager

@@ -48,20 +48,23 @@ def print_json(data: dict[str, Any]) -> None:
 
 
 def announce(path: Path) -> None:
-    """Tell that a file is finished, and what it lies over, if it is a layer."""
+    """Tell that a file is finished, and which others it needs, if there are some."""
     size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    below = _layer_below(path)
-    over = f", a layer over {below}" if below else ""
-    click.echo(f"wrote {click.format_filename(path)}{size}{over}")
+    click.echo(f"wrote {click.format_filename(path)}{size}{_needed(path)}")
 
 
-def _layer_below(path: Path) -> str:
-    """Return the file that a USD file is not complete without, "" if it is."""
+def _needed(path: Path) -> str:
+    """Return what a USD file is not complete without, "" if it is."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
         return ""
-    from mixseq_io.usd.paths import sublayer_of
+    from mixseq_io.usd.paths import clips_of, sublayer_of
 
-    return sublayer_of(path)
+    below, clips = sublayer_of(path), clips_of(path)
+    over = f", a layer over {below}" if below else ""
+    if not clips:
+        return over
+    size = format_bytes(sum(file.stat().st_size for file in clips))
+    return f"{over}, with {len(clips)} files ({size}) in {click.format_filename(clips[0].parent.name)}"
 
 
 def format_bytes(count: float) -> str:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
+from mixseq.cli.console import announce, format_bytes
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.sequence import MeshSequence
+from mixseq_io.usd.paths import clips_of
 from mixseq_io.usd.writer import write_usd
 from tests.formats.usd_maker import (
     Asset,
@@ -151,6 +155,85 @@ def test_nothing_half_written_stays(
     monkeypatch.undo()
     assert files() == before
     assert not path.with_name("out.usda.clips").exists() or earlier
+
+
+def test_clips_that_are_left_from_an_older_file(path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    save(path, shot(), clips=1)
+    assert len(clips_of(path)) == 4 and not recwarn
+    with pytest.warns(MixseqWarning, match=r"out\.usda\.clips has the clips of an older file"):
+        save(path, shot())
+    assert clips_of(path) == []
+    folder = path.with_name("out.usda.clips")
+    assert len(list(folder.iterdir())) == 4  # the user decides
+    (folder / "notes.txt").write_text("not ours")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(path, shot())
+
+
+def test_files_that_are_used_are_announced(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(path, shot(), clips=2)
+    size = format_bytes(sum(file.stat().st_size for file in path.with_name("out.usda.clips").iterdir()))
+    monkeypatch.chdir(path.parent)
+    announce(Path("out.usda"))
+    own = format_bytes(path.stat().st_size)
+    assert capsys.readouterr().out == f"wrote out.usda ({own}), with 3 files ({size}) in out.usda.clips\n"
+
+
+@pytest.mark.parametrize(("file", "clips"), [("a.usdc", 0), ("a.usda", 0), ("a.usdz", 0), ("a.usdc", 2)])
+@pytest.mark.parametrize("told", [True, False])
+def test_a_full_disk(
+    tmp_path: Path, files: Any, monkeypatch: pytest.MonkeyPatch, file: str, clips: int, told: bool
+) -> None:
+    def refuse(*_: object) -> bool:
+        if told:
+            raise Tf.ErrorException("Error occurred writing file: No space left on device")
+        return False
+
+    monkeypatch.setattr("pxr.Sdf.Layer.Save", refuse)
+    free = 1 << 40 if told else 4096
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    with pytest.raises(OutputError) as caught:
+        write_usd(tmp_path / file, shot().header, [lift()], clips=clips)
+    cure = "No space left on device; free some space or choose another disk"
+    assert str(caught.value) == f"cannot write {tmp_path / file}: {cure}"
+    assert files() == {}
+
+
+def test_a_package_on_a_full_disk(path: Path, files: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pxr.UsdUtils.CreateNewUsdzPackage", lambda *_: False)
+    with pytest.raises(OutputError, match=r"out\.usdc cannot be packed"):
+        save(path.with_suffix(".usdz"), shot())
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=0))
+    with pytest.raises(OutputError, match=r"cannot write .*out\.usdz: No space left on device; free some"):
+        save(path.with_suffix(".usdz"), shot())
+    assert files() == {}
+
+
+@pytest.mark.parametrize("clips", [0, 2])
+def test_other_reasons_are_short_and_name_no_temporary_files(
+    path: Path, monkeypatch: pytest.MonkeyPatch, clips: int
+) -> None:
+    def refuse(layer: Sdf.Layer) -> None:
+        raise Tf.ErrorException(f"Could not close {layer.realPath}; " + "noise " * 100)
+
+    monkeypatch.setattr("pxr.Sdf.Layer.Save", refuse)
+    with pytest.raises(OutputError) as caught:
+        write_usd(path, shot().header, [lift()], clips=clips)
+    place = f"{path}.clips/out.0001.usdc" if clips else str(path)
+    message = str(caught.value)
+    assert message.startswith(f"cannot write {path}: Could not close {place}; noise noise")
+    assert len(message) < len(str(path)) + 280
+
+
+def test_a_layer_that_is_not_saved_for_no_reason(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pxr.Sdf.Layer.Save", lambda _: False)
+    with pytest.raises(
+        OutputError, match=r"usda: USD does not save it, and does not say why; check the free space"
+    ):
+        save(path, shot())
 
 
 def test_a_folder_of_clips_with_something_else_in_it(path: Path) -> None:

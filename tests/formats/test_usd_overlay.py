@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -464,18 +465,75 @@ def test_onto_two_meshes_that_fit(asset: Asset, path: Path) -> None:
 def test_a_file_cannot_be_laid_over_itself(asset: Asset, path: Path) -> None:
     before = asset.read()
     content = asset.path.read_bytes()
-    with pytest.raises(
-        OutputError, match=r"is laid over .*asset\.usda and cannot replace it; .* \(--flatten\)"
-    ):
+    with pytest.raises(OutputError, match=r"asset\.usda is the original, .* lost; write to another name$"):
         save(asset.path, before)
     save(path, before)
-    with pytest.raises(
-        OutputError, match="cannot replace it"
-    ):  # nor over what is below the file it is laid over
+    with pytest.raises(OutputError, match="would be lost"):  # nor over what is below the file it is laid over
         save(asset.path, load(path))
     assert asset.path.read_bytes() == content
     save(asset.path, before, flatten=True)
     np.testing.assert_array_equal(load(asset.path).points, before.points)
+
+
+@pytest.mark.parametrize("layers", [0, 1])
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_package_cannot_replace_what_it_is_from(
+    asset: Asset, path: Path, tmp_path: Path, layers: int, linked: bool
+) -> None:
+    asset.read()
+    package = tmp_path / "asset.usdz"
+    UsdUtils.CreateNewUsdzPackage(str(asset.path), str(package))
+    content, before = package.read_bytes(), load(package)
+    if layers:
+        save(path, before)
+        before = load(path)
+    target = tmp_path / "link.usdz" if linked else package
+    if linked:
+        target.symlink_to(package)
+    with pytest.raises(
+        OutputError, match=r"usdz is the original, or a layer .* lost; write to another name$"
+    ):
+        save(target, before)
+    assert package.read_bytes() == content
+    save(target, before, flatten=True)  # on explicit wish
+    np.testing.assert_array_equal(load(package).points, before.points)
+
+
+@pytest.mark.parametrize("file", ["out.usdz", "out.usda"])
+@pytest.mark.parametrize("flatten", [False, True])
+def test_an_origin_that_is_gone_is_told_once(
+    asset: Asset, tmp_path: Path, file: str, flatten: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    paint(asset)
+    before = asset.read()
+    asset.path.unlink()
+    save(tmp_path / file, before, flatten=flatten)
+    (told,) = [str(each.message) for each in recwarn if issubclass(each.category, MixseqWarning)]
+    assert re.search(r"asset\.usda.* (is gone|does not exist), and materials are written by name only", told)
+    assert "kept of" not in told
+
+
+@pytest.mark.parametrize(
+    ("below", "fps", "expected"),
+    [
+        ((1, 48), 30, (1, 58)),
+        ((1, 48), 50, (2, 96)),
+        ((1, 48), 25, (1, 48)),
+        ((1.25, 48), 30, (1.5, 58)),
+        ((0, 3), 29.97 * 25, (0, 90)),
+    ],
+)
+def test_a_range_at_another_rate_stays_whole(
+    asset: Asset, path: Path, below: tuple[float, float], fps: float, expected: tuple[float, float]
+) -> None:
+    asset.stage.SetStartTimeCode(below[0])
+    asset.stage.SetEndTimeCode(below[1])
+    before = asset.read()
+    stage = save(
+        path,
+        MeshSequence.from_header(before.header.with_times(np.array([2, 3, 4]) / fps, fps), before.points),
+    )
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == expected
 
 
 def test_origins_of_other_formats_are_none(path: Path) -> None:

@@ -20,8 +20,11 @@ from pathlib import Path
 from pxr import Sdf, Vt
 
 from mixseq.errors import OutputError
+from mixseq_io.blocks import warn
+from mixseq_io.usd.diagnostics import save_layer
 from mixseq_io.usd.frames import Cast, Frame
 from mixseq_io.usd.layers import Samples, declare
+from mixseq_io.usd.paths import clips_folder
 
 _CLIP_SET = "mixseq"
 """Not "default", which the file below may have: sets of one name are merged key by key."""
@@ -58,7 +61,7 @@ def save_in_clips(
             clip.put(frame)
     if clip:
         clip.save()
-    _empty(folder.path / folder.manifest, cast, layer.timeCodesPerSecond).Save()
+    save_layer(_empty(folder.path / folder.manifest, cast, layer.timeCodesPerSecond))
     assets = Sdf.AssetPathArray(
         [Sdf.AssetPath(folder.asset(folder.clip(number + 1))) for number in range(len(starts))]
     )
@@ -70,7 +73,7 @@ def save_in_clips(
             "manifestAssetPath": Sdf.AssetPath(folder.asset(folder.manifest)),
         }
         layer.GetPrimAtPath(path).SetInfo("clips", {_CLIP_SET: description})
-    layer.Save()
+    save_layer(layer)
 
 
 def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
@@ -85,8 +88,7 @@ class NewFolder:
 
     def __init__(self, owner: Path) -> None:
         token = secrets.token_hex(4)
-        # The extension stays in its name, else x.usda and x.usdc would take each other's clips away.
-        self.target = target = owner.with_name(f"{owner.name}.clips")
+        self.target = target = clips_folder(owner)
         self._stem = owner.stem
         self.path = target.with_name(f".{target.stem[:40]}.{token}.new")
         self._old = target.with_name(f".{target.stem[:40]}.{token}.old")
@@ -123,6 +125,15 @@ class NewFolder:
             self.target.rename(self._old)
         self.path.rename(self.target)
         self._installed = True
+
+    def warn_if_unused(self) -> None:
+        """Warn of clips that an older file of this name has left, and this one does not use."""
+        with suppress(OSError):
+            if _is_of_clips(self.target, self._stem) and (self.target / self.manifest).exists():
+                warn(
+                    f"{self.target} has the clips of an older file of this name; the new one does not use them, remove "
+                    "them if no other does"
+                )
 
     def undo(self) -> None:
         """Put back what was there before."""

@@ -7,13 +7,21 @@ Specification: https://openusd.org/release/api/page_tf__diagnostic.html
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import shorten
 
-from pxr import Tf, UsdUtils
+from pxr import Sdf, Tf, UsdUtils
 
 from mixseq.errors import FormatError, OutputError
+from mixseq_io.atomic import raise_system_error
+
+_LONGEST_REASON = 200
+
+_TEMPORARY = re.compile(r"/\.([^/]*?)\.[0-9a-f]{8}(\.\w+)")
+"""Names of files that are not yet in their place, see `mixseq_io.atomic` and `mixseq_io.usd.clips`."""
 
 
 @contextmanager
@@ -45,13 +53,26 @@ def reading_usd(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing_usd(path: Path) -> Iterator[None]:
-    """Translate USD's errors about a file that is written into `OutputError`."""
+    """Translate USD's errors about a file that is written into `OutputError`, or into what the system says.
+
+    Errors of the system, such as a full disk, are left to `mixseq_io.atomic.replacing` to explain.
+    """
     try:
         yield
     except Tf.ErrorException as error:
+        reasons = _reasons(error)
+        raise_system_error(reasons, path.resolve().parent)
+        named = _TEMPORARY.sub(r"/\1\2", reasons).replace(".new/", ".clips/")
+        short = shorten(named, _LONGEST_REASON, placeholder=" ...")
         raise OutputError(
-            f"cannot write {path}: {_reasons(error)}; check the free space of the disk and the path"
+            f"cannot write {path}: {short}; check the free space of the disk and the path"
         ) from error
+
+
+def save_layer(layer: Sdf.Layer) -> None:
+    """Save a layer; an error is raised even where USD gives no reason."""
+    if not layer.Save():
+        raise Tf.ErrorException("USD does not save it, and does not say why")
 
 
 def _reasons(error: Exception) -> str:

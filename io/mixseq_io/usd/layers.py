@@ -14,6 +14,7 @@ from collections.abc import Iterable
 
 from pxr import Sdf
 
+from mixseq_io.usd.diagnostics import save_layer
 from mixseq_io.usd.frames import Cast, Frame
 
 _BYTES_BETWEEN_SAVES = 64 << 20
@@ -46,7 +47,7 @@ class Samples:
 
     def save(self) -> None:
         """Save what has been put."""
-        self._layer.Save()
+        save_layer(self._layer)
         self._unsaved = 0
 
 

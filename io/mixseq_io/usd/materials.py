@@ -54,7 +54,8 @@ def define_materials(
     Warns
     -----
     MixseqWarning
-        If there is nothing to copy, so that materials are only names.
+        If there is nothing to copy, so that materials are only names; not where the file is gone, of which there is
+        a warning before.
     """
     wanted = list(dict.fromkeys(names))
     if not wanted:
@@ -70,13 +71,18 @@ def define_materials(
             _copy(source, name, stage.GetRootLayer(), path)
         made[name] = UsdShade.Material.Define(stage, path)
     empty = [name for name in wanted if not made[name].GetPrim().GetAuthoredProperties()]
-    if empty:
+    if empty and not is_gone(origin):
         warn(
             f"{target}: materials are written by name only: {shortened(empty)}; bind them anew to networks of yours"
         )
     known = origin.path if origin else ""
     UsdUtils.ModifyAssetPaths(stage.GetRootLayer(), lambda asset: _from(target, asset, known))
     return made
+
+
+def is_gone(origin: Origin | None) -> bool:
+    """Whether there was a USD file to copy from, and is none now."""
+    return origin is not None and origin.format == "USD" and not Path(origin.path).is_file()
 
 
 def _networks(origin: Path, materials: Iterable[str]) -> Sdf.Layer | None:

@@ -14,6 +14,8 @@ from tempfile import TemporaryDirectory
 from pxr import Ar, Sdf, UsdUtils
 
 from mixseq.errors import OutputError
+from mixseq_io.atomic import raise_system_error
+from mixseq_io.usd.diagnostics import save_layer
 from mixseq_io.usd.paths import TILES
 
 
@@ -33,11 +35,14 @@ def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
     ------
     OutputError
         If USD cannot pack it.
+    OSError
+        If that is because the disk is full.
     """
     with TemporaryDirectory(prefix=".mixseq.", dir=package.parent) as folder:
         UsdUtils.ModifyAssetPaths(layer, lambda asset: _unpacked(layer, asset, Path(folder)))
-        layer.Save()
+        save_layer(layer)
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
+            raise_system_error("", package.parent)
             raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
 
 

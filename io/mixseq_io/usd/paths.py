@@ -93,3 +93,29 @@ def sublayer_of(path: Path) -> str:
     """Return the file that a USD file is a layer over, as the file names it; "" if it stands alone."""
     layer = Sdf.Layer.FindOrOpen(str(path))
     return next(iter(layer.subLayerPaths), "") if layer else ""
+
+
+def clips_folder(path: Path) -> Path:
+    """Return the folder in which the value clips of a USD file are, if it has some of ours.
+
+    It has the extension in its name, else x.usda and x.usdc would take each other's clips away.
+    """
+    return path.with_name(f"{path.name}.clips")
+
+
+def clips_of(path: Path) -> list[Path]:
+    """Return the files in the folder of clips that a USD file uses, with their manifest; none if it has no clips."""
+    folder = clips_folder(path)
+    layer = Sdf.Layer.FindOrOpen(str(path)) if folder.is_dir() else None
+    if not layer:
+        return []
+    used: set[str] = set()
+
+    def visit(place: Sdf.Path | str) -> None:
+        prim = layer.GetPrimAtPath(place)
+        for clips in prim.GetInfo("clips").values() if prim else ():
+            assets = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
+            used.update(asset.path for asset in assets)
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return [file for file in sorted(folder.iterdir()) if f"./{folder.name}/{file.name}" in used]

@@ -7,26 +7,29 @@ USD's points are float32; larger precision is rounded to that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Sdf
+from pxr import Ar, Sdf, Usd
 
-from mixseq.errors import OutputError, SettingsError
+from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
 from mixseq_io.usd.base import Base, open_base
 from mixseq_io.usd.clips import new_folder, save_in_clips
-from mixseq_io.usd.diagnostics import quiet, writing_usd
+from mixseq_io.usd.diagnostics import quiet, reading_usd, writing_usd
 from mixseq_io.usd.frames import Cast, Frame, frames
 from mixseq_io.usd.layers import declare, save
+from mixseq_io.usd.materials import is_gone
 from mixseq_io.usd.overlay import lay_over
 from mixseq_io.usd.package import pack
 from mixseq_io.usd.paths import time_codes
+from mixseq_io.usd.stage import open_stage
 from mixseq_io.usd.standalone import define_component
 
 
@@ -57,15 +60,15 @@ def write_usd(
     ------
     OutputError
         If the up axis is X, which USD does not know, if `onto` does not fit the sequence, or if the file would
-        replace one that it is laid over.
+        replace the one that the sequence was read from, or a layer of that, without `flatten`.
     SettingsError
         If the options contradict each other.
 
     Warns
     -----
     MixseqWarning
-        If the file that the sequence was read from is gone or does not fit, so that the new one stands alone; and of
-        what is lost, see `lay_over` and `define_component`.
+        If the file that the sequence was read from is gone or does not fit, so that the new one stands alone; of
+        what is lost, see `lay_over` and `define_component`; and of clips that an older file has left.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips)
@@ -73,7 +76,7 @@ def write_usd(
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it first, or write .npz or .h5"
         )
-    base = None if flatten else _base(path, header, onto)
+    base = _base(path, header, flatten, onto)
     codes = time_codes(header.times, header.fps)
     _, numbered = checked(header, blocks, velocities)
 
@@ -110,6 +113,8 @@ def write_usd(
         else:
             layer, _, samples = begun(temporary)
             save(layer, samples)
+    if not clips:
+        folder.warn_if_unused()
 
 
 def _check_options(packed: bool, flatten: bool, onto: object, clips: int) -> None:
@@ -121,15 +126,24 @@ def _check_options(packed: bool, flatten: bool, onto: object, clips: int) -> Non
         raise SettingsError("a .usdz file has everything in itself; leave out onto and clips, or write .usdc")
 
 
-def _base(path: Path, header: SequenceHeader, onto: str | PathLike[str] | None) -> Base | None:
+def _base(path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None) -> Base | None:
     """Return the file to lay the points over, None if there is none."""
     origin = header.surface.origin
     known = origin.path if origin and origin.format == "USD" else None
     if onto is None and known is None:
         return None
-    file = Path(onto or known or "")
-    if path.suffix.lower() == ".usdz":
-        warn(f"{path} stands alone, as .usdz files do: only the mesh and its materials are kept of {file}")
+    file, packed = Path(onto or known or ""), path.suffix.lower() == ".usdz"
+    named = is_gone(origin) and any(each.material for each in header.surface.face_sets)
+    bare = ", and materials are written by name only" if named else ""
+    if flatten or packed:
+        if not flatten:
+            _check_not_needed(path, file)
+        if is_gone(origin) and (bare or not flatten):
+            warn(f"{path} stands alone: the original {file} is gone{bare}")
+        elif not flatten:
+            warn(
+                f"{path} stands alone, as .usdz files do: only the mesh and its materials are kept of {file}"
+            )
         return None
     try:
         with quiet():
@@ -137,15 +151,25 @@ def _base(path: Path, header: SequenceHeader, onto: str | PathLike[str] | None) 
     except OutputError as error:
         if onto is not None:
             raise
-        warn(f"{path} stands alone: {error}; onto=... (--onto) names the file where it is now")
+        warn(f"{path} stands alone: {error}{bare}; onto=... (--onto) names the file where it is now")
         return None
-    used = [Path(layer.realPath) for layer in base.stage.GetUsedLayers() if layer.realPath]
-    if path.exists() and any(each.exists() and each.samefile(path) for each in used):
-        raise OutputError(
-            f"{path} is laid over {file} and cannot replace it; write to another name, or a file that stands alone, "
-            "with flatten=True (--flatten)"
-        )
+    _check_not_needed(path, file, base.stage)
     return base
+
+
+def _check_not_needed(path: Path, original: Path, stage: Usd.Stage | None = None) -> None:
+    """Refuse to replace an original, or a layer that it uses."""
+    if not path.exists():
+        return
+    if stage is None:
+        with suppress(FormatError), quiet(), reading_usd(original):
+            stage = open_stage(original)
+    layers = stage.GetUsedLayers() if stage else []
+    files = [Path(Ar.SplitPackageRelativePathOuter(each.realPath)[0]) for each in layers if each.realPath]
+    if any(each.exists() and each.samefile(path) for each in (original, *files)):
+        raise OutputError(
+            f"{path} is the original, or a layer that it uses, and would be lost; write to another name"
+        )
 
 
 def _author_times(
@@ -160,10 +184,22 @@ def _author_times(
         if scale == 1.0:
             layer.framesPerSecond = below.GetFramesPerSecond()
         if below.HasAuthoredTimeCodeRange():
-            start, end = (
-                min(start, scale * below.GetStartTimeCode()),
-                max(end, scale * below.GetEndTimeCode()),
-            )
+            start = min(start, _scaled(below.GetStartTimeCode(), scale, np.floor))
+            end = max(end, _scaled(below.GetEndTimeCode(), scale, np.ceil))
     layer.startTimeCode, layer.endTimeCode = start, end
     layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
     layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)
+
+
+def _scaled(code: float, scale: float, outwards: Callable[[float], float]) -> float:
+    """Return an end of a range at another rate; whole if it was whole, so that players show whole frames.
+
+    Examples
+    --------
+    >>> _scaled(1, 30 / 24, np.floor), _scaled(0.5, 30 / 24, np.floor), _scaled(1001, 29.97 / 999, np.ceil)
+    (1.0, 0.625, 31.0)
+    """
+    scaled, nearest = scale * code, np.rint(scale * code)
+    if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
+        return float(nearest)
+    return float(outwards(scaled)) if float(code).is_integer() else scaled
