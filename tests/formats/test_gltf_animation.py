@@ -65,7 +65,7 @@ def test_normalised_rotations(made: Callable[..., MeshSequence]) -> None:
     maker.animate(node, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 1, 0]])
     output = maker.json["animations"][0]["samplers"][0]
     output["output"] = maker.add([[0, 0, 0, 32767], [0, 0, -32767, 0]], "i2", normalized=True)
-    np.testing.assert_allclose(made(maker).points[1, 1], [-1, 0, 0], atol=1e-7)
+    np.testing.assert_allclose(made(maker).points[-1, 1], [-1, 0, 0], atol=1e-7)
 
 
 def test_a_single_frame_without_animation(made: Callable[..., MeshSequence]) -> None:
@@ -95,12 +95,13 @@ def test_the_rate_is_that_of_the_keys(
 ) -> None:
     got = made(moving(times, np.outer(times, [1, 0, 0])))
     assert got.fps == pytest.approx(rate, rel=1e-6)
-    np.testing.assert_array_equal(got.times, times.astype(np.float32))
+    np.testing.assert_allclose(got.times, times, rtol=0, atol=2e-7)
 
 
 def test_times_that_nearly_coincide_count_once(made: Callable[..., MeshSequence]) -> None:
     maker = moving([0, 0.1], [[0, 0, 0], [1, 0, 0]])
-    maker.animate(0, "scale", [0, np.nextafter(np.float32(0.1), 1)], [[1, 1, 1], [2, 2, 2]])
+    other = maker.node("other", mesh=maker.mesh(TRIANGLE))
+    maker.animate(other, "translation", [0, np.nextafter(np.float32(0.1), 1)], [[0, 0, 0], [2, 2, 2]])
     assert made(maker).frame_count == 2
 
 
@@ -118,11 +119,11 @@ def test_the_choice_of_an_animation(made: Callable[..., MeshSequence]) -> None:
     for choice in ("run", 1, "1"):
         assert made(maker, animation=choice).points[1, 0, 0] == 2
     with pytest.warns(
-        MixseqWarning, match="of 2 animations the first, 'walk', is read; the option animation .* 'run'"
+        MixseqWarning, match="of 2 animations the first, 'walk', is read; the option animation .* 1 'run'"
     ):
         assert made(maker).points[1, 0, 0] == 1
     for wrong in ("fly", 2, -1):
-        with pytest.raises(SettingsError, match=r"has no animation .*; there are 'walk', 'run'"):
+        with pytest.raises(SettingsError, match=r"has no animation .*; there are 0 'walk', 1 'run'"):
             made(maker, animation=wrong)
 
 
@@ -183,7 +184,8 @@ def test_the_last_frame_of_long_animations(made: Callable[..., MeshSequence], la
 
 def test_late_times_count_once_if_they_are_the_next_float(made: Callable[..., MeshSequence]) -> None:
     maker = moving([0, 100], [[0, 0, 0], [1, 0, 0]])
-    maker.animate(0, "scale", [0, np.nextafter(np.float32(100), 0)], [[1, 1, 1], [2, 2, 2]])
+    other = maker.node("other", mesh=maker.mesh(TRIANGLE))
+    maker.animate(other, "translation", [0, np.nextafter(np.float32(100), 0)], [[0, 0, 0], [2, 2, 2]])
     assert made(maker).frame_count == 2
 
 
@@ -193,3 +195,84 @@ def test_a_chosen_animation_is_not_warned_about(made: Callable[..., MeshSequence
     for name in ("walk", "run"):
         maker.animate(node, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]], name=name)
     assert made(maker, animation="walk").frame_count == 2  # warnings are errors
+
+
+def turning(times: NDArray[np.float64], angles: NDArray[np.float64]) -> Maker:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    zero = np.zeros_like(angles)
+    maker.animate(
+        node, "rotation", times, np.stack([zero, zero, np.sin(angles / 2), np.cos(angles / 2)], axis=1)
+    )
+    return maker
+
+
+@pytest.mark.parametrize(
+    ("keys", "told", "frames", "rate"),
+    [
+        ([0, 1], None, np.arange(25) / 24, 24),
+        ([1 / 24, 2 + 1 / 24], None, np.arange(1, 50) / 24, 24),
+        ([0, 0.83], None, [*np.arange(20) / 24, 0.83], 24),  # its grid of hundredths is no frame rate
+        ([0, 0.5], 8, np.arange(5) / 8, 8),
+        ([0.15, 1.25], 4, [0.15, 0.4, 0.65, 0.9, 1.25], 4),  # 1.15 is too close to the last key
+    ],
+)
+def test_a_half_turn_between_two_keys_is_an_arc(
+    made: Callable[..., MeshSequence], keys: list[float], told: float | None, frames: list[float], rate: float
+) -> None:
+    maker = turning(np.array(keys), np.array([0, np.pi]))
+    maker.json["animations"][0]["extras"] = {"fps": told}
+    got = made(maker)
+    assert got.fps == rate
+    np.testing.assert_allclose(got.times, frames, rtol=0, atol=1e-7)
+    angles = np.pi * (got.times - keys[0]) / (keys[1] - keys[0])
+    np.testing.assert_allclose(got.points[:, 1, :2], np.stack([np.cos(angles), np.sin(angles)], 1), atol=2e-6)
+
+
+def test_gaps_are_filled_and_other_frames_stay(made: Callable[..., MeshSequence]) -> None:
+    numbers = np.array([0, 1, 2, 6, 7])
+    assert made(turning(numbers / 24, numbers / 4)).times.tolist() == (np.arange(8) / 24).tolist()
+
+
+def test_nothing_is_added_where_points_move_straight(made: Callable[..., MeshSequence]) -> None:
+    maker = moving([0, 1], [[0, 0, 0], [1, 0, 0]])
+    maker.animate(0, "rotation", [0, 1], [[0, 0, 0, 1]] * 2)
+    assert made(maker).times.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("how", ["STEP", "CUBICSPLINE"])
+def test_steps_and_splines_are_filled(made: Callable[..., MeshSequence], how: str) -> None:
+    values = np.zeros((2, 3, 3))
+    values[1, 1, 0] = 1
+    got = made(moving([0, 1], values[:, 1] if how == "STEP" else values.reshape(-1, 3), how))
+    s = got.times if how == "CUBICSPLINE" else got.times // 1
+    assert got.frame_count == 25
+    np.testing.assert_allclose(got.points[:, 0, 0], 3 * s**2 - 2 * s**3, atol=1e-6)
+
+
+def test_not_too_many_frames_are_added(made: Callable[..., MeshSequence]) -> None:
+    assert made(turning(np.array([0, 1e30]), np.array([0, 1]))).frame_count == 2
+
+
+def test_times_on_the_grid_are_exact(made: Callable[..., MeshSequence]) -> None:
+    times = np.append(np.arange(50) / 48, 1.03)
+    got = made(moving(times, np.outer(times, [1, 0, 0])), fps=48)
+    assert got.times.tolist() == (np.arange(50) / 48).tolist()
+    maker = moving(times, np.outer(times, [1, 0, 0]))
+    maker.json["animations"][0]["extras"] = {"fps": 48}
+    got = made(maker)
+    assert got.times.tolist() == [*(np.arange(50) / 48), np.float32(1.03)]
+    assert got.points[:, 0, 0].tolist() == times.astype(np.float32).tolist()  # at the keys
+
+
+def test_an_animation_by_the_end_of_its_name(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE))
+    for x, name in enumerate(["Rig|Walk", "Rig|Run", "Other|Run", "Run|Fast", "1"]):
+        maker.animate(node, "translation", [0, 1], [[0, 0, 0], [x, 0, 0]], name=name)
+    for choice, x in (("Walk", 0), ("Other|Run", 2), ("Fast", 3), ("1", 4), (1, 1)):
+        assert made(maker, animation=choice).points[1, 0, 0] == x
+    with pytest.raises(SettingsError, match=r"several animations 'Run'.* 1 'Rig\|Run', 2 'Other\|Run'"):
+        made(maker, animation="Run")
+    with pytest.raises(SettingsError, match=r"no animation 'alk'"):
+        made(maker, animation="alk")

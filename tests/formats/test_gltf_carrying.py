@@ -73,7 +73,7 @@ def test_the_node_becomes_a_root_and_its_children_stay(lifted: MeshSequence, tmp
     file = written(tmp_path / "new.glb", lifted)
     nodes, roots = file.json["nodes"], file.json["scenes"][0]["nodes"]
     body = nodes.index(file.node("body"))
-    assert roots == [0, 5, body]
+    assert roots == [body, 0, 5]
     assert set(nodes[body]) == {"name", "mesh", "extras"}
     stand_in = nodes[nodes[0]["children"][0]]
     assert stand_in == {"name": "body", "children": [4]}
@@ -124,7 +124,7 @@ def test_meshes_that_nodes_share_become_two(rig: Path, tmp_path: Path) -> None:
     file = written(tmp_path / "new.glb", sequence)
     assert file.node("body")["mesh"] != file.node("tree")["mesh"]
     assert file.played("tree", 1)[0].tolist() == [0, 7, 0]
-    root = file.json["nodes"][file.json["scenes"][0]["nodes"][-1]]
+    root = file.json["nodes"][file.json["scenes"][0]["nodes"][0]]
     assert [file.json["nodes"][child]["name"] for child in root["children"]] == ["body", "tree"]
 
 
@@ -380,3 +380,37 @@ def test_compression_that_is_gone_is_not_declared(rig: Path, lifted: MeshSequenc
     file = written(tmp_path / "new.glb", lifted)
     assert file.json["extensionsUsed"] == ["KHR_mesh_quantization"]
     assert "skins" not in file.json
+
+
+def test_nodes_that_nothing_transforms_stay_where_they_are(rig: Path, tmp_path: Path) -> None:
+    def rest(document: Json) -> None:
+        for key in ("matrix", "translation", "rotation", "scale"):
+            document["nodes"][0].pop(key, None)
+
+    change(rig, rest)
+    file = rig
+    for number in range(3):
+        with lossy():
+            sequence = read(file, prim="rig/body")
+        file = tmp_path / f"{number}.glb"
+        children = written(file, sequence).json["nodes"][0]["children"]
+        assert children[0] == 1
+        again = read(file, prim="rig/body")
+        np.testing.assert_array_equal(again.points, sequence.points)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["Stag", "Horse", "KhronosFox", "RobotExpressive"])
+def test_paths_that_stay_the_same(data: Path, tmp_path: Path, name: str) -> None:
+    """The mesh `RootNode/Stag` is found by its path in the copy, and in the copy of that."""
+    file = data / "gltf" / f"{name}.glb"
+    sequence = read(file, animation=0, prim="/")
+    paths = [each.path for each in sequence.objects]
+    body = next(path for path in paths if path.count("/") < 2)
+    for number in range(2):
+        with lossy():
+            written(tmp_path / f"{number}.glb", sequence)
+        again = read(tmp_path / f"{number}.glb", prim="/")
+        np.testing.assert_array_equal(again.faces, sequence.faces)
+        assert read(tmp_path / f"{number}.glb", prim=body).objects[0].path == body
+        sequence = again

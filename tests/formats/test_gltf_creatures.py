@@ -65,8 +65,8 @@ def test_creatures_are_as_others_have_baked_them(
     ("file", "vertices", "frames", "objects"),
     [
         ("CesiumMan", 2338, 49, ["node 0/node 1"]),
-        ("RiggedFigure", 130, 2, ["node 0/node 1"]),
-        ("RiggedSimple", 96, 3, ["node 0/node 1"]),
+        ("RiggedFigure", 130, 31, ["node 0/node 1"]),
+        ("RiggedSimple", 96, 50, ["node 0/node 1"]),
     ],
 )
 def test_other_characters(data: Path, file: str, vertices: int, frames: int, objects: list[str]) -> None:

@@ -44,14 +44,16 @@ def test_mirroring_that_changes_is_refused(made: Callable[..., MeshSequence]) ->
     maker = Maker()
     node = maker.node("body", mesh=maker.mesh(TRIANGLE))
     maker.animate(node, "scale", [0, 1], [[1, 1, 1], [-1, 1, 1]])
-    with pytest.raises(InvalidSequenceError, match="frame 1: 'body' is mirrored relative to the first frame"):
+    with pytest.raises(
+        InvalidSequenceError, match="frame 13: 'body' is mirrored relative to the first frame"
+    ):
         made(maker)
 
 
 def test_a_scale_of_nothing_is_none_of_that(made: Callable[..., MeshSequence]) -> None:
     maker = Maker()
     maker.animate(maker.node(mesh=maker.mesh(TRIANGLE)), "scale", [0, 1], [[1, 1, 1], [0, 0, 0]])
-    assert not made(maker).points[1].any()
+    assert not made(maker).points[-1].any()
 
 
 def test_instances_are_objects_of_their_own(made: Callable[..., MeshSequence]) -> None:

@@ -16,13 +16,13 @@ def test_two_joints(made: Callable[..., MeshSequence], scale: float) -> None:
     got = made(skinned(scale * np.array([[1, 0, 0, 0], [0.5, 0.5, 0, 0], [1, 0, 0, 0]]), JOINTS))
     np.testing.assert_allclose(got.points[0], [[2, 0, 0], [2, 1, 0], [0, 1, 0]], atol=1e-6)
     # The second vertex is half way between (2, 1) and where the joint takes it, (0, 1).
-    np.testing.assert_allclose(got.points[1], [[1, 1, 0], [1, 1, 0], [0, 1, 0]], atol=1e-6)
+    np.testing.assert_allclose(got.points[-1], [[1, 1, 0], [1, 1, 0], [0, 1, 0]], atol=1e-6)
 
 
 def test_normalised_weights(made: Callable[..., MeshSequence]) -> None:
     weights = [[255, 0, 0, 0], [51, 204, 0, 0], [255, 0, 0, 0]]
     got = made(skinned(weights, JOINTS, "u1", normalized=True))
-    np.testing.assert_allclose(got.points[1, 1], [0.2 * 2 + 0.8 * 0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(got.points[-1, 1], [0.2 * 2 + 0.8 * 0, 1, 0], atol=1e-6)
 
 
 def test_a_second_set_of_joints(made: Callable[..., MeshSequence]) -> None:
@@ -30,12 +30,12 @@ def test_a_second_set_of_joints(made: Callable[..., MeshSequence]) -> None:
     maker.json["meshes"][0]["primitives"][0]["attributes"].update(
         JOINTS_1=maker.add([[1, 1, 1, 1]] * 3, "u2"), WEIGHTS_1=maker.add([[0.25, 0.25, 0.25, 0]] * 3)
     )
-    np.testing.assert_allclose(made(maker).points[1, 0], [0.25 * 2 + 0.75 * 1, 0.75, 0], atol=1e-6)
+    np.testing.assert_allclose(made(maker).points[-1, 0], [0.25 * 2 + 0.75 * 1, 0.75, 0], atol=1e-6)
 
 
 def test_weights_of_nothing_follow_the_first_joint(made: Callable[..., MeshSequence]) -> None:
     got = made(skinned(np.zeros((3, 4)), JOINTS))
-    np.testing.assert_allclose(got.points[1], got.points[0])
+    np.testing.assert_allclose(got.points[-1], got.points[0])
 
 
 def test_a_mirroring_skeleton_keeps_faces_outwards(made: Callable[..., MeshSequence]) -> None:
@@ -72,4 +72,4 @@ def test_morphs_come_before_the_skin(made: Callable[..., MeshSequence]) -> None:
     mesh = maker.json["meshes"][0]
     mesh["primitives"][0]["targets"] = [{"POSITION": maker.add([[1, 0, 0]] * 3)}]
     mesh["weights"] = [1]
-    np.testing.assert_allclose(made(maker).points[1, 0], [1, 2, 0], atol=1e-6)
+    np.testing.assert_allclose(made(maker).points[-1, 0], [1, 2, 0], atol=1e-6)

@@ -5,7 +5,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendi
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq_io.blocks import warn
-from mixseq_io.choosing import listed
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.scene import Pose
@@ -21,6 +20,7 @@ from mixseq_io.gltf.timing import time_tolerance
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
+_LONGEST_LIST = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,11 @@ class Channel:
         at_keys = self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
         tangents = self.values[:, ::2] if self.interpolation == "CUBICSPLINE" else self.values[:0]
         return len(at_keys) > 1 and bool((at_keys[1:] != at_keys[:-1]).any() or tangents.any())
+
+    @property
+    def moves_straight(self) -> bool:
+        """Whether points that follow it alone move evenly on straight lines from key to key."""
+        return self.interpolation == "LINEAR" and self.name in ("translation", "weights")
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values ``(B, k)`` at times ``(B,)``; before the first key and after the last they hold still."""
@@ -124,12 +129,14 @@ def pose_at(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
 
 
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
-    """Return the animation that was asked for, by name or index; the first by default, None if there is none.
+    """Return the animation that was asked for, by name or number; the first by default, None if there is none.
+
+    What exporters write before a "|" in a name, as in ``AnimalArmature|Gallop``, may be left out.
 
     Raises
     ------
     SettingsError
-        If there is no such animation.
+        If there is no such animation, or several.
 
     Warns
     -----
@@ -142,7 +149,7 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
         if len(animations) > 1:
             warn(
                 f"{document.path}: of {len(names)} animations the first, {names[0]!r}, is read; the option animation "
-                f"chooses another one: {listed(names[1:])}"
+                f"(--animation on the command line) chooses another one: {_numbered(names, 1)}"
             )
         return animations[0] if animations else None
     if choice in names:
@@ -150,7 +157,26 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     number = str(choice)
     if number.isdecimal() and len(number) < 10 and int(number) < len(animations):
         return animations[int(number)]
-    raise SettingsError(f"{document.path} has no animation {choice!r}; there are {listed(names) or 'none'}")
+    ending = [index for index, name in enumerate(names) if name.endswith(f"|{choice}")]
+    if len(ending) == 1:
+        return animations[ending[0]]
+    raise SettingsError(
+        f"{document.path} has {'several animations' if ending else 'no animation'} {choice!r}; "
+        f"there are {_numbered(names) or 'none'}"
+    )
+
+
+def _numbered(names: Sequence[str], first: int = 0) -> str:
+    """Return names with their numbers for a message, from the number `first` on, at most 20.
+
+    Examples
+    --------
+    >>> _numbered(["Walk", "Dance", "Death"], 1)
+    "1 'Dance', 2 'Death'"
+    """
+    shown = [f"{number} {name!r}" for number, name in enumerate(names)][first : first + _LONGEST_LIST]
+    more = len(names) - first - _LONGEST_LIST
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:

@@ -4,8 +4,9 @@ Kept are materials, textures, images, samplers, cameras, lights, other meshes, a
 that change: the meshes of the sequence get new positions and normals (normals only where they had some, else they
 would look smoother), and lose skins, morph targets, tangents. Triangles, strips and fans stay as they are, and the
 vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Since points
-are in world space, the nodes of these meshes become a root of the scene, or several below one. What hung below them
-stays where it was. A file that is written again and again has one such root, and does not grow.
+are in world space, the nodes of these meshes become a root of the scene, or several below one, which comes first: a
+path means the mesh that moves. Where nothing above any of them transforms it, they stay where they are. What hung
+below them stays where it was. A file that is written again and again has one such root, and does not grow.
 
 All animations of the file are replaced by the sequence. What nothing refers to any more is taken out.
 """
@@ -34,7 +35,7 @@ from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.pruning import prune, used_extensions
 from mixseq_io.gltf.roots import detach, moved_by_animations, vacant
 from mixseq_io.gltf.scene import Scene, read_scene
-from mixseq_io.gltf.standalone import add_vertex_numbers, group
+from mixseq_io.gltf.standalone import add_vertex_numbers, group, upright
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.pieces import Piece, split
 
@@ -132,12 +133,13 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
+    stay = not upright(header) and all(_stands_in_world(scene, place.node) for place in places)
     for place in places:
-        detach(carried, place.node)
-    root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
-    for each in shown_in:
-        if root not in each.setdefault("nodes", []):
-            each["nodes"].append(root)
+        detach(carried, place.node, stay)
+    if not stay:
+        root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
+        for each in shown_in:
+            each["nodes"] = [root, *(node for node in each.get("nodes", ()) if node != root)]
     carried["asset"]["generator"] = GENERATOR
     json.dumps(carried, allow_nan=False)  # NaN is read, but must not be written: better to know it now
     prune(document.path, carried)
@@ -149,6 +151,12 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
                 turned = place.triangles(primitive).astype(np.uint32).reshape(-1)
                 moving.entry.update(indices=layout.add_array(turned, target=INDICES), mode=_TRIANGLES)
     return layout, meshes
+
+
+def _stands_in_world(scene: Scene, node: int) -> bool:
+    """Whether a node is shown, and nothing above it transforms it; animations are dropped."""
+    parent = scene.parents[node]
+    return node not in scene.hidden and np.array_equal(scene.world([parent], {})[parent][0], np.eye(4))
 
 
 def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:

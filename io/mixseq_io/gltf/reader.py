@@ -1,7 +1,10 @@
 """glTF, reading: skinned, morphed and moving meshes in world space (.gltf, .glb).
 
-Frames are at all keys of what moves the chosen meshes, or at a rate that is asked for. Vertices that glTF splits are
-welded, see `mixseq_io.gltf.welding`. Points are computed in float64 and rounded to float32.
+Frames are at all keys of what moves the chosen meshes, or at a rate that is asked for. Between two keys of a rotation
+points move on arcs, so where more moves than translations and morph weights with linear keys, the frames at which the
+file is played are added in the gaps between keys, see `mixseq_io.gltf.timing.played_times`. Keys are float32; frames
+that are on the grid of the frame rate but for that rounding are exactly there, in float64. Vertices that glTF splits
+are welded, see `mixseq_io.gltf.welding`. Points are computed in float64 and rounded to float32.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -26,10 +29,11 @@ from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
 from mixseq_io.gltf.primitives import primitives_of
 from mixseq_io.gltf.scene import Matrices, Pose, Scene, read_scene
 from mixseq_io.gltf.skinning import Shape, bearers, read_shape
-from mixseq_io.gltf.timing import key_times, rate_of, sampled_times
+from mixseq_io.gltf.timing import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
+from mixseq_io.times import on_grid
 
 
 def open_gltf(
@@ -45,9 +49,10 @@ def open_gltf(
         Path of a node, whose meshes and those below it are read, or name of a node or mesh; "/" is everything.
         By default all meshes that move, or all if none does.
     animation : str or int, optional
-        Name or number of the animation, by default the first.
+        Name or number of the animation, from 0, or the part of the name after a "|"; by default the first.
     fps : float, optional
-        Frames per second; by default the frames are at the animation's keys.
+        Frames per second from the first key to the last; by default the frames are at the animation's keys, and
+        between keys that are far apart where more moves than translations and morph weights with linear keys.
 
     Raises
     ------
@@ -73,14 +78,27 @@ def open_gltf(
             channels = [channel for channel in channels if channel.node in influencing]
         shapes = _shapes(document, scene, nodes, channels)
         name = common_name([scene.objects[shape.node] for shape in shapes]) or path.stem
-        keys = key_times(channel.times for channel in channels)
-        times = keys if fps is None else sampled_times(path, keys, fps)
-        if not times.size:
-            times = np.zeros(1)
-        rate = fps or _told_rate(chosen) or rate_of(times)
+        times, rate = _frames(path, channels, fps, _told_rate(chosen))
         world = _world(scene, shapes, pose_at(channels, times[:1]))
         mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
         return _GltfReader(document, name, shapes, mirrored, channels, times, rate)
+
+
+def _frames(
+    path: Path, channels: Sequence[Channel], fps: float | None, told: float | None
+) -> tuple[NDArray[np.float64], float]:
+    """Return when the frames are, and frames per second: those that are asked for, told by the file, or of the keys."""
+    keys = key_times(channel.times for channel in channels)
+    if fps is not None:
+        times = sampled_times(path, keys, fps)
+        return times if times.size else np.zeros(1), fps
+    rate = told or rate_of(keys)
+    if any(channel.moves and not channel.moves_straight for channel in channels):
+        played = told or played_rate(keys)
+        times = played_times(keys, played)
+        if times.size > keys.size:
+            return times, played
+    return keys if keys.size else np.zeros(1), rate
 
 
 def _influencing(document: Document, scene: Scene, nodes: Sequence[int]) -> set[int]:
@@ -171,17 +189,18 @@ class _GltfReader(SequenceReader):
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=ends[-1],
-            times=times,
+            times=on_grid(times, rate),
             fps=rate,
             name=name,
             surface=surface,
         )
         super().__init__(path, header)
         self._shapes, self._mirrored, self._channels = shapes, mirrored, channels
+        self._times = times  # as the keys have them
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):
-            times = self.header.times[start : start + size]
+            times = self._times[start : start + size]
             with np.errstate(all="ignore"):
                 pose = pose_at(self._channels, times)
                 world = _world(self._shapes[0].scene, self._shapes, pose)

@@ -13,7 +13,7 @@ _WORTH_A_NODE = ("children", "camera", "extensions")
 _OF_A_GROUP = {"name", "matrix", "translation", "rotation", "scale"}
 
 
-def detach(document: Json, node: int) -> None:
+def detach(document: Json, node: int, in_place: bool = False) -> None:
     """Take a node with a mesh out of the tree, without its transform; what else it was, a new node is in its place.
 
     A new node is needed if it had children, was a joint, had a camera or a light.
@@ -24,6 +24,8 @@ def detach(document: Json, node: int) -> None:
         The document; it is changed.
     node : int
         The node.
+    in_place : bool
+        Whether it stays in the tree, before the new node; nothing above it may move it.
     """
     entry = document["nodes"][node]
     rest = {key: entry.pop(key) for key in list(entry) if key not in _OF_THE_MESH}
@@ -35,10 +37,11 @@ def detach(document: Json, node: int) -> None:
     if skins or any(key in stays for key in _WORTH_A_NODE):
         name = {"name": entry["name"]} if "name" in entry else {}
         place = [append(document, "nodes", {**name, **stays})]
+    here = [node, *place] if in_place else place
     for each in document["nodes"]:
-        _replace(each, "children", node, place)
+        _replace(each, "children", node, here)
     for each in document.get("scenes", ()):
-        _replace(each, "nodes", node, place)
+        _replace(each, "nodes", node, here)
     for skin in skins:
         skin["joints"] = [place[0] if joint == node else joint for joint in skin["joints"]]
         if skin.get("skeleton") == node:

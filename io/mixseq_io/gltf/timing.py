@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence import DEFAULT_FPS
+from mixseq_io.times import on_grid
 
 USUAL_RATES = (
     24.0,
@@ -29,6 +30,11 @@ USUAL_RATES = (
 )
 
 _MOST_FRAMES = 1_000_000
+_MOST_PLAYED = 100_000
+"""More frames than this are not added between keys; an hour has 86 400 at 24 frames per second."""
+_FASTEST_PLAYED = 60.0
+"""Keys on a finer grid than this are at hundredths or ticks, not at frames."""
+_GAP = 1.5  # frames; a wider one has room for another
 _GRID = 2e-3  # of a frame; keys are float32
 _SAME_TIME = 1e-6
 
@@ -84,6 +90,52 @@ def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[
         )
     times: NDArray[np.float64] = keys[0] + np.arange(int(count) + 1) / fps
     return times
+
+
+def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Return the times of keys, and in wider gaps between them those of the frames at which they are played.
+
+    These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. A frame
+    that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor where
+    more than 100 000 frames would be.
+
+    Parameters
+    ----------
+    keys : (n,) float64
+        Times of the keys in seconds, increasing.
+    rate : float
+        Frames per second.
+
+    Examples
+    --------
+    >>> played_times(np.array([0.5, 0.75, 2.1]), 4).tolist()
+    [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.1]
+    """
+    gaps = np.diff(keys) * rate
+    wide = gaps > _GAP
+    if not wide.any() or not gaps.sum() < _MOST_PLAYED:
+        return keys
+    first = on_grid(keys[:1], rate)[0] * rate
+    whole = np.rint(first)
+    start = whole if abs(first - whole) < _GRID else first
+    frames = (start + np.arange(int(gaps.sum()) + 2)) / rate
+    after = np.searchsorted(keys, frames)
+    inside = (after > 0) & (after < keys.size)
+    frames, after = frames[inside], after[inside]
+    room = np.minimum(frames - keys[after - 1], keys[after] - frames) * rate >= 0.5 - _GRID
+    return np.union1d(keys, frames[room & wide[after - 1]])
+
+
+def played_rate(keys: NDArray[np.float64]) -> float:
+    """Return the frames per second at which keys are played: those of their grid, 24 if it is finer than 60.
+
+    Examples
+    --------
+    >>> played_rate(np.array([0.0, 1, 2, 5]) / 12), played_rate(np.array([0.0, 0.37, 0.83]))
+    (12.0, 24.0)
+    """
+    rate = rate_of(keys)
+    return rate if rate <= _FASTEST_PLAYED else DEFAULT_FPS
 
 
 def rate_of(times: NDArray[np.float64]) -> float:

@@ -9,7 +9,8 @@ times              float32, seconds, one per frame
 points             float32, x, y, z of all points, frame after frame
 =================  ===========================================================
 
-The frame rate is that of the median step of the times. MDD has no place for units, the up axis and velocities; see
+The frame rate is that of the median step of the times. Times that are a whole number of frames but for float32
+rounding are exactly that, in float64. MDD has no place for units, the up axis and velocities; see
 `mixseq_io.pointcache.cache` for the mesh.
 
 Specification: http://rodolphe-vaillant.fr/?e=134
@@ -29,6 +30,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq_io.pointcache.cache import Layout, MeshPath, Timing, open_cache, write_cache
 from mixseq_io.reader import SequenceReader
+from mixseq_io.times import on_grid
 
 _START = struct.Struct(">ii")
 _STEP_ERROR = 1e-2
@@ -50,7 +52,8 @@ def _read_start(file: IO[bytes]) -> tuple[Layout, Timing]:
     layout = Layout(_START.size + 4 * frames, frames, points, ">")
     layout.check_size(file)
     times = np.frombuffer(file.read(4 * frames), ">f4").astype(np.float64)
-    return layout, Timing(times, _rate(times))
+    rate = _rate(times)
+    return layout, Timing(on_grid(times, rate) if rate else times, rate)
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
