@@ -96,8 +96,8 @@ def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     """Return the times of keys, and in wider gaps between them those of the frames at which they are played.
 
     These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. A frame
-    that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor where
-    more than 100 000 frames would be.
+    that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor
+    where more than 100 000 frames would be.
 
     Parameters
     ----------
