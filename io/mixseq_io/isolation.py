@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -110,9 +111,8 @@ class _Worker:
                 answer, error, warnings = pickle.load(self._stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
             raise FormatError(self._obituary(path)) from None
-        except (
-            BaseException
-        ):  # Ctrl-C: the answer that is on its way must not be taken for that to another question
+        except BaseException:
+            # Ctrl-C: the answer that is on its way must not be taken for that to another question.
             self._process.kill()
             raise
         for message in warnings:
@@ -151,8 +151,6 @@ class _Worker:
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()
-        import signal
-
         if code == -getattr(signal, "SIGPROF", 0):
             return (
                 f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of processor "
