@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import FloatArray, MeshSequence, Polygons
 from mixseq_io import open_sequence, read, write, write_blocks
-from tests.formats.conftest import CASES, lossy
+from tests.formats.conftest import CASES, TARGETS, lossy
 from tests.formats.kept import assert_close, assert_kept
 
 Store = Callable[[Any, MeshSequence], Path]
@@ -25,6 +28,46 @@ Files = Callable[[], dict[str, bytes]]
 
 def test_what_is_written_is_read(target: Any, sequence: MeshSequence, store: Store) -> None:
     assert_kept(target, sequence, read(store(target, sequence)))
+
+
+def random_sequence(seed: int) -> MeshSequence:
+    """Return a mesh of any polygons, float32 or float64, of any size and place, in any number of frames."""
+    rng = np.random.default_rng(seed)
+    vertices, frames = int(rng.integers(3, 20)), int(rng.integers(1, 9))
+    counts = rng.integers(3, min(vertices, 6) + 1, int(rng.integers(1, 8)))
+    corners = np.concatenate([rng.permutation(vertices)[:count] for count in counts])
+    size = 10.0 ** rng.integers(-6, 7)
+    place = size * 10.0 ** rng.integers(-3, 3) * rng.normal(size=3)  # not so far that vertices fall together
+    points = (size * rng.normal(size=(frames, vertices, 3)) + place).astype(
+        np.float32 if seed % 2 else np.float64
+    )
+    times = np.cumsum(rng.integers(1, 5, frames)) / 24
+    return MeshSequence.from_arrays(points, Polygons(counts, corners), times=times)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.file_name + "+".join(target.options))
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_random_meshes(target: Any, seed: int) -> None:
+    sequence = random_sequence(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        with lossy():
+            write(Path(folder, target.file_name), sequence, **target.options)
+        assert_kept(target, sequence, read(Path(folder, target.file_name)))
+
+
+def test_read_only_files_in_read_only_folders(
+    target: Any, plain: MeshSequence, store: Store, tmp_path: Path
+) -> None:
+    path = store(target, plain)
+    everything = [tmp_path, *tmp_path.rglob("*")]
+    for each in everything:
+        each.chmod(0o555 if each.is_dir() else 0o444)
+    try:
+        assert_kept(target, plain, read(path))
+    finally:
+        for each in everything:
+            each.chmod(0o755)
 
 
 LOSSES = {
