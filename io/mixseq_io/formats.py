@@ -1,123 +1,12 @@
-"""The table of formats: what each can hold, and the functions that read and write it."""
+"""The table of formats."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
-from importlib import import_module
-from pathlib import Path
-from typing import Any
+from dataclasses import fields
 
-from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray, SequenceHeader
-from mixseq_io.isolation import can_isolate, open_isolated
-from mixseq_io.reader import SequenceReader
+from mixseq_io.format import Format, Holds
 
 _YES = {True: "yes", False: "no"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Holds:
-    """What a format has a place for; what it has none for is warned about when it is written.
-
-    Parameters
-    ----------
-    animation : str
-        The kinds of motion that are read.
-    polygons : str
-        Which polygons.
-    points : str
-        How exactly.
-    times : str
-        Which times of the frames.
-    uvs, creases, face_sets, objects, units, velocities : bool
-        Texture coordinates; hard edges; named sets of polygons; several meshes; up axis and length of a unit;
-        velocities of the vertices.
-    materials : str
-        What becomes of materials.
-    """
-
-    animation: str
-    polygons: str = "any"
-    points: str = "float32"
-    times: str = "any"
-    uvs: bool = False
-    creases: bool = False
-    face_sets: bool = False
-    objects: bool = False
-    units: bool = False
-    velocities: bool = False
-    materials: str = "no"
-
-
-@dataclass(frozen=True)
-class Format:
-    """A file format.
-
-    Parameters
-    ----------
-    name : str
-        Its name in messages.
-    extensions : tuple of str
-        Its extensions, all read and written, in lower case with the dot.
-    holds : Holds
-        What it has a place for.
-    reader, writer : str
-        ``"module:function"``, imported at first use. A reader is ``(path, **options) -> SequenceReader``, a
-        writer ``(path, header, blocks, velocities, **options) -> None``.
-    read_options, write_options : mapping of str to str
-        The keyword options and what they mean.
-    signatures : tuple of bytes
-        What the files begin with, as far as there is something.
-    numbered : bool
-        Whether a file holds one frame, so that a sequence is a folder or a pattern of files.
-    isolated : bool
-        Whether files are parsed by a C++ library, which is kept in a process of its own, see `mixseq_io.isolation`.
-    """
-
-    name: str
-    extensions: tuple[str, ...]
-    holds: Holds
-    reader: str
-    writer: str
-    read_options: Mapping[str, str] = field(default_factory=dict)
-    write_options: Mapping[str, str] = field(default_factory=dict)
-    signatures: tuple[bytes, ...] = ()
-    numbered: bool = False
-    isolated: bool = False
-
-    def open(self, path: Path, **options: Any) -> SequenceReader:
-        """Open a file for reading, see `mixseq_io.open_sequence`."""
-        self._check_options("read", self.read_options, options)
-        if self.isolated and can_isolate():
-            return open_isolated(self.reader, path, options)
-        reader: SequenceReader = _load(self.reader)(path, **options)
-        return reader
-
-    def write(
-        self,
-        path: Path,
-        header: SequenceHeader,
-        blocks: Iterable[FloatArray],
-        velocities: Iterable[FloatArray] | None = None,
-        **options: Any,
-    ) -> None:
-        """Write a file, see `mixseq_io.write_blocks`."""
-        self._check_options("written", self.write_options, options)
-        _load(self.writer)(path, header, blocks, velocities, **options)
-
-    def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
-        for option in given:
-            if option not in known:
-                takes = "with " + ", ".join(known) if known else "without options"
-                raise SettingsError(f"{self.name} has no option {option!r}; it is {verb} {takes}")
-
-
-def _load(reference: str) -> Callable[..., Any]:
-    module, function = reference.split(":")
-    loaded: Callable[..., Any] = getattr(import_module(module), function)
-    return loaded
-
 
 _FPS = "frames per second, 24 by default"
 _GAPS = "accept missing numbers; the frames keep the times of their numbers"
@@ -133,10 +22,6 @@ FORMATS: tuple[Format, ...] = (
         extensions=(".usd", ".usda", ".usdc", ".usdz"),
         holds=Holds(
             animation="point samples, transforms, skeletons, blend shapes, value clips",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
             units=True,
             velocities=True,
             materials="carried along",
@@ -156,15 +41,7 @@ FORMATS: tuple[Format, ...] = (
         name="HDF5 sequence",
         extensions=(".h5", ".hdf5"),
         holds=Holds(
-            animation="point samples, models",
-            points="float32, float64",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            units=True,
-            velocities=True,
-            materials="names",
+            animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
         reader="mixseq_io.hdf5.sequence:open_h5",
         writer="mixseq_io.hdf5.sequence:write_h5",
@@ -173,15 +50,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="Alembic",
         extensions=(".abc",),
-        holds=Holds(
-            animation="point samples, transforms",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            velocities=True,
-            materials="names",
-        ),
+        holds=Holds(animation="point samples, transforms", velocities=True),
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
@@ -195,10 +64,6 @@ FORMATS: tuple[Format, ...] = (
             animation="skins, morph targets, transforms",
             polygons="triangles",
             times="float32, from 0 on",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
             materials="carried along",
         ),
         reader="mixseq_io.gltf.reader:open_gltf",
@@ -214,17 +79,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="npz",
         extensions=(".npz",),
-        holds=Holds(
-            animation="point samples",
-            points="float32, float64",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            units=True,
-            velocities=True,
-            materials="names",
-        ),
+        holds=Holds(animation="point samples", points="float32, float64", units=True, velocities=True),
         reader="mixseq_io.npz:open_npz",
         writer="mixseq_io.npz:write_npz",
         read_options={"fps": "frames per second, where the file has neither fps nor times; 24 by default"},
@@ -234,15 +89,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PC2",
         extensions=(".pc2",),
-        holds=Holds(
-            animation="point samples",
-            times="even, rate not told",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            materials="names",
-        ),
+        holds=Holds(animation="point samples", times="even, rate not told"),
         reader="mixseq_io.pointcache.pc2:open_pc2",
         writer="mixseq_io.pointcache.pc2:write_pc2",
         read_options={"mesh": _MESH, "fps": _FPS},
@@ -251,15 +98,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="MDD",
         extensions=(".mdd",),
-        holds=Holds(
-            animation="point samples",
-            times="float32",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            materials="names",
-        ),
+        holds=Holds(animation="point samples", times="float32"),
         reader="mixseq_io.pointcache.mdd:open_mdd",
         writer="mixseq_io.pointcache.mdd:write_mdd",
         read_options={"mesh": _MESH},
@@ -267,16 +106,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="OBJ",
         extensions=(".obj",),
-        holds=Holds(
-            animation="a file per frame",
-            points="all digits",
-            times="no",
-            uvs=True,
-            creases=True,
-            face_sets=True,
-            objects=True,
-            materials="names",
-        ),
+        holds=Holds(animation="a file per frame", points="all digits", times="no"),
         reader="mixseq_io.numbered.obj:open_obj",
         writer="mixseq_io.numbered.obj:write_obj",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -286,7 +116,15 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PLY",
         extensions=(".ply",),
-        holds=Holds(animation="a file per frame", points="float32, float64", times="no", uvs=True),
+        holds=Holds(
+            animation="a file per frame",
+            points="float32, float64",
+            times="no",
+            creases=False,
+            face_sets=False,
+            objects=False,
+            materials="no",
+        ),
         reader="mixseq_io.numbered.ply:open_ply",
         writer="mixseq_io.numbered.ply:write_ply",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -297,7 +135,16 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="STL",
         extensions=(".stl",),
-        holds=Holds(animation="a file per frame", polygons="triangles", times="no"),
+        holds=Holds(
+            animation="a file per frame",
+            polygons="triangles",
+            times="no",
+            uvs=False,
+            creases=False,
+            face_sets=False,
+            objects=False,
+            materials="no",
+        ),
         reader="mixseq_io.numbered.stl:open_stl",
         writer="mixseq_io.numbered.stl:write_stl",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -307,7 +154,17 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="OFF",
         extensions=(".off",),
-        holds=Holds(animation="a file per frame", polygons="triangles", points="all digits", times="no"),
+        holds=Holds(
+            animation="a file per frame",
+            polygons="triangles",
+            points="all digits",
+            times="no",
+            uvs=False,
+            creases=False,
+            face_sets=False,
+            objects=False,
+            materials="no",
+        ),
         reader="mixseq_io.numbered.off:open_off",
         writer="mixseq_io.numbered.off:write_off",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},

@@ -12,7 +12,8 @@ import numpy as np
 
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, collect
-from mixseq_io.formats import FORMATS, Format
+from mixseq_io.format import Format
+from mixseq_io.formats import FORMATS
 from mixseq_io.reader import SequenceReader, naming
 
 PathLike = str | os.PathLike[str]

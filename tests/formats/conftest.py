@@ -17,7 +17,7 @@ from mixseq.errors import MixseqWarning
 from mixseq.sequence import FloatArray, MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import FORMATS, write
-from mixseq_io.formats import Format
+from mixseq_io.format import Format
 from tests.formats.gltf_maker import load
 
 PENTAGON_QUAD_TRIANGLE = Polygons(np.array([5, 4, 3]), np.array([0, 1, 2, 3, 4, 0, 5, 6, 1, 6, 7, 2]))
