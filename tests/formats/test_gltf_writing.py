@@ -47,6 +47,23 @@ def test_the_first_frame_is_the_mesh_and_the_others_are_targets(tmp_path: Path, 
     np.testing.assert_array_equal(file.attribute("square", "_VERTEX"), [0, 1, 2, 3])
 
 
+def test_pygltflib_reads_the_same(tmp_path: Path) -> None:
+    import pygltflib
+
+    write_gltf(tmp_path / "a.glb", moving_square().header, [moving_square().points])
+    file = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+    (primitive,) = file.meshes[0].primitives
+
+    def vectors(index: int) -> FloatArray:
+        accessor = file.accessors[index]
+        start = file.bufferViews[accessor.bufferView].byteOffset + (accessor.byteOffset or 0)
+        return np.frombuffer(file.binary_blob(), np.float32, 3 * accessor.count, start).reshape(-1, 3)
+
+    base = vectors(primitive.attributes.POSITION)
+    moved = [base + vectors(target["POSITION"]) for target in primitive.targets]
+    np.testing.assert_array_equal([base, *moved], moving_square().points)
+
+
 def test_weights_choose_one_target_at_each_key(tmp_path: Path) -> None:
     file = written(tmp_path / "a.glb", moving_square(4))
     animation = file.json["animations"][0]
