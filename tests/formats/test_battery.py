@@ -70,6 +70,14 @@ def test_read_only_files_in_read_only_folders(
             each.chmod(0o755)
 
 
+def test_objects_that_stand_still_stay(target: Any, store: Store) -> None:
+    """What is written with all its frames is read with all its objects, though one of them does not move."""
+    dressed = CASES["dressed"]()
+    points = dressed.points.copy()
+    points[:, 8:] = points[0, 8:]
+    assert_kept(target, dressed.with_points(points), read(store(target, dressed.with_points(points))))
+
+
 LOSSES = {
     "uvs": "texture",
     "creases": "crease",

@@ -65,10 +65,9 @@ class Mesh:
 
     @property
     def moves(self) -> bool:
-        """Whether its points or a transform above it changes."""
-        return not (
-            self.schema.getPositionsProperty().isConstant() and all(x.isConstant() for x in self.above)
-        )
+        """Whether its points have several samples, be they equal, or a transform above it changes."""
+        sampled = self.schema.getPositionsProperty().getNumSamples() > 1
+        return sampled or not all(each.isConstant() for each in self.above)
 
 
 def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
