@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
@@ -133,3 +135,28 @@ def test_a_disk_that_fills_up(tmp_path: Path) -> None:
         [sys.executable, "-c", FILL_THE_DISK, str(tmp_path)], capture_output=True, text=True, timeout=60
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(143)], ids=["interrupt", "termination"])
+def test_what_is_raised_while_hdf5_writes_comes_through(
+    path: Path,
+    plain: MeshSequence,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    error: BaseException,
+) -> None:
+    """HDF5 calls Python to write, and cannot pass on what a signal raises there."""
+    write(path, plain)
+    before = path.read_bytes()
+
+    class Broken(io.FileIO):
+        def write(self, data: Any) -> int:
+            raise error
+
+    monkeypatch.setattr(Path, "open", lambda self, *mode, **options: Broken(self, "w+"))
+    with pytest.raises(type(error)):
+        write(path, plain)
+    monkeypatch.undo()
+    assert capfd.readouterr() == ("", "")
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]

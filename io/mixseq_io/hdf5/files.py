@@ -107,12 +107,13 @@ class Store:
     """A file that takes what HDF5 gives it even if the disk does not, and tells afterwards.
 
     HDF5 cannot close a file that it cannot write: it keeps it half open, and the process dies of a
-    segmentation fault later. So the first failure is kept for `check`, and nothing is written from there on.
+    segmentation fault later. Nor can it pass on what is raised while it calls Python, be it Ctrl-C. So the first
+    failure is kept for `check`, and nothing is written from there on.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._failure: OSError | None = None
+        self._failure: BaseException | None = None
 
     def check(self) -> None:
         """Raise the failure, if there was one."""
@@ -121,21 +122,21 @@ class Store:
 
     def write(self, data: memoryview) -> int:
         """Write all of the data."""
-        rest = memoryview(data)
-        while rest and self._failure is None:
-            try:
+        try:
+            rest = memoryview(data)
+            while rest and self._failure is None:
                 rest = rest[self._file.write(rest) :]
-            except OSError as error:
-                self._failure = error
+        except BaseException as error:
+            self._failure = error
         return len(data)
 
     def truncate(self, size: int) -> int:
         """Set the file's size."""
-        if self._failure is None:
-            try:
+        try:
+            if self._failure is None:
                 return self._file.truncate(size)
-            except OSError as error:
-                self._failure = error
+        except BaseException as error:
+            self._failure = error
         return size
 
     def seek(self, offset: int, whence: int = 0) -> int:
