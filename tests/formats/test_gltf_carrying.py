@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
 from mixseq.sequence import MeshSequence
+from mixseq.surface import Surface
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, validate, write_glb, written
@@ -251,11 +253,13 @@ def test_files_that_do_not_fit(
 
 def test_a_file_is_not_written_onto_itself(rig: Path, lifted: MeshSequence) -> None:
     before = rig.read_bytes()
-    for onto in (None, rig):
-        with pytest.raises(
-            OutputError, match=r"is the file that the sequence came from, .* or give flatten=True"
-        ):
-            write_gltf(rig, lifted.header, [lifted.points], onto=onto)
+    # Nor if it does not fit any more, so that the sequence would be written alone.
+    torn = MeshSequence.from_header(
+        replace(lifted.header, surface=Surface(origin=lifted.surface.origin)), lifted.points
+    )
+    for sequence, onto in ((lifted, None), (lifted, rig), (torn, None)):
+        with pytest.raises(OutputError, match="is the original and would be lost; write to another name"):
+            write_gltf(rig, sequence.header, [sequence.points], onto=onto)
     assert rig.read_bytes() == before
     written(rig, lifted, flatten=True)
 

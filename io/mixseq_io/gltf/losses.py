@@ -10,6 +10,7 @@ from mixseq_io.blocks import warn
 from mixseq_io.gltf.morphs import time_shift
 from mixseq_io.gltf.splitting import distinguishes, owners
 from mixseq_io.gltf.standalone import material_name, upright
+from mixseq_io.losses import warn_of_losses
 from mixseq_io.pieces import Piece, split
 
 # Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.
@@ -34,10 +35,9 @@ def lost_alone(header: SequenceHeader) -> list[str]:
     return lost
 
 
-def warn_of_losses(path: Path, header: SequenceHeader, lost: Sequence[str]) -> None:
+def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> None:
     """Warn of what is lost, of what is read in another way than it is in the sequence, and of too many frames."""
-    if lost:
-        warn(f"{path}: glTF files cannot hold {', '.join(lost)}; USD, .npz and .h5 can")
+    warn_of_losses(path, "glTF files", lost)
     if upright(header):
         warn(
             f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "

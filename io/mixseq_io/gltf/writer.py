@@ -16,7 +16,7 @@ from mixseq_io.blocks import as_float32, checked, warn
 from mixseq_io.gltf.buffers import Layout, writing_buffer
 from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.losses import lost_alone, warn_of_losses
+from mixseq_io.gltf.losses import lost_alone, warn_of_changes
 from mixseq_io.gltf.morphs import Morphs, MovingMesh
 from mixseq_io.gltf.standalone import new_scene
 from mixseq_io.reader import reading
@@ -66,7 +66,7 @@ def write_gltf(
     overlay = None if flatten else _overlay(path, header, onto)
     layout, meshes = overlay or new_scene(header)
     lost = [] if overlay else lost_alone(header)
-    warn_of_losses(path, header, [*(["velocities"] if velocities is not None else []), *lost])
+    warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost])
     morphs = Morphs(layout, meshes, header)
     _, numbered = checked(header, blocks, velocities)
     with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:
@@ -86,9 +86,11 @@ def _overlay(
         file = Path(header.surface.origin.path)
     else:
         return None
+    if path.exists() and file.exists() and path.samefile(file):
+        raise OutputError(f"{path} is the original and would be lost; write to another name")
     try:
         with reading(file, "glTF", *_DAMAGE):
-            overlay = lay_over(load_document(file), header)
+            return lay_over(load_document(file), header)
     except FormatError as error:
         if onto is not None:
             raise OutputError(f"cannot write {path} onto another file: {error}") from error
@@ -96,9 +98,3 @@ def _overlay(
             f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
         )
         return None
-    if path.exists() and path.samefile(file):
-        raise OutputError(
-            f"{path} is the file that the sequence came from, whose materials and skeleton are kept; write another "
-            "file, or give flatten=True to write the sequence alone"
-        )
-    return overlay
