@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from mixseq.errors import OutputError
 from mixseq.sequence import MeshSequence, Polygons
+from mixseq.surface import Surface
 from mixseq_io import read, write
 from mixseq_io.usd.seams import VERTICES
 from tests.formats.conftest import lossy
@@ -174,3 +177,17 @@ def test_what_a_layer_says_of_other_points_does_not_count(tmp_path: Path) -> Non
     stage.GetPrimAtPath("/root/mesh").GetAttribute(VERTICES).Set([0, 1])
     stage.Save()
     assert read(tmp_path / "new.usda").vertex_count == 6
+
+
+def test_an_original_that_does_not_fit_is_not_replaced(tmp_path: Path) -> None:
+    """Without its objects the sequence would be written alone, but not over the file that it came from."""
+    path = save(tmp_path / "square.usda")
+    square, before = read(path), path.read_bytes()
+    other = replace(
+        square,
+        polygons=Polygons(np.array([4]), np.array([0, 1, 2, 3])),
+        surface=Surface(origin=square.surface.origin),
+    )
+    with pytest.raises(OutputError, match="is the original, or a layer that it uses, and would be lost"):
+        write(path, other)
+    assert path.read_bytes() == before

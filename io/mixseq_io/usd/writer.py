@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Ar, Sdf, Usd
+from pxr import Ar, Sdf
 
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import FloatArray, SequenceHeader
@@ -135,9 +135,9 @@ def _base(path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLik
     file, packed = Path(onto or known or ""), path.suffix.lower() == ".usdz"
     named = is_gone(origin) and any(each.material for each in header.surface.face_sets)
     bare = ", and materials are written by name only" if named else ""
+    if not flatten:
+        _check_not_needed(path, file)
     if flatten or packed:
-        if not flatten:
-            _check_not_needed(path, file)
         if is_gone(origin) and (bare or not flatten):
             warn(f"{path} stands alone: the original {file} is gone{bare}")
         elif not flatten:
@@ -147,23 +147,21 @@ def _base(path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLik
         return None
     try:
         with quiet():
-            base = open_base(file, header)
+            return open_base(file, header)
     except OutputError as error:
         if onto is not None:
             raise
         warn(f"{path} stands alone: {error}{bare}; onto=... (--onto) names the file where it is now")
         return None
-    _check_not_needed(path, file, base.stage)
-    return base
 
 
-def _check_not_needed(path: Path, original: Path, stage: Usd.Stage | None = None) -> None:
+def _check_not_needed(path: Path, original: Path) -> None:
     """Refuse to replace an original, or a layer that it uses."""
     if not path.exists():
         return
-    if stage is None:
-        with suppress(FormatError), quiet(), reading_usd(original):
-            stage = open_stage(original)
+    stage = None
+    with suppress(FormatError), quiet(), reading_usd(original):
+        stage = open_stage(original)
     layers = stage.GetUsedLayers() if stage else []
     files = [Path(Ar.SplitPackageRelativePathOuter(each.realPath)[0]) for each in layers if each.realPath]
     if any(each.exists() and each.samefile(path) for each in (original, *files)):
