@@ -6,11 +6,37 @@ products, of which we have many, get slower on top.
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from threading import Lock
+
+_lock = Lock()
+_users = 0
+_limit = ExitStack()
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Return a context in which BLAS and LAPACK use one thread."""
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Enter a context in which BLAS and LAPACK use one thread.
+
+    The limit holds for the whole process. It is set by the first who enters and lifted by the last who leaves,
+    whatever threads they are on.
+    """
+    global _users
+    with _lock:
+        if _users == 0:
+            _limit.enter_context(_one_thread())
+        _users += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _users -= 1
+            if _users == 0:
+                _limit.pop_all().close()
+
+
+def _one_thread() -> AbstractContextManager[object]:
     from threadpoolctl import threadpool_limits
 
     limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")

@@ -12,11 +12,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 LAYERS = (
-    ("errors", "progress", "threads", "version"),
-    ("polygons",),
+    ("compiled", "errors", "pickling", "progress", "threads", "version"),
+    ("cluster", "mapping", "polygons", "table"),
     ("surface",),
     ("sequence",),
-    ("topology", "geometry"),
+    ("topology", "geometry", "stored"),
     ("segmentation",),
     ("reconstruction",),
     ("spaces",),

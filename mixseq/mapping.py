@@ -1,0 +1,82 @@
+"""Work on many items at once: results come in order, and are the same whoever does it.
+
+Everything that is done frame by frame goes through an *ordered map*: a function of something shared (a model, a
+space) and of an item (a block of frames). What does the work, the caller's thread, several threads, or the workers
+of a cluster, is chosen by the caller; the function knows nothing of it, and the same item has the same result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol, TypeVar
+
+from mixseq.threads import one_blas_thread
+
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class OrderedMap(Protocol):
+    """Applies ``function(shared, item)`` to every item, and yields the results in the order of the items.
+
+    Items are taken as results are: a long sequence is never in memory as a whole. `function` is a plain function
+    of a module and `shared` can be pickled, so that both can go to another machine.
+    """
+
+    def __call__(
+        self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    ) -> Iterator[Result]:
+        """Yield the results."""
+
+
+def serially(
+    function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+) -> Iterator[Result]:
+    """Do the work in the caller's thread."""
+    for item in items:
+        with one_blas_thread():
+            result = function(shared, item)
+        yield result
+
+
+def on_threads(count: int | None = None) -> OrderedMap:
+    """Return an ordered map that works on `count` threads; by default on `thread_count`.
+
+    Examples
+    --------
+    >>> list(on_threads(2)(pow, 2, range(5)))
+    [1, 2, 4, 8, 16]
+    """
+    threads = thread_count() if count is None else count
+    if threads == 1:
+        return serially
+
+    def work(
+        function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    ) -> Iterator[Result]:
+        with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
+            ahead: deque[Future[Result]] = deque()
+            try:
+                for item in items:
+                    ahead.append(pool.submit(function, shared, item))
+                    if len(ahead) > threads:  # one waits for the first thread that is done
+                        yield ahead.popleft().result()
+                while ahead:
+                    yield ahead.popleft().result()
+            finally:
+                for future in ahead:
+                    future.cancel()
+
+    return work
+
+
+def thread_count() -> int:
+    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores."""
+    wanted = os.environ.get("MIXSEQ_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from mixseq.creature import walk_cycle
+from mixseq.mapping import on_threads, serially, thread_count
+from mixseq.signals import fit
+
+
+def wait_and_add(shared: int, item: int) -> int:
+    time.sleep(0.001 * ((7 * item) % 5))
+    return shared + item
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_results_come_in_order(threads: int) -> None:
+    assert list(on_threads(threads)(wait_and_add, 10, range(20))) == list(range(10, 30))
+    assert list(on_threads(threads)(wait_and_add, 10, ())) == []
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_items_are_taken_as_results_are(threads: int) -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for number in range(100):
+            taken.append(number)
+            yield number
+
+    results = on_threads(threads)(wait_and_add, 0, items())
+    for _ in range(5):
+        next(results)
+    assert len(taken) <= 5 + threads + 1
+    results.close()  # type: ignore[attr-defined]
+    assert len(taken) <= 5 + threads + 1
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_ends_the_work(threads: int) -> None:
+    def fail(shared: None, item: int) -> int:
+        if item == 3:
+            raise ValueError("three")
+        return item
+
+    results = on_threads(threads)(fail, None, range(1000))
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(results)
+    assert threading.active_count() < 10
+
+
+def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MIXSEQ_THREADS", "3")
+    assert thread_count() == 3
+    for nonsense in ("", "0", "many", "-1"):
+        monkeypatch.setenv("MIXSEQ_THREADS", nonsense)
+        assert thread_count() >= 1
+    monkeypatch.setenv("MIXSEQ_THREADS", "1")
+    assert on_threads() is serially
+
+
+@pytest.mark.parametrize("velocities", [False, True])
+def test_frames_are_the_same_on_any_number_of_threads(velocities: bool) -> None:
+    walk = walk_cycle(frames=9)
+    model = fit(walk, rank=3)
+    times = np.linspace(model.start, model.end, 13)
+    decode = model.moving_blocks if velocities else model.blocks
+
+    def bytes_of(size: int, threads: int) -> bytes:
+        blocks = decode(times, size=size, workers=on_threads(threads))
+        return b"".join(frame.tobytes() for block in blocks for frame in frames(block))
+
+    def frames(block: object) -> list[np.ndarray]:
+        if isinstance(block, tuple):
+            points, speeds = block
+            return [np.stack([p, s]) for p, s in zip(points, speeds, strict=True)]
+        assert isinstance(block, np.ndarray)
+        return list(block)
+
+    once = bytes_of(13, 1)
+    assert bytes_of(2, 1) == once
+    assert bytes_of(1, 2) == once
+    assert bytes_of(3, 4) == once
