@@ -59,19 +59,24 @@ def rebuild(
     -----
     The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
     Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
-    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`.
+    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where a pull
+    tells which fold is meant.
     """
     # A curve that swings past its keys can ask for lengths of zero or less.
     lengths = np.maximum(lengths, SHORTEST / weights)
-    all_lengths = edge_lengths(positions, patch.edges)
-    all_lengths[patch.free_edges] = lengths
-    all_angles = dihedral_angles(positions, patch.hinges)
-    all_angles[patch.free_hinges] = angles
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
     if guess is None:
-        return fit_shell(problem, unfold(patch, all_lengths, all_angles, positions), settings)
+        return fit_shell(problem, _unfolded(problem, positions), settings)
     start = np.array(positions, dtype=np.float64)
     start[patch.free] = guess
-    if np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
-        start = min(unfold(patch, all_lengths, all_angles, positions), start, key=problem.energy)
+    if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
+        start = min(_unfolded(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
+
+
+def _unfolded(problem: ShellProblem, positions: Float) -> Float:
+    """The linear start; lengths and angles between fixed vertices are those they have."""
+    patch = problem.patch
+    lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
+    lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles
+    return unfold(patch, lengths, angles, positions)

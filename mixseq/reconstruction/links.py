@@ -101,24 +101,49 @@ class Links:
         )
 
 
-def make_links(
-    points: FloatArray,
-    topology: Topology,
-    part_of_face: Index,
-    rotations: Float,
-    translations: Float,
-    radii: Float,
-) -> Links:
+@dataclass(frozen=True, eq=False)
+class Boundaries:
+    """Where neighbouring parts meet: a link is made for each pair.
+
+    Attributes
+    ----------
+    parts : (n, 2) int64
+        The parts i < j.
+    edges : (k, 2) int64
+        Vertices of the edges between faces of two parts.
+    link : (k,) int64
+        The pair of parts that each edge is between.
+    """
+
+    parts: Index
+    edges: Index
+    link: Index
+
+    @classmethod
+    def of(cls, topology: Topology, part_of_face: Index) -> Boundaries:
+        """Find the boundaries between the parts ``(F,)`` of all faces: where faces of two parts meet in a hinge."""
+        sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
+        across = sides[:, 0] != sides[:, 1]
+        parts, link = np.unique(sides[across], axis=0, return_inverse=True)
+        edges = topology.edges[topology.hinge_edges[across]]
+        return cls(parts.astype(np.int64).reshape(-1, 2), edges, link.reshape(-1))
+
+    def middles(self, frame: FloatArray) -> Float:
+        """Return the middles ``(n, 3)`` of the boundaries in a frame ``(V, 3)``: means of the middles of edges."""
+        middles = frame[self.edges].mean(axis=1)
+        sums = [np.bincount(self.link, column, minlength=len(self.parts)) for column in middles.T]
+        return np.stack(sums, axis=1) / np.bincount(self.link, minlength=len(self.parts))[:, None]
+
+
+def make_links(parts: Index, middles: Float, rotations: Float, translations: Float, radii: Float) -> Links:
     """Find the links of a sequence.
 
     Parameters
     ----------
-    points : (T, V, 3) float
-        The sequence, in diagonals.
-    topology : Topology
-        Its connectivity.
-    part_of_face : (F,) int64
-        Parts are linked where faces of both meet in a hinge.
+    parts : (n, 2) int64
+        Pairs of parts that are neighbours, as `Boundaries` has them.
+    middles : (T, n, 3)
+        The middles of their boundaries, in diagonals.
     rotations : (T, p, 3)
         Rotation vectors of the parts, unwrapped.
     translations : (T, p, 3)
@@ -126,15 +151,8 @@ def make_links(
     radii : (p,)
         Their radii of gyration.
     """
-    sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
-    across = sides[:, 0] != sides[:, 1]
-    parts, link = np.unique(sides[across], axis=0, return_inverse=True)
     if not len(parts):
         return Links.none(rotations.shape[1])
-    link = link.reshape(-1)
-    ends = topology.edges[topology.hinge_edges[across]]
-    middles = np.stack([_middles(frame[ends].mean(axis=1), link, len(parts)) for frame in points])
-
     turned = matrices(rotations)
     relative, shift = _relative(parts, turned, translations)
     i, j = parts.T
@@ -148,7 +166,7 @@ def make_links(
     pivots = np.linalg.solve(system, right[:, :, None]).reshape(-1, 2, 3)
 
     equal = np.ones((rotations.shape[1], 2)), np.ones((len(parts), 2))
-    links = Links(parts.astype(np.int64), pivots, nearest_rotations(mean), *equal)
+    links = Links(parts, pivots, nearest_rotations(mean), *equal)
     own_weights, weights = weigh(links, complete(links, rotations, translations), radii)
     return Links(links.parts, pivots, links.rests, own_weights, weights)
 
@@ -195,8 +213,3 @@ def _relative(parts: Index, rotations: Float, translations: Float) -> tuple[Floa
     i, j = parts.T
     back = np.swapaxes(rotations[:, i], -1, -2)
     return back @ rotations[:, j], np.einsum("tnij,tnj->tni", back, translations[:, j] - translations[:, i])
-
-
-def _middles(points: Float, group: Index, count: int) -> Float:
-    sums = [np.bincount(group, column, minlength=count) for column in points.T]
-    return np.stack(sums, axis=1) / np.bincount(group, minlength=count)[:, None]

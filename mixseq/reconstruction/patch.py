@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.reconstruction.block_pattern import BlockPattern
+from mixseq.reconstruction.equations import Equations
 from mixseq.reconstruction.solvers import Factor, factorise
 from mixseq.segmentation.joints import Joint
 from mixseq.topology import Topology
@@ -91,6 +93,28 @@ class Patch:
         return np.asarray(((second == a) & (np.roll(second, -1, axis=1) == b)).any(axis=1))
 
     @cached_property
+    def equations(self) -> Equations:
+        """The normal equations of lengths and angles around the free vertices."""
+        return Equations.of(
+            self.edges[self.free_edges], self.hinges[self.free_hinges], self.free, self.free_number
+        )
+
+    @cached_property
+    def frame_pattern(self) -> BlockPattern:
+        """Which frames of faces are coupled by hinges; those of fixed faces are none."""
+        return BlockPattern.of(int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces])
+
+    @cached_property
+    def face_number(self) -> Index:
+        """Place ``(m,)`` of every face among those whose frame is not known, -1 if it is.
+
+        Known are the frames of fixed faces, or that of the first face if there are none.
+        """
+        known = self.fixed_faces.copy()
+        known[0] |= not known.any()
+        return np.where(known, -1, np.cumsum(~known) - 1)
+
+    @cached_property
     def laplacian(self) -> sparse.csr_array:
         """Graph Laplacian ``(n, n)``; an edge counts once for each of its faces."""
         starts = self.faces.reshape(-1)
@@ -102,5 +126,10 @@ class Patch:
 
     @cached_property
     def laplacian_factor(self) -> Factor:
-        """Factor of the Laplacian's block of free vertices; constant over a sequence."""
-        return factorise(self.laplacian[self.free][:, self.free])
+        """Factor of the Laplacian's block of integrated vertices; constant over a sequence."""
+        return factorise(self.laplacian[self.integrated][:, self.integrated])
+
+    @cached_property
+    def integrated(self) -> Index:
+        """Vertices that a Poisson system finds: the free ones, but for the first where nothing is fixed."""
+        return self.free if self.fixed.any() else self.free[1:]

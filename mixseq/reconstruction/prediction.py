@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,3 +32,31 @@ def prediction_errors(curves: Float) -> Float:
 def mean_squared_errors(curves: Float) -> Float:
     """Return the mean over the frames of the squared errors ``(k,)`` of `prediction_errors`."""
     return np.asarray(np.square(prediction_errors(curves)).sum(axis=2).mean(axis=0))
+
+
+class SquaredErrors:
+    """The mean of `mean_squared_errors`, of curves that come frame by frame.
+
+    Parameters
+    ----------
+    frames : int
+        How many frames T will come.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self._window: deque[Float] = deque(maxlen=5 if frames >= 5 else min(frames, 3))
+        self._sum: Float | None = None
+        self._count = 0
+
+    def add(self, frame: Float) -> None:
+        """Take the next frame ``(k, c)``."""
+        self._window.append(frame)
+        if len(self._window) == self._window.maxlen:
+            error = np.square(prediction_errors(np.stack(self._window))).sum(axis=2)[0]
+            self._sum = error if self._sum is None else self._sum + error
+            self._count += 1
+
+    def mean(self) -> Float:
+        """Return the mean ``(k,)`` of all squared errors."""
+        assert self._sum is not None, "frames have come"
+        return np.asarray(self._sum / self._count)

@@ -18,11 +18,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.reconstruction.patch import Patch
-from mixseq.reconstruction.solvers import factorise
 
 Float = NDArray[np.float64]
 
@@ -72,28 +70,32 @@ def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Floa
     else:
         is_known[0] = True
         known[0] = np.eye(3)
-    unknown = np.flatnonzero(~is_known)
+    number = patch.face_number
+    unknown = np.flatnonzero(number >= 0)
     if not unknown.size:
         return known
 
     # Rows of F (one per world coordinate) are independent: F_j - F_i T = 0 reads f_j - T^T f_i = 0 for rows f.
     i, j = patch.hinge_faces.T
     turns = _transitions(patch, local, angles)
-    counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
-    number = np.full(len(patch.faces), -1, dtype=np.int64)
-    number[unknown] = np.arange(unknown.size)
-
     right = np.zeros((unknown.size, 3, 3))  # (face, column of F, world coordinate)
     for target, source, turn in ((j, i, turns), (i, j, np.swapaxes(turns, 1, 2))):
         border = is_known[source] & ~is_known[target]
         pulled = known[source[border]] @ turn[border]
         np.add.at(right, number[target[border]], np.swapaxes(pulled, 1, 2))
 
+    pattern = patch.frame_pattern
+    values = np.zeros(len(pattern.rows))
+    counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
+    values[pattern.diagonal] = np.repeat(counts[unknown].astype(np.float64), 3)
     inner = ~is_known[i] & ~is_known[j]
-    blocks = -np.swapaxes(turns[inner], 1, 2)  # couples row block j to column block i
-    matrix = _block_matrix(number[j[inner]], number[i[inner]], blocks, unknown.size)
-    matrix = matrix + matrix.T + sparse.diags_array(np.repeat(counts[unknown].astype(np.float64), 3))
-    solution = factorise(matrix).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
+    low, high = number[i[inner]], number[j[inner]]
+    # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
+    turned = turns[inner]
+    blocks = -np.where((high > low)[:, None, None], np.swapaxes(turned, 1, 2), turned)
+    places = pattern.places[pattern.block(low, high)][:, None, :] + np.arange(3)[:, None]
+    np.add.at(values, places, blocks)
+    solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
     known[unknown] = nearest_rotations(np.swapaxes(solution, 1, 2))
     return known
 
@@ -133,27 +135,14 @@ def _about_x(angle: Float) -> Float:
     return np.stack([one, zero, zero, zero, c, -s, zero, s, c], axis=1).reshape(-1, 3, 3)
 
 
-def _block_matrix(
-    rows: NDArray[np.int64], columns: NDArray[np.int64], blocks: Float, count: int
-) -> sparse.csr_array:
-    offset = np.arange(3)
-    i = np.broadcast_to(3 * rows[:, None, None] + offset[:, None], blocks.shape)
-    j = np.broadcast_to(3 * columns[:, None, None] + offset, blocks.shape)
-    size = (3 * count, 3 * count)
-    return sparse.coo_array((blocks.reshape(-1), (i.reshape(-1), j.reshape(-1))), shape=size).tocsr()
-
-
 def _integrate(patch: Patch, sides: Float, positions: Float) -> Float:
     """Find the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
     count = len(patch.fixed)
     right = np.zeros((count, 3))
     np.add.at(right, patch.faces.reshape(-1), -sides.reshape(-1, 3))
     np.add.at(right, np.roll(patch.faces, -1, axis=1).reshape(-1), sides.reshape(-1, 3))
-    result = np.zeros((count, 3))
-    if patch.fixed.any():
-        result[patch.fixed] = positions[patch.fixed]
-        coupling = patch.laplacian[patch.free][:, patch.fixed]
-        result[patch.free] = patch.laplacian_factor.solve(right[patch.free] - coupling @ result[patch.fixed])
-        return result
-    result[1:] = factorise(patch.laplacian[1:][:, 1:]).solve(right[1:])
+    result = np.where(patch.fixed[:, None], positions, 0.0)
+    coupling = patch.laplacian[patch.integrated][:, patch.fixed]
+    right = right[patch.integrated] - coupling @ result[patch.fixed]
+    result[patch.integrated] = patch.laplacian_factor.solve(right)
     return result

@@ -22,13 +22,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from mixseq.geometry.lengths_angles import dihedral_gradients, edge_lengths, length_gradients
 from mixseq.reconstruction.joint import SHORTEST
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.shells import NO_PULL, Pull, ShellProblem, ShellSettings
-from mixseq.reconstruction.solvers import factorise
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -135,12 +133,14 @@ def joint_velocity(
             (pull.weights[:, None] * rates.places).reshape(-1),
         ]
     )
-    normal = (jacobian.T @ jacobian).tocsc()
+    pattern = patch.equations.pattern
+    values, _ = problem.normal_equations(points, residuals)
     # Relative to each row: one triangle as good as without area has gradients without bound, and must not hold
     # all the others.
-    diagonal = normal.diagonal()
+    diagonal = values[pattern.diagonal]
     shift = np.where(diagonal > 0.0, DAMPING * diagonal, 1.0)
-    factor = factorise((normal + sparse.diags_array(shift)).tocsc())
+    values[pattern.diagonal] += shift
+    factor = pattern.analysis.factor(values)
     right = jacobian.T @ (wanted - _residual_rates(problem, points, velocities))
     start = factor.solve(right)
     velocities[free] = start.reshape(-1, 3)

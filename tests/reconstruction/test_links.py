@@ -7,7 +7,7 @@ import pytest
 
 from mixseq.geometry.rotations import continuous_vectors, matrices
 from mixseq.reconstruction.agreement import solve, spins, velocities
-from mixseq.reconstruction.links import Links, Poses, complete, make_links
+from mixseq.reconstruction.links import Boundaries, Links, Poses, complete, make_links
 from mixseq.segmentation import segment_by_labels
 from mixseq.topology import Topology
 from tests.meshes import Float, tube
@@ -36,7 +36,9 @@ def two_bones(angles: Float) -> tuple[Float, Float, Links]:
     local = rest - np.where(above[:, None], centres[top], centres[1 - top])
     part = np.where(above, top, 1 - top)
     points = np.einsum("tvij,vj->tvi", turned[:, part], local) + translations[:, part]
-    links = make_links(points, topology, labels, vectors, translations, np.full(2, 0.8))
+    boundaries = Boundaries.of(topology, labels)
+    middles = np.stack([boundaries.middles(frame) for frame in points])
+    links = make_links(boundaries.parts, middles, vectors, translations, np.full(2, 0.8))
     return vectors, translations, links
 
 
@@ -162,7 +164,9 @@ def test_parts_that_do_not_touch_are_not_linked() -> None:
     labels = np.repeat([0, 1], len(faces))
     vectors = np.zeros((3, 2, 3))
     centres = points.reshape(3, 2, -1, 3).mean(axis=2)
-    links = make_links(points, topology, labels, vectors, centres, np.ones(2))
+    boundaries = Boundaries.of(topology, labels)
+    middles = np.stack([boundaries.middles(frame) for frame in points])
+    links = make_links(boundaries.parts, middles, vectors, centres, np.ones(2))
     assert len(links) == 0
     poses = complete(links, vectors, centres)
     assert poses.turns.shape == poses.gaps.shape == (3, 0, 3)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,27 +9,83 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from mixseq.errors import ReconstructionError
-from mixseq.reconstruction.solvers import factorise
+from mixseq.reconstruction.solvers import analyse, factorise, solver_name
 from tests.meshes import seeds
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=seeds, size=st.integers(1, 40), columns=st.integers(1, 4))
-def test_solves_like_a_dense_solver(seed: int, size: int, columns: int) -> None:
-    rng = np.random.default_rng(seed)
+def use(monkeypatch: pytest.MonkeyPatch, solver: str) -> None:
+    if solver == "SuperLU":
+        monkeypatch.setitem(sys.modules, "rslab", None)
+    else:
+        pytest.importorskip("rslab")
+    assert solver_name() == solver
+
+
+def positive_definite(rng: np.random.Generator, size: int) -> np.ndarray:
     half = rng.normal(size=(2 * size, size)) * (rng.random((2 * size, size)) < 0.2)
-    matrix = half.T @ half + np.eye(size)
-    right = rng.normal(size=(size, columns))
-    factor = factorise(sparse.csr_array(matrix))
-    np.testing.assert_allclose(factor.solve(right), np.linalg.solve(matrix, right), atol=1e-9)
-    one = factor.solve(right[:, 0])
-    assert one.shape == (size,)
-    np.testing.assert_allclose(one, np.linalg.solve(matrix, right[:, 0]), atol=1e-9)
-    fortran = np.asfortranarray(right)
-    np.testing.assert_array_equal(factor.solve(fortran), factor.solve(right))
+    return np.asarray(half.T @ half + np.eye(size))
 
 
-def test_a_singular_system_is_an_error() -> None:
+@pytest.mark.parametrize("solver", ["rslab", "SuperLU"])
+def test_solves_like_a_dense_solver(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, solver)
+
+    @settings(max_examples=25, deadline=None)
+    @given(seed=seeds, size=st.integers(1, 40), columns=st.integers(1, 4))
+    def check(seed: int, size: int, columns: int) -> None:
+        rng = np.random.default_rng(seed)
+        matrix, right = positive_definite(rng, size), rng.normal(size=(size, columns))
+        factor = factorise(sparse.csr_array(matrix))
+        np.testing.assert_allclose(factor.solve(right), np.linalg.solve(matrix, right), atol=1e-9)
+        one = factor.solve(right[:, 0])
+        assert one.shape == (size,)
+        np.testing.assert_allclose(one, np.linalg.solve(matrix, right[:, 0]), atol=1e-9)
+        fortran = np.asfortranarray(right)
+        np.testing.assert_array_equal(factor.solve(fortran), factor.solve(right))
+
+    check()
+
+
+@pytest.mark.parametrize("solver", ["rslab", "SuperLU"])
+def test_one_analysis_serves_all_values(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, solver)
+    rng = np.random.default_rng(3)
+    matrix = positive_definite(rng, 30)
+    lower = sparse.csc_array(np.tril(matrix))
+    lower.sort_indices()
+    analysis = analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64))
+    right = rng.normal(size=30)
+    first = analysis.factor(lower.data)
+    for scale in (2.0, 0.25):
+        np.testing.assert_allclose(
+            analysis.factor(scale * lower.data).solve(right),
+            np.linalg.solve(scale * matrix, right),
+            rtol=1e-9,
+        )
+    np.testing.assert_allclose(first.solve(right), np.linalg.solve(matrix, right), rtol=1e-9)
+
+
+def test_solvers_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rslab")
+    rng = np.random.default_rng(0)
+    matrix = sparse.csr_array(positive_definite(rng, 200))
+    right = rng.normal(size=(200, 3))
+    one = factorise(matrix).solve(right)
+    use(monkeypatch, "SuperLU")
+    np.testing.assert_allclose(one, factorise(matrix).solve(right), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["rslab", "SuperLU"])
+def test_a_singular_system_is_an_error(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, solver)
     path = sparse.csr_array(np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]]))
     with pytest.raises(ReconstructionError, match="no unique solution"):
         factorise(path)
+
+
+@pytest.mark.parametrize("solver", ["rslab", "SuperLU"])
+def test_nothing_to_solve(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    use(monkeypatch, solver)
+    nothing = np.zeros(0, dtype=np.int64)
+    factor = analyse(np.zeros(1, dtype=np.int64), nothing).factor(np.zeros(0))
+    assert factor.solve(np.zeros((0, 3))).shape == (0, 3)

@@ -31,7 +31,7 @@ MESHES: dict[str, tuple[Mesh, list[int]]] = {
     "pages": (pages(3, 4, 2), [0, 1, 2, 5, 6]),
     "torus": (torus(9, 5), [0, 1, 5, 22, 23]),
 }
-TIGHT = ShellSettings(tolerance=1e-18, exact=1e-14, iterations=1000)
+TIGHT = ShellSettings(tolerance=1e-18, exact=1e-14, accuracy=1e-14, iterations=1000)
 
 
 def problem_of(mesh: Mesh, fixed: list[int]) -> ShellProblem:

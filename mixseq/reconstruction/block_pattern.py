@@ -1,0 +1,84 @@
+"""Where the 3 x 3 blocks of a sparse symmetric matrix are kept.
+
+Unknowns come in threes: the coordinates of a vertex, or the columns of a face's frame. Which pairs are coupled follows
+from connectivity, so the places of all values are found once; matrices of one pattern are nothing but their values,
+the lower triangle column by column (compressed sparse columns).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.reconstruction.solvers import Analysis, analyse
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class BlockPattern:
+    """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there.
+
+    Attributes
+    ----------
+    starts : (3n + 1,) int64
+        Where the values of every column start.
+    rows : (N,) int64
+        Row of every value, ascending in each column; the first is that of the diagonal.
+    places : (n + m, 3) int64
+        For each of the n blocks of the diagonal and the m blocks below it, and for each of the block's columns,
+        where the value of the block's row 0 is; rows 1 and 2 follow. The diagonal's blocks have only the rows on
+        and below the diagonal.
+    keys : (m,) int64
+        ``n * column + row`` of the blocks below the diagonal, ascending.
+    """
+
+    starts: Index
+    rows: Index
+    places: Index
+    keys: Index
+
+    @classmethod
+    def of(cls, count: int, pairs: Index) -> BlockPattern:
+        """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are none."""
+        low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
+        coupled = (low >= 0) & (low < high)
+        keys = np.unique(count * low[coupled] + high[coupled])
+        column, row = np.divmod(keys, max(count, 1))
+        below = np.bincount(column, minlength=count)
+        heights = (3 * below[:, None] + np.array([3, 2, 1])).reshape(-1)
+        starts = np.concatenate([[0], np.cumsum(heights)]).astype(np.int64)
+        tops = starts[:-1].reshape(-1, 3)
+        rank = np.arange(len(keys)) - np.searchsorted(column, np.arange(count))[column]
+        places = np.concatenate([tops - np.arange(3), tops[column] + np.array([3, 2, 1]) + 3 * rank[:, None]])
+        rows = np.empty(starts[-1], dtype=np.int64)
+        for j in range(3):
+            for i in range(j, 3):
+                rows[places[:count, j] + i] = 3 * np.arange(count) + i
+            for i in range(3):
+                rows[places[count:, j] + i] = 3 * row + i
+        return cls(starts, rows, places.astype(np.int64), keys)
+
+    @property
+    def count(self) -> int:
+        """Number n of triples of unknowns."""
+        return (len(self.starts) - 1) // 3
+
+    def block(self, i: Index, j: Index) -> Index:
+        """Return the block of `places` that couples i and j, -1 where one is negative."""
+        low, high = np.minimum(i, j), np.maximum(i, j)
+        below = self.count + np.searchsorted(self.keys, self.count * low + high)
+        return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
+
+    @cached_property
+    def diagonal(self) -> Index:
+        """Where the values of the diagonal are ``(3n,)``."""
+        return self.starts[:-1]
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        """Ordering and symbolic factorisation, shared by all matrices of the pattern."""
+        return analyse(self.starts, self.rows)
