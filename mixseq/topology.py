@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.pickling import Remade
 from mixseq.sequence import IntArray
 
 Index = NDArray[np.int64]
@@ -25,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Topology:
+class Topology(Remade):
     """Connectivity of a triangle mesh.
 
     Parameters
@@ -203,14 +204,14 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
 
 def split_labels(topology: Topology, labels: IntArray) -> NDArray[np.int64]:
     """Number the hinge-connected patches ``(F,)`` of equal labels 0, 1, ..., label by label."""
-    patches = np.full(len(labels), -1, dtype=np.int64)
-    count = 0
-    for label in np.unique(labels):
-        inside = labels == label
-        numbers = face_patches(topology, inside)
-        patches[inside] = numbers[inside] + count
-        count += int(numbers.max()) + 1
-    return patches
+    together = labels[topology.hinge_faces[:, 0]] == labels[topology.hinge_faces[:, 1]]
+    i, j = topology.hinge_faces[together].T
+    graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(len(labels), len(labels)))
+    patch = csgraph.connected_components(graph, directed=False)[1]
+    first = np.unique(patch, return_index=True)[1]
+    number = np.empty(len(first), dtype=np.int64)
+    number[np.lexsort((first, labels[first]))] = np.arange(len(first))
+    return number[patch]
 
 
 def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:

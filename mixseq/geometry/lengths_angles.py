@@ -128,6 +128,9 @@ def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Fl
     [[3.0], [3.2832]]
     """
     result = np.array(angles, dtype=np.float64)
-    if reference is not None and len(result):
-        result[0] -= _TURN * np.round((result[0] - reference) / _TURN)
-    return np.unwrap(result, axis=0)
+    previous = reference
+    for frame in result:  # one by one, so that a frame is the same in whatever block it comes
+        if previous is not None:
+            frame -= _TURN * np.round((frame - previous) / _TURN)
+        previous = frame
+    return result

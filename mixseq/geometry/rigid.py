@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,14 +11,37 @@ from mixseq.sequence import FloatArray
 
 Float = NDArray[np.float64]
 
+_POINTS = 1 << 12  # looked at at once in all frames
+_FRAMES = 256  # compared at once with all frames
+
 
 def nearest_rotations(matrices: FloatArray) -> Float:
-    """Return the rotations ``(..., 3, 3)`` nearest to the given matrices in the Frobenius norm."""
-    u, _, vt = np.linalg.svd(matrices)
-    flip = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    u = u.copy()
-    u[..., :, 2] *= np.where(flip == 0, 1.0, flip)[..., None]
-    return np.asarray(u @ vt, dtype=np.float64)
+    """Return the rotations ``(..., 3, 3)`` nearest to the given matrices in the Frobenius norm.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If an entry is not finite.
+    """
+    return _nearest(np.asarray(matrices, dtype=np.float64), held=-1.0)
+
+
+def aligning_rotations(covariances: FloatArray) -> Float:
+    """Find the rotations ``(..., 3, 3)`` of best rigid motions from the covariances ``sum w t s^T`` of point sets.
+
+    These are the nearest rotations, but where points on a line leave a rotation free, the one closest to the identity
+    is taken, by a term too small to matter elsewhere.
+    """
+    return _nearest(np.asarray(covariances, dtype=np.float64), held=1e-10)
+
+
+def _nearest(matrices: Float, held: float) -> Float:
+    from mixseq.geometry.rigid_kernels import nearest
+
+    if not np.isfinite(matrices).all():
+        raise np.linalg.LinAlgError("a matrix with an entry that is not finite has no nearest rotation")
+    flat = np.ascontiguousarray(matrices).reshape(-1, 3, 3)
+    return np.asarray(nearest(flat, held)).reshape(matrices.shape)
 
 
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
@@ -54,12 +79,7 @@ def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = 
     target_centre = np.einsum("n,...ni->...i", w, target)
     s = (source - source_centre[..., None, :]) * w[:, None]
     t = target - target_centre[..., None, :]
-    covariance = np.swapaxes(t, -1, -2) @ s
-    values = np.linalg.svd(covariance, compute_uv=False)
-    scale = values[..., 0]
-    free = values[..., 1] <= 1e-10 * scale
-    bias = np.where(free, np.maximum(1e-6 * scale, np.finfo(np.float64).tiny), 0.0)
-    rotation = nearest_rotations(covariance + bias[..., None, None] * np.eye(3))
+    rotation = aligning_rotations(np.swapaxes(t, -1, -2) @ s)
     translation = target_centre - np.einsum("...ij,...j->...i", rotation, source_centre)
     return rotation, translation
 
@@ -88,19 +108,40 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
     (N, 3) float64
         Mean shape, centred, oriented like the first frame. Aligning every frame to it minimises the squared
         differences between all pairs of aligned frames (Williams and Bennamoun 2000, for complete overlap).
+
+    Notes
+    -----
+    The mean is a sum of the frames, each multiplied by a 3x3 matrix, so the rounds need only the products of all pairs
+    of coordinates over the points, ``(3T, 3T)``; the points are looked at twice.
     """
-    centred = points - points.mean(axis=1, keepdims=True, dtype=np.float64)
-    first = centred[0]
-    mean = first
+    count = points.shape[1]
+    centres = points.mean(axis=1, dtype=np.float64)
+
+    def centred() -> Iterator[tuple[slice, Float]]:
+        for start in range(0, count, _POINTS):
+            some = slice(start, start + _POINTS)
+            yield some, (points[:, some] - centres[:, None]).swapaxes(1, 2).reshape(3 * len(points), -1)
+
+    products = np.zeros((3 * len(points), 3 * len(points)))
+    for _, block in centred():
+        products += block @ block.T
+
+    def size(sums: Float) -> float:  # of the point set that is a sum of the frames
+        return float(np.sqrt(max(np.sum(sums * (products @ sums)), 0.0)))
+
+    mean = np.eye(3 * len(points), 3)  # the first frame
     for _ in range(sweeps):
-        rotation, _ = kabsch(centred, mean)
-        updated = (centred @ np.swapaxes(rotation, -1, -2)).mean(axis=0)
-        change = np.linalg.norm(updated - mean)
+        covariances = (mean.T @ products).reshape(3, -1, 3).swapaxes(0, 1)
+        updated = np.swapaxes(aligning_rotations(covariances), 1, 2).reshape(-1, 3) / len(points)
+        change = size(updated - mean)
         mean = updated
-        if change <= tolerance * np.linalg.norm(mean):
+        if change <= tolerance * size(mean):
             break
-    rotation, _ = kabsch(mean, first)
-    return np.asarray(mean @ rotation.T, dtype=np.float64)
+    mean = mean @ aligning_rotations(products[:3] @ mean).T
+    shape = np.empty((count, 3))
+    for some, block in centred():
+        shape[some] = block.T @ mean
+    return shape
 
 
 def bend(first: FloatArray, second: FloatArray) -> float:
@@ -122,6 +163,8 @@ def bend(first: FloatArray, second: FloatArray) -> float:
     >>> round(bend(np.stack([np.eye(3), np.eye(3)]), np.stack([np.eye(3), quarter])), 6)
     90.0
     """
-    relative = np.swapaxes(first, 1, 2) @ second
-    traces = np.einsum("sij,tij->st", relative, relative)
-    return float(np.degrees(np.arccos(np.clip((traces.min() - 1.0) / 2.0, -1.0, 1.0))))
+    relative = np.ascontiguousarray(np.swapaxes(first, 1, 2) @ second)
+    flat = relative.reshape(-1, 9)
+    # Traces of all pairs of frames, some frames at a time: there may be many.
+    lowest = min((flat[start : start + _FRAMES] @ flat.T).min() for start in range(0, len(flat), _FRAMES))
+    return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))

@@ -27,8 +27,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.geometry.lengths_angles import flat_faces
-from mixseq.geometry.rigid import bend, kabsch, mean_shape
+from mixseq.geometry.rigid import bend
+from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
 from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, face_patches, spread, vertices_of
 
@@ -40,9 +40,6 @@ CORE = 1.0 / 3.0
 
 BEND = 30.0
 """Degrees of bend that each strip of a joint but its first takes up."""
-
-FLAT = 1e-5
-"""A face lower than this, relative to its longest side, has no area to speak of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,7 @@ class Decomposition:
 
 
 def decompose(
-    topology: Topology, part_of_face: Index, joint_width: int = 3, points: FloatArray | None = None
+    topology: Topology, part_of_face: Index, joint_width: int = 3, points: FloatArray | Observed | None = None
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation.
 
@@ -122,9 +119,10 @@ def decompose(
         Part of every face, 0, 1, ..., as the segmentations return it.
     joint_width : int
         Largest width of the joints in strips of triangles on each side of a boundary, at least 1.
-    points : (T, V, 3) float, optional
-        The sequence: joints are as wide as it bends, and faces must have area in every frame. Without it all
-        joints have full width, and faces that collapse in some frame cannot be kept out of them.
+    points : (T, V, 3) float, or Observed, optional
+        The sequence, or what was seen of its frames: joints are as wide as it bends, and faces must have area in
+        every frame. Without it all joints have full width, and faces that collapse in some frame cannot be kept
+        out of them.
 
     Returns
     -------
@@ -143,15 +141,22 @@ def decompose(
         raise SegmentationError(
             f"part_of_face has shape {part_of_face.shape}, the mesh has {len(topology.faces)} faces"
         )
+    if isinstance(points, Observed) or points is None:
+        seen = points
+    else:
+        looked_at = points[frames_to_look_at(len(points))]
+        seen = observe(Watched.of(topology, part_of_face, looked_at), points)
     part_count = int(part_of_face.max()) + 1
     members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
-    wanted = _boundary_widths(topology, part_of_face, members, joint_width, points)
+    wanted = _boundary_widths(topology, part_of_face, joint_width, seen)
     depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
     widths = np.array([_width(depths, inside) for inside in members], dtype=np.int64)
 
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
-    touching = np.stack([(depth[topology.faces] >= 1).any(axis=1) for depth in depths])
-    in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))] & ~_flat_faces(topology, points)
+    touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
+    in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))]
+    if seen is not None:
+        in_joint &= ~seen.flat
 
     patches = _give_back(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
@@ -171,33 +176,22 @@ def decompose(
 
 
 def _boundary_widths(
-    topology: Topology,
-    part_of_face: Index,
-    members: list[Mask],
-    joint_width: int,
-    points: FloatArray | None,
+    topology: Topology, part_of_face: Index, joint_width: int, seen: Observed | None
 ) -> Index:
     """Width ``(V,)`` that the joint at every boundary vertex should have, 0 where there is no boundary."""
-    sides = np.sort(part_of_face[topology.hinge_faces], axis=1)
+    sides = part_of_face[topology.hinge_faces]
+    crossing = np.flatnonzero(sides[:, 0] != sides[:, 1])
+    sides = np.sort(sides[crossing], axis=1)
     pairs, pair_of_hinge = np.unique(sides, axis=0, return_inverse=True)
-    rotations = [_rotations(points[:, inside]) for inside in members] if points is not None else None
+    width_of_pair = np.full(len(pairs), joint_width)
+    if seen is not None:
+        for number, (i, j) in enumerate(pairs):
+            strips = int(np.ceil(bend(seen.rotations[:, i], seen.rotations[:, j]) / BEND))
+            width_of_pair[number] = min(joint_width, max(2, 1 + strips))
     widths = np.zeros(topology.vertex_count, dtype=np.int64)
-    for number, (i, j) in enumerate(pairs):
-        if i == j:
-            continue
-        width = joint_width
-        if rotations is not None:
-            strips = int(np.ceil(bend(rotations[i], rotations[j]) / BEND))
-            width = min(joint_width, max(2, 1 + strips))
-        ends = topology.edges[topology.hinge_edges[pair_of_hinge.reshape(-1) == number]].reshape(-1)
-        widths[ends] = np.maximum(widths[ends], width)
+    ends = topology.edges[topology.hinge_edges[crossing]]
+    np.maximum.at(widths, ends, width_of_pair[pair_of_hinge.reshape(-1)][:, None])
     return widths
-
-
-def _rotations(points: FloatArray) -> NDArray[np.float64]:
-    """Rotation ``(T, 3, 3)`` of a part in every frame, relative to its mean shape."""
-    moved = points.astype(np.float64)
-    return kabsch(mean_shape(moved, sweeps=3), moved)[0]
 
 
 def _width(depths: list[Index], inside: Mask) -> int:
@@ -208,14 +202,6 @@ def _width(depths: list[Index], inside: Mask) -> int:
         if core >= 3 and core >= CORE * size:
             return width
     return 1
-
-
-def _flat_faces(topology: Topology, points: FloatArray | None) -> Mask:
-    """Mark the faces that have no area in some frame."""
-    flat = np.zeros(len(topology.faces), dtype=bool)
-    for frame in points if points is not None else ():
-        flat |= flat_faces(frame.astype(np.float64), topology.faces, FLAT)
-    return flat
 
 
 def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joint: Mask) -> Index:
@@ -240,7 +226,15 @@ def _give_back(topology: Topology, part_of_face: Index, kept: list[Mask], in_joi
 
 def _firm(topology: Topology, kept: list[Mask]) -> Mask:
     """Mark the faces that one part holds with all their corners."""
-    return np.asarray(np.any([inside[topology.faces].all(axis=1) for inside in kept], axis=0))
+    firm = np.zeros(len(topology.faces), dtype=bool)
+    for inside in kept:
+        firm |= np.logical_and.reduce(_at_corners(topology, inside))
+    return firm
+
+
+def _at_corners(topology: Topology, marked: Mask) -> list[Mask]:
+    """Return the marks of the first, second and third corner of every face."""
+    return [marked[corner] for corner in topology.faces.T]
 
 
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:

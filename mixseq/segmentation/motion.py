@@ -2,7 +2,8 @@
 
 1. *Cluster.* Every cluster carries one rigid motion per frame; faces go to the cluster that predicts them best
    (Lloyd's iteration), the costs being diffused over the surface first so that boundaries come out smooth. The
-   worst predicted patch seeds the next cluster, until there are enough.
+   worst predicted patch seeds the next cluster, until there are enough. On dense meshes cells of some faces are
+   clustered first.
 2. *Connect.* Clusters are split into connected patches; crumbs join the neighbour that predicts them best.
 3. *Merge.* Neighbours are merged, those that turn least against each other first, until every boundary bends
    enough (or the number of parts asked for is reached). Bending is the measure because it is what a part cannot
@@ -15,20 +16,25 @@ The result depends on nothing but the input: there are no random numbers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import bend
-from mixseq.segmentation.rigid_error import Moments, moments
+from mixseq.segmentation.clusters import Clusters, moments_of, tally
+from mixseq.segmentation.elements import Elements
+from mixseq.segmentation.observed import frames_to_look_at
+from mixseq.segmentation.rigid_error import Moments
 from mixseq.sequence import FloatArray
-from mixseq.topology import Topology, split_labels, spread
+from mixseq.topology import Topology, split_labels
 
 Float = NDArray[np.float64]
 Labels = NDArray[np.int64]
+
+
+DENSE = 20000
+"""Meshes with more faces are clustered by cells first."""
 
 
 @dataclass(frozen=True)
@@ -102,180 +108,163 @@ def segment_by_motion(
     face_count = len(topology.faces)
     if parts is not None and not 1 <= parts <= face_count:
         raise SettingsError(f"parts is {parts}; a number from 1 to {face_count} (the faces) is expected")
-    motion = _Motion.of(points, topology, settings.frames)
+    faces = Elements.faces(topology, _looked_at(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
-    labels = _cluster(motion, min(clusters, face_count), settings)
-    patches = _absorb_crumbs(motion, split_labels(topology, labels), settings)
-    return _by_area(_merge(motion, patches, parts, settings), motion.area)
+    labels = _cluster(topology, faces, min(clusters, face_count), settings)
+    bodies = _Bodies.of(topology, faces, split_labels(topology, labels))
+    _absorb_crumbs(bodies, settings)
+    _merge(bodies, topology, parts, settings)
+    return _by_area(bodies.patches, faces.weights)
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """The data every step looks at: centred rest positions, vertex trajectories, face areas."""
+def _looked_at(points: FloatArray, frames: int) -> Float:
+    """Return some frames ``(T, V, 3)``, centred, in units of the diagonal of the first."""
+    x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
+    x -= x.mean(axis=1, keepdims=True)
+    x /= max(float(np.linalg.norm(x[0].max(axis=0) - x[0].min(axis=0))), np.finfo(np.float64).tiny)
+    return x
 
-    topology: Topology
-    rest: Float
-    moved: Float
-    area: Float
+
+def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Labels:
+    """Lloyd's iteration with one more cluster at a time; only its end looks at fully diffused costs.
+
+    Dense meshes are clustered by cells of some faces, and only the end looks at the faces.
+    """
+    rounds = settings.smoothing * len(faces) ** 0.5
+    if len(faces) <= DENSE:
+        return _settled(_grown(faces, count, rounds), rounds, 4)
+    cells, cell_of_face = Elements.cells(topology, faces)
+    rounds_of_cells = rounds * len(cells) / len(faces)
+    labels = _settled(_grown(cells, count, rounds_of_cells), rounds_of_cells, 4)[cell_of_face]
+    return _settled(Clusters(faces, labels, count), rounds, 2)
+
+
+def _grown(elements: Elements, count: int, rounds: float) -> Clusters:
+    """Seed one more cluster at a time where elements are predicted worst."""
+    seed_size = max(4, len(elements) // (6 * count))
+    few = 1 + max(1, round(rounds)) // 4
+    clusters = Clusters(elements, np.zeros(len(elements), dtype=np.int64), count)
+    for cluster in range(1, count):
+        own = clusters.assign(few)
+        clusters.seed(elements.ball(int(np.argmax(own)), seed_size), cluster)
+        clusters.assign(few)
+    return clusters
+
+
+def _settled(clusters: Clusters, rounds: float, times: int) -> Labels:
+    """Assign all elements some more times, by costs that are averaged over `rounds` rounds."""
+    for _ in range(times):
+        clusters.assign(max(1, round(rounds)))
+    return clusters.labels
+
+
+@dataclass(eq=False)
+class _Bodies:
+    """Patches of faces that are merged step by step.
+
+    Attributes
+    ----------
+    patches : (F,) int64
+        Patch of every face.
+    moments : dict
+        Moments of every patch that is left.
+    sizes : dict
+        Number of its faces.
+    neighbours : dict
+        Patches beside it.
+    """
+
+    patches: Labels
+    moments: dict[int, Moments]
+    sizes: dict[int, int]
+    neighbours: dict[int, set[int]]
 
     @classmethod
-    def of(cls, points: FloatArray, topology: Topology, frames: int) -> _Motion:
-        chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), frames)).round().astype(int))
-        x = points[chosen].astype(np.float64)
-        x -= x.mean(axis=1, keepdims=True)
-        x /= max(float(np.linalg.norm(x[0].max(axis=0) - x[0].min(axis=0))), np.finfo(np.float64).tiny)
-        corners = x[0][topology.faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.maximum(0.5 * np.linalg.norm(normal, axis=1), 1e-12)
-        return cls(topology, x[0], np.ascontiguousarray(x.transpose(1, 0, 2)), area)
+    def of(cls, topology: Topology, faces: Elements, patches: Labels) -> _Bodies:
+        count = int(patches.max()) + 1
+        moments = moments_of(tally(faces, patches, count), faces.trajectories)
+        neighbours: dict[int, set[int]] = {p: set() for p in range(count)}
+        i, j = patches[topology.hinge_faces].T
+        for border in np.unique(np.minimum(i, j)[i != j] * count + np.maximum(i, j)[i != j]).tolist():
+            low, high = divmod(border, count)
+            neighbours[low].add(high)
+            neighbours[high].add(low)
+        sizes = np.bincount(patches, minlength=count).tolist()
+        return cls(patches, dict(enumerate(moments)), dict(enumerate(sizes)), neighbours)
 
-    def moments(self, faces: NDArray[np.intp]) -> Moments:
-        """Moments of a set of faces, a third of each area on every corner."""
-        corners = self.topology.faces[faces].reshape(-1)
-        thirds = np.repeat(self.area[faces] / 3.0, 3)
-        weights = np.bincount(corners, thirds, self.topology.vertex_count).astype(np.float64)
-        used = np.flatnonzero(weights)
-        return moments(self.rest[used], self.moved[used], weights[used])
+    @property
+    def borders(self) -> list[tuple[int, int]]:
+        """Pairs of neighbouring patches, lower number first."""
+        return [(p, q) for p, beside in self.neighbours.items() for q in beside if p < q]
 
-    def costs(self, clusters: list[Moments]) -> Float:
-        """Mean squared distance ``(F, K)`` of every face's corners from where each cluster puts them.
-
-        ``|x - A h|^2``, with h in homogeneous coordinates and A the motions of all frames below each other, is
-        expanded so that all clusters and frames are one matrix product.
-        """
-        count, frames = len(self.rest), self.moved.shape[1]
-        flat = self.moved.reshape(count, -1)
-        h = np.concatenate([self.rest, np.ones((count, 1))], axis=1)
-        motions = [
-            np.concatenate([r, t[:, :, None]], axis=2).reshape(-1, 4)
-            for r, t in (c.motion() for c in clusters)
-        ]
-        mixed = (flat @ np.concatenate(motions, axis=1)).reshape(count, -1, 4)
-        squares = np.stack([a.T @ a for a in motions])
-        predicted = np.einsum("vi,kij,vj->vk", h, squares, h, optimize=True)
-        distance = self.square[:, None] - 2.0 * np.einsum("vki,vi->vk", mixed, h) + predicted
-        per_vertex = np.maximum(distance, 0.0) / frames
-        return np.asarray(per_vertex[self.topology.faces].mean(axis=1))
-
-    @cached_property
-    def averaging(self) -> sparse.csr_array:
-        """Matrix ``(F, F)`` that averages over each face and its neighbours."""
-        weights = self.topology.face_adjacency + sparse.eye_array(len(self.area))
-        mean = sparse.diags_array(1.0 / np.asarray(weights.sum(axis=1)).reshape(-1)) @ weights
-        return sparse.csr_array(mean.astype(np.float32))
-
-    @cached_property
-    def square(self) -> Float:
-        """Sum of squares ``(V,)`` of every trajectory."""
-        return np.asarray(np.einsum("vti,vti->v", self.moved, self.moved))
+    def merge(self, keep: int, drop: int) -> None:
+        """Give all faces of a patch to another one, in place."""
+        self.patches[self.patches == drop] = keep
+        self.moments[keep] += self.moments.pop(drop)
+        self.sizes[keep] += self.sizes.pop(drop)
+        for beside in self.neighbours.pop(drop):
+            self.neighbours[beside].discard(drop)
+            if beside != keep:
+                self.neighbours[beside].add(keep)
+                self.neighbours[keep].add(beside)
 
 
-def _cluster(motion: _Motion, count: int, settings: MotionSettings) -> Labels:
-    """Lloyd's iteration with one more cluster at a time; only its end looks at fully diffused costs."""
-    face_count = len(motion.area)
-    seed_size = max(4, face_count // (6 * count))
-    rounds = max(1, round(settings.smoothing * face_count**0.5))
-    labels = np.zeros(face_count, dtype=np.int64)
-    for _ in range(1, count):
-        labels, own = _assign(motion, labels, 1 + rounds // 4)
-        labels[_ball(motion.topology, int(np.argmax(own)), seed_size)] = labels.max() + 1
-        labels, _ = _assign(motion, labels, 1 + rounds // 4)
-    for _ in range(4):
-        labels, _ = _assign(motion, labels, rounds)
-    return labels
-
-
-def _assign(motion: _Motion, labels: Labels, rounds: int) -> tuple[Labels, NDArray[np.float32]]:
-    """Give every face to the cluster of lowest cost; return the labels and that cost, both ``(F,)``.
-
-    Costs are averaged over neighbouring faces first, as many times as `rounds` tells.
-    """
-    clusters = [motion.moments(np.flatnonzero(labels == k)) for k in np.unique(labels)]
-    costs = motion.costs(clusters).astype(np.float32)  # half the memory to move, and all that labels need
-    for _ in range(rounds):
-        costs = motion.averaging @ costs
-    updated = np.argmin(costs, axis=1).astype(np.int64)
-    return updated, np.take_along_axis(costs, updated[:, None], axis=1)[:, 0]
-
-
-def _ball(topology: Topology, face: int, size: int) -> NDArray[np.intp]:
-    """Faces around a face, ring by ring, until there are `size` of them or no more."""
-    inside = np.zeros(len(topology.faces))
-    inside[face] = 1.0
-    while True:
-        grown = ((topology.face_adjacency @ inside + inside) > 0).astype(np.float64)
-        if grown.sum() >= size or grown.sum() == inside.sum():
-            return np.flatnonzero(grown)
-        inside = grown
-
-
-def _borders(topology: Topology, patches: Labels) -> Labels:
-    """Pairs ``(B, 2)`` of neighbouring patches, lower number first."""
-    pairs = np.sort(patches[topology.hinge_faces], axis=1)
-    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
-
-
-def _absorb_crumbs(motion: _Motion, patches: Labels, settings: MotionSettings) -> Labels:
+def _absorb_crumbs(bodies: _Bodies, settings: MotionSettings) -> None:
     """Give every small patch to the neighbour with which the rigid error grows least, smallest first."""
-    smallest = max(4, round(settings.crumb * len(patches)))
-    cache = {int(p): motion.moments(np.flatnonzero(patches == p)) for p in np.unique(patches)}
-    patches = patches.copy()
-    kept: set[int] = set()
+    smallest = max(4, round(settings.crumb * len(bodies.patches)))
+    moments = bodies.moments
     while True:
-        sizes = np.bincount(patches)
-        crumbs = [int(p) for p in np.flatnonzero((sizes > 0) & (sizes < smallest)) if int(p) not in kept]
+        crumbs = [(size, p) for p, size in bodies.sizes.items() if size < smallest and bodies.neighbours[p]]
         if not crumbs:
-            return patches
-        crumb = min(crumbs, key=lambda p: (sizes[p], p))
-        borders = _borders(motion.topology, patches)
-        neighbours = borders[(borders == crumb).any(axis=1)].sum(axis=1) - crumb
-        if not len(neighbours):
-            kept.add(crumb)  # a component of its own
-            continue
+            return
+        crumb = min(crumbs)[1]
         into = min(
-            (int(n) for n in neighbours),
-            key=lambda n: ((cache[n] + cache[crumb]).error() - cache[n].error(), n),
+            bodies.neighbours[crumb],
+            key=lambda n: ((moments[n] + moments[crumb]).error() - moments[n].error(), n),
         )
-        cache[into] += cache.pop(crumb)
-        patches[patches == crumb] = into
+        bodies.merge(into, crumb)
 
 
-def _merge(motion: _Motion, patches: Labels, parts: int | None, settings: MotionSettings) -> Labels:
+def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: MotionSettings) -> None:
     """Merge neighbours, the stiffest pair first, until `parts` are left or every boundary bends enough."""
-    patches = patches.copy()
-    cache = {int(p): motion.moments(np.flatnonzero(patches == p)) for p in np.unique(patches)}
-    turns = {p: m.motion()[0] for p, m in cache.items()}
+    moments = bodies.moments
+    turns = {p: m.motion()[0] for p, m in moments.items()}
+    softness = {p: m.softness for p, m in moments.items()}
     bends: dict[tuple[int, int], float] = {}
-    while parts is None or len(cache) > parts:
-        pairs = [(int(i), int(j)) for i, j in _borders(motion.topology, patches)]
-        bends = {(i, j): bends.get((i, j), bend(turns[i], turns[j])) for i, j in pairs}
+    joined: dict[tuple[int, int], float] = {}  # softness of pairs
+    while parts is None or len(moments) > parts:
+        bends = {(i, j): bends.get((i, j), -1.0) for i, j in bodies.borders}
         if not bends:
             break
-        narrow = _narrowness(motion.topology, patches)
+        bends = {(i, j): b if b >= 0 else bend(turns[i], turns[j]) for (i, j), b in bends.items()}
+        narrow = _narrowness(topology, bodies.patches)
         worth = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
         }
-        soft = {p for p, m in cache.items() if m.softness > settings.soft}
         for i, j in bends:
-            if (i in soft or j in soft) and (cache[i] + cache[j]).softness < settings.stiff:
-                worth[i, j] = 0.0
+            if max(softness[i], softness[j]) > settings.soft:
+                joined[i, j] = joined.get((i, j)) or (moments[i] + moments[j]).softness
+                if joined[i, j] < settings.stiff:
+                    worth[i, j] = 0.0
         keep, drop = min(worth, key=lambda pair: (worth[pair], bends[pair], pair))
         if parts is None and worth[keep, drop] > settings.bend:
             break
-        patches[patches == drop] = keep
-        cache[keep] += cache.pop(drop)
-        turns[keep] = cache[keep].motion()[0]
+        bodies.merge(keep, drop)
+        turns[keep] = moments[keep].motion()[0]
+        softness[keep] = moments[keep].softness
         bends = {pair: b for pair, b in bends.items() if keep not in pair and drop not in pair}
-    return patches
+        joined = {pair: s for pair, s in joined.items() if keep not in pair and drop not in pair}
 
 
 def _narrowness(topology: Topology, patches: Labels) -> Float:
     """Share of each patch's corners on its boundary or one edge away: what joints would take from it."""
-    crossing = patches[topology.hinge_faces[:, 0]] != patches[topology.hinge_faces[:, 1]]
-    depth = np.zeros(topology.vertex_count, dtype=np.int64)
-    depth[topology.edges[topology.hinge_edges[crossing]]] = 2
-    near = (spread(topology, depth) > 0)[topology.faces].mean(axis=1)
-    return np.asarray(np.bincount(patches, near) / np.maximum(np.bincount(patches), 1), dtype=np.float64)
+    of_hinge = patches[topology.hinge_faces]
+    boundary = np.zeros(topology.vertex_count, dtype=bool)
+    boundary[topology.edges[topology.hinge_edges[of_hinge[:, 0] != of_hinge[:, 1]]]] = True
+    near = boundary.copy()
+    near[topology.edges[boundary[topology.edges].any(axis=1)]] = True
+    share = sum(near[corner].astype(np.float64) for corner in topology.faces.T) / 3.0
+    return np.asarray(np.bincount(patches, share) / np.maximum(np.bincount(patches), 1), dtype=np.float64)
 
 
 def _by_area(labels: Labels, area: Float) -> Labels:

@@ -70,9 +70,8 @@ class Moments:
         moved = self.moved_square - np.einsum("ti,ti->t", self.moved, self.moved) / weight
         rest = self.rest_square - float(self.rest @ self.rest) / weight
         covariance = self.covariance
-        singular = np.linalg.svd(covariance, compute_uv=False)
-        singular[:, 2] *= np.where(np.linalg.det(covariance) < 0, -1.0, 1.0)
-        return np.asarray(np.maximum(moved + rest - 2.0 * singular.sum(axis=1), 0.0))
+        traces = np.einsum("tij,tij->t", nearest_rotations(covariance), covariance)
+        return np.asarray(np.maximum(moved + rest - 2.0 * traces, 0.0))
 
     def error(self) -> float:
         """Sum of `errors` over all frames."""

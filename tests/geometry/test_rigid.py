@@ -109,6 +109,36 @@ def test_nearest_rotations_are_nearest(seed: int) -> None:
         assert np.linalg.norm(matrix - other) >= np.linalg.norm(matrix - near) - 1e-12
 
 
+def by_lapack(matrices: Float) -> Float:
+    u, _, vt = np.linalg.svd(matrices)
+    u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    return np.asarray(u @ vt)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [[1, 0.5, 0.2], [1, 0.5, -0.2], [1, 1, 1], [1, 1, 0], [1, 1, -0.5], [1, 1e-3, 1e-4], [1, 1e-3, -1e-4]],
+)
+@pytest.mark.parametrize("scale", [1e-150, 1.0, 1e150])
+def test_nearest_rotations_are_those_of_lapack(values: list[float], scale: float) -> None:
+    """Also of matrices that mirror or flatten, and to the last digits where the rotation is well defined."""
+    rng = np.random.default_rng(5)
+    left, right = (np.stack([rotation(rng.uniform(-2, 2, 3)) for _ in range(50)]) for _ in range(2))
+    matrices = scale * (left * values) @ right
+    found = nearest_rotations(matrices)
+    defined = values[1] + values[2]  # how much turning about the first axis costs
+    np.testing.assert_allclose(found, by_lapack(matrices), atol=2e-14 / defined)
+    np.testing.assert_allclose(found, left @ right, atol=2e-14 / defined)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-14)
+    assert nearest_rotations(matrices.reshape(5, 10, 3, 3)).shape == (5, 10, 3, 3)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_nearest_rotations_of_what_is_not_finite_are_refused(bad: float) -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        nearest_rotations(np.diag([1.0, bad, 1.0]))
+
+
 @pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.diag([1.0, 0, 0]), -np.eye(3)])
 def test_nearest_rotations_of_matrices_that_are_none(matrix: Float) -> None:
     near = nearest_rotations(matrix)

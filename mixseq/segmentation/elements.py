@@ -1,0 +1,160 @@
+"""What is clustered: the faces of a mesh and their trajectories.
+
+Every element has a few vertices, which say how it moves, and neighbours, over which costs are averaged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.sequence import FloatArray
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+Index = NDArray[np.int64]
+Table = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Where vertices are in some frames.
+
+    Attributes
+    ----------
+    moved : (3T, V) float32
+        Their coordinates, frame by frame.
+    rows : (V, 4T + 4) float64
+        For every vertex its coordinates x_t, the squares |x_t|^2, and h = (rest position, 1).
+    """
+
+    moved: Single
+    rows: Float
+
+    @classmethod
+    def of(cls, x: Float) -> Trajectories:
+        """Gather the trajectories of frames ``(T, V, 3)``; the first one is at rest."""
+        count, vertices = x.shape[:2]
+        rows = np.empty((vertices, 4 * count + 4))
+        rows[:, : 3 * count].reshape(vertices, count, 3)[:] = x.transpose(1, 0, 2)
+        rows[:, 3 * count : 4 * count] = np.einsum("tvi,tvi->vt", x, x)
+        rows[:, -4:-1] = x[0]
+        rows[:, -1] = 1.0
+        return cls(x.transpose(0, 2, 1).reshape(3 * count, vertices).astype(np.float32), rows)
+
+    def at(self, vertices: Index) -> Trajectories:
+        """Return those of some vertices."""
+        return Trajectories(np.ascontiguousarray(self.moved[:, vertices]), self.rows[vertices])
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames T."""
+        return len(self.moved) // 3
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Faces, or groups of faces.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Of their vertices.
+    corners : (E, 4) int32
+        Vertices of every element; V stands for none.
+    corner_factors : (E,) float32
+        One over the number of those.
+    weights : (E,) float64
+        Weight of each of its vertices: a share of its area.
+    around : (E, m) int32
+        Itself and its neighbours, m >= 4; E stands for none.
+    factors : (E,) float32
+        One over the number of those.
+    """
+
+    trajectories: Trajectories
+    corners: Table
+    corner_factors: Single
+    weights: Float
+    around: Table
+    factors: Single
+
+    @classmethod
+    def faces(cls, topology: Topology, x: Float) -> Elements:
+        """Make the triangles of a mesh elements, for frames ``(T, V, 3)``; neighbours are across hinges."""
+        count = len(topology.faces)
+        around, factors = _around(topology.hinge_faces, count)
+        return cls(
+            trajectories=Trajectories.of(x),
+            corners=_filled(topology.faces, topology.vertex_count),
+            corner_factors=np.full(count, 1.0 / 3.0, dtype=np.float32),
+            weights=face_areas(x[0], topology) / 3.0,
+            around=around,
+            factors=factors,
+        )
+
+    @classmethod
+    def cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
+        """Make elements of cells of a mesh, each a vertex and what is nearest; return the cell of every face, too."""
+        from mixseq.segmentation.kernels import cells
+
+        graph = topology.vertex_adjacency
+        owner = np.full(topology.vertex_count, -1, dtype=np.int32)
+        owner[topology.unused_vertices] = topology.vertex_count  # no cell's
+        count = cells(graph.indptr, graph.indices, owner)
+        centres = np.unique(owner, return_index=True)[1][:count]
+        thirds = np.repeat(faces.weights, 3)
+        pairs = owner[topology.edges].astype(np.int64)
+        pairs.sort(axis=1)
+        first, second = np.divmod(np.unique(pairs[pairs[:, 0] != pairs[:, 1]] @ [count, 1]), count)
+        around, factors = _around(np.stack([first, second], axis=1), count)
+        elements = cls(
+            trajectories=faces.trajectories.at(centres),
+            corners=_filled(np.arange(count)[:, None], count),
+            corner_factors=np.ones(count, dtype=np.float32),
+            weights=np.bincount(owner[topology.faces].reshape(-1), thirds, count).astype(np.float64),
+            around=around,
+            factors=factors,
+        )
+        return elements, owner[topology.faces[:, 0]].astype(np.int64)
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    def ball(self, element: int, size: int) -> Index:
+        """Return the elements around one, ring by ring, until there are `size` of them or no more."""
+        inside = np.array([element])
+        while True:
+            grown = np.unique(self.around[inside])
+            grown = grown[grown < len(self)]
+            if len(grown) >= size or len(grown) == len(inside):
+                return grown.astype(np.int64)
+            inside = grown
+
+
+def face_areas(x: FloatArray, topology: Topology) -> Float:
+    """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size; those without any get a tiny one."""
+    corners = x[topology.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.maximum(0.5 * np.linalg.norm(normal, axis=1), 1e-12))
+
+
+def _around(pairs: Index, count: int) -> tuple[Table, Single]:
+    """Make a table of every element and its neighbours from pairs ``(n, 2)``, and one over their numbers."""
+    element, neighbour = np.concatenate([pairs, pairs[:, ::-1]]).T
+    order = np.argsort(element, kind="stable")
+    numbers = np.bincount(element, minlength=count)
+    column = np.arange(len(order)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+    table = _filled(np.arange(count)[:, None], count, 1 + int(numbers.max(initial=0)))
+    table[element[order], 1 + column] = neighbour[order]
+    return table, (1.0 / (1 + numbers)).astype(np.float32)
+
+
+def _filled(members: NDArray[np.integer], none: int, width: int = 0) -> Table:
+    """Make a table of members ``(E, n)`` with at least four columns, the missing ones filled with `none`."""
+    table = np.full((len(members), max(4, width)), none, dtype=np.int32)
+    table[:, : members.shape[1]] = members
+    return table

@@ -1,0 +1,134 @@
+"""The inner loops of segmentation by rigid motion, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.compiled import compiled
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+Index = NDArray[np.int64]
+Table = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+
+
+@compiled
+def transfer(
+    moved: Index, source: Index, target: Index, corners: Table, weights: Float, rows: Float, tallies: Float
+) -> None:
+    """Move elements between clusters: add what they weigh to the target's tallies, subtract it from the source's.
+
+    A vertex with the row y ``(D,)``, which ends with ``h = (rest position, 1)``, adds ``w h y^T`` ``(4, D)``. A source
+    of -1 is none, and so is a corner beyond all rows.
+    """
+    size = rows.shape[1]
+    for e in moved:
+        k, l = target[e], source[e]  # noqa: E741
+        for corner in corners[e]:
+            if corner == len(rows):
+                continue
+            row = rows[corner]
+            for i in range(4):
+                factor = weights[e] * row[size - 4 + i]
+                into = tallies[k, i]
+                for j in range(size):
+                    into[j] += factor * row[j]
+                if l >= 0:
+                    out = tallies[l, i]
+                    for j in range(size):
+                        out[j] -= factor * row[j]
+
+
+@compiled
+def squared_distances(moved: Single, rest: Single, motions: Single, result: Single) -> None:
+    """Write mean squared distances ``(V, K)`` of trajectories from where motions put the vertices.
+
+    Coordinates come first: trajectories are ``(3T, V)``, vertices at rest ``(3, V)``, and motions ``(K, 3T, 4)`` are
+    rotations and translations.
+    """
+    chunk = 512  # of vertices, so that what the inner loops touch stays in cache
+    sums = np.empty(chunk, dtype=np.float32)
+    count = np.float32(len(moved) // 3)
+    for start in range(0, moved.shape[1], chunk):
+        end = min(start + chunk, moved.shape[1])
+        h0, h1, h2 = rest[0, start:end], rest[1, start:end], rest[2, start:end]
+        for k in range(len(motions)):
+            m = motions[k]
+            sums[:] = 0.0
+            for i in range(0, len(moved), 3):
+                a0, b0, c0, d0 = m[i, 0], m[i, 1], m[i, 2], m[i, 3]
+                a1, b1, c1, d1 = m[i + 1, 0], m[i + 1, 1], m[i + 1, 2], m[i + 1, 3]
+                a2, b2, c2, d2 = m[i + 2, 0], m[i + 2, 1], m[i + 2, 2], m[i + 2, 3]
+                x, y, z = moved[i, start:end], moved[i + 1, start:end], moved[i + 2, start:end]
+                for v in range(end - start):
+                    p = x[v] - (a0 * h0[v] + b0 * h1[v] + c0 * h2[v] + d0)
+                    q = y[v] - (a1 * h0[v] + b1 * h1[v] + c1 * h2[v] + d1)
+                    r = z[v] - (a2 * h0[v] + b2 * h1[v] + c2 * h2[v] + d2)
+                    sums[v] += p * p + q * q + r * r
+            for v in range(end - start):
+                result[start + v, k] = sums[v] / count
+
+
+@compiled
+def averages(values: Single, members: Table, factors: Single, result: Single) -> None:
+    """Write the mean ``(E, K)`` of the rows of values that are the members ``(E, m)``, m >= 4, of each element.
+
+    Elements with fewer than m members repeat one whose row is zero; the factors are one over the true numbers.
+    """
+    for e in range(len(members)):
+        a, b = values[members[e, 0]], values[members[e, 1]]
+        c, d = values[members[e, 2]], values[members[e, 3]]
+        into, factor = result[e], factors[e]
+        for k in range(len(into)):  # four at once: faces have three neighbours
+            into[k] = (a[k] + b[k] + c[k] + d[k]) * factor
+        for i in range(4, members.shape[1]):
+            a = values[members[e, i]]
+            for k in range(len(into)):
+                into[k] += a[k] * factor
+
+
+@compiled
+def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
+    """Put fresh costs ``(E, n)`` into columns of the costs ``(E, K)``; write each row's lowest, and where it is."""
+    for e in range(len(costs)):
+        row = costs[e]
+        for i in range(len(columns)):
+            row[columns[i]] = fresh[e, i]
+        best = 0
+        for k in range(1, len(row)):
+            if row[k] < row[best]:
+                best = k
+        labels[e] = best
+        lowest[e] = row[best]
+
+
+@compiled
+def cells(starts: Table, neighbours: Table, owner: Table) -> int:
+    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return their number."""
+    count = 0
+    for v in range(len(owner)):
+        if owner[v] < 0:
+            owner[v] = count
+            for i in range(starts[v], starts[v + 1]):
+                if owner[neighbours[i]] < 0:
+                    owner[neighbours[i]] = count
+            count += 1
+    return count
+
+
+@compiled
+def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Mask) -> None:
+    """Mark the faces that are lower than `height` times their longest side."""
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        v0, v1, v2 = c[0] - b[0], c[1] - b[1], c[2] - b[2]
+        w0, w1, w2 = a[0] - c[0], a[1] - c[1], a[2] - c[2]
+        longest = max(u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2)
+        n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        if math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) <= height * longest:
+            flat[f] = True

@@ -1,0 +1,106 @@
+"""What the width of joints depends on, gathered from a sequence block by block.
+
+A decomposition asks two things of the frames: how far neighbouring parts turn against each other, and which faces
+lose their area in some frame. Both are small values that add up over blocks of frames, so that a sequence need not be
+in memory as a whole:
+
+>>> import numpy as np
+>>> from mixseq.topology import Topology
+>>> strip = Topology(np.array([[0, 1, 2], [2, 1, 3]]), 4)
+>>> frames = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]] * 6)
+>>> watched = Watched.of(strip, np.array([0, 1]), frames[::3])
+>>> gather(observe(watched, block) for block in (frames[:4], frames[4:])).rotations.shape
+(6, 2, 3, 3)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import aligning_rotations, mean_shape
+from mixseq.sequence import FloatArray
+from mixseq.topology import Topology, vertices_of
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+FLAT = 1e-5
+"""A face lower than this, relative to its longest side, has no area to speak of."""
+
+
+def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
+    """Choose frames, evenly spread, that stand for a sequence: for finding its parts and their shapes."""
+    chosen = np.linspace(0, frame_count - 1, min(frame_count, at_most)).round()
+    return np.unique(chosen.astype(np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What is looked at in every frame.
+
+    Attributes
+    ----------
+    faces : (F, 3) int
+        Triangles of the mesh.
+    parts : tuple of (V_i,) int64
+        Vertices of every part, ascending.
+    shapes : tuple of (V_i, 3) float64
+        Their shapes, centred, against which turns are measured.
+    """
+
+    faces: NDArray[np.integer]
+    parts: tuple[Index, ...]
+    shapes: tuple[Float, ...]
+
+    @classmethod
+    def of(cls, topology: Topology, part_of_face: Index, frames: FloatArray) -> Watched:
+        """Watch the parts ``(F,)`` of a mesh; their shapes are means of some frames ``(S, V, 3)``, S >= 1."""
+        count = int(part_of_face.max(initial=-1)) + 1
+        parts = tuple(np.flatnonzero(vertices_of(topology, part_of_face == part)) for part in range(count))
+        shapes = tuple(mean_shape(frames[:, part].astype(np.float64), sweeps=3) for part in parts)
+        return cls(topology.faces, parts, shapes)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What was seen.
+
+    Attributes
+    ----------
+    rotations : (T, p, 3, 3) float64
+        Rotation of every part in every frame, relative to its shape.
+    flat : (F,) bool
+        Faces that have no area in some frame.
+    """
+
+    rotations: Float
+    flat: Mask
+
+
+def observe(watched: Watched, points: FloatArray) -> Observed:
+    """Look at a block of frames ``(B, V, 3)``. What is seen of a frame does not depend on its block."""
+    from mixseq.segmentation.kernels import mark_flat
+
+    flat = np.zeros(len(watched.faces), dtype=bool)
+    covariances = np.empty((len(points), len(watched.parts), 3, 3))
+    for frame, into in zip(points, covariances, strict=True):
+        x = np.ascontiguousarray(frame, dtype=np.float64)
+        mark_flat(x, watched.faces, FLAT, flat)
+        for number, (part, shape) in enumerate(zip(watched.parts, watched.shapes, strict=True)):
+            moved = x[part]
+            into[number] = (moved - moved.mean(axis=0)).T @ shape
+    return Observed(aligning_rotations(covariances), flat)
+
+
+def gather(blocks: Iterable[Observed]) -> Observed:
+    """Put together what was seen of the blocks of a sequence, one at least, in their order."""
+    seen = list(blocks)
+    return Observed(
+        rotations=np.concatenate([block.rotations for block in seen]),
+        flat=np.asarray(np.any([block.flat for block in seen], axis=0)),
+    )
