@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
-from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -120,40 +121,49 @@ class Comparison:
         return finite
 
 
-def compare(a: MeshSequence, b: MeshSequence) -> Comparison:
+def compare(a: Frames, b: Frames) -> Comparison:
     """Measure how far a sequence is from a reference.
+
+    Both may be larger than memory: give what `mixseq.open_sequence` returns.
 
     Parameters
     ----------
-    a : MeshSequence
+    a : MeshSequence or SequenceReader
         The reference.
-    b : MeshSequence
+    b : MeshSequence or SequenceReader
         The same mesh at the same times.
 
     Raises
     ------
     InvalidSequenceError
         If vertices, faces, or times differ; the message says what.
+    FormatError
+        If a file that is read turns out to be damaged.
 
     Examples
     --------
+    >>> from mixseq import MeshSequence
     >>> points = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])
     >>> a = MeshSequence.from_arrays(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> error = compare(a, a.with_points(1.1 * points))
     >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
     (0.1, 0.331, 0.0)
     """
-    _check_comparable(a, b)
-    topology = Topology(a.faces, a.vertex_count)
-    strains = _Gathered(a.frame_count * len(topology.edges))
-    angles = _Gathered(a.frame_count * len(topology.hinges))
+    header = a.header
+    _check_comparable(header, b.header)
+    topology = Topology(header.faces, header.vertex_count)
+    strains = _Gathered(header.frame_count * len(topology.edges))
+    angles = _Gathered(header.frame_count * len(topology.hinges))
     closed = not any(
         len(edges)
         for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
     )
-    squares = spread = 0.0
-    largest, volumes = [], []
-    for x, y in _blocks(a, b):
+    squares = spread = diagonal = 0.0
+    largest: list[Float] = []
+    volumes: list[Float] = []
+    for x, y in _blocks(a, b, max(1, _BLOCK // header.vertex_count)):
+        if not largest:
+            diagonal = bounding_diagonal(x[0])
         distances = np.einsum("tvi,tvi->tv", x - y, x - y)
         squares += float(distances.sum())
         spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
@@ -161,24 +171,24 @@ def compare(a: MeshSequence, b: MeshSequence) -> Comparison:
         _gather_strains(strains, topology, x, y)
         _gather_angles(angles, topology, x, y)
         if closed:
-            volumes.append(np.stack([_volumes(x, a.faces), _volumes(y, a.faces)]))
+            volumes.append(np.stack([_volumes(x, header.faces), _volumes(y, header.faces)]))
 
     per_frame = np.concatenate(largest)
     worst = int(per_frame.argmax())
-    count = a.frame_count * a.vertex_count
+    count = header.frame_count * header.vertex_count
     return Comparison(
-        frames=a.frame_count,
-        vertices=a.vertex_count,
-        diagonal=a.diagonal,
+        frames=header.frame_count,
+        vertices=header.vertex_count,
+        diagonal=diagonal,
         kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
-        rms_error=_ratio(np.sqrt(squares / count), a.diagonal),
-        max_error=_ratio(per_frame[worst], a.diagonal),
+        rms_error=_ratio(np.sqrt(squares / count), diagonal),
+        max_error=_ratio(per_frame[worst], diagonal),
         worst_frame=worst,
-        worst_time=float(a.times[worst]),
+        worst_time=float(header.times[worst]),
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
-        volume=_volume_error(np.concatenate(volumes, axis=1), a.diagonal) if closed else None,
-        per_frame_max=np.array([_ratio(value, a.diagonal) for value in per_frame]),
+        volume=_volume_error(np.concatenate(volumes, axis=1), diagonal) if closed else None,
+        per_frame_max=np.array([_ratio(value, diagonal) for value in per_frame]),
     )
 
 
@@ -202,7 +212,7 @@ def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | N
     return frames if same.all() else None
 
 
-def _check_comparable(a: MeshSequence, b: MeshSequence) -> None:
+def _check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
     for what, one, other in (
         ("vertices", a.vertex_count, b.vertex_count),
         ("triangles", len(a.faces), len(b.faces)),
@@ -225,12 +235,12 @@ def _check_comparable(a: MeshSequence, b: MeshSequence) -> None:
         )
 
 
-def _blocks(a: MeshSequence, b: MeshSequence) -> Iterator[tuple[Float, Float]]:
-    """Yield the points of both, a few frames at a time."""
-    size = max(1, _BLOCK // a.vertex_count)
-    for start in range(0, a.frame_count, size):
-        frames = slice(start, start + size)
-        yield a.points[frames].astype(np.float64), b.points[frames].astype(np.float64)
+def _blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
+    """Yield the points of both, `size` frames at a time, however they are read."""
+    x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
+    while frames := list(islice(x, size)):
+        pair = np.stack(frames), np.stack(list(islice(y, size)))
+        yield pair[0].astype(np.float64), pair[1].astype(np.float64)
 
 
 def _gather_strains(strains: _Gathered, topology: Topology, x: Float, y: Float) -> None:

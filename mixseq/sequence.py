@@ -1,16 +1,16 @@
 """The neutral form of an animation cache: one fixed mesh, new vertex positions every frame.
 
 `SequenceHeader` is everything about a sequence but its points; `MeshSequence` adds them. Readers stream
-``(header, blocks of points)``, everything else works on `MeshSequence`. This module is the one place where
-sequences are validated: whoever holds a `MeshSequence` holds a sound one.
+``(header, blocks of points)``; `Frames` is what they and `MeshSequence` have in common. This module is the one place
+where sequences are validated: whoever holds a `MeshSequence` holds a sound one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from mixseq.surface import MeshObject, Surface
 
 __all__ = [
     "FloatArray",
+    "Frames",
     "IntArray",
     "MeshSequence",
     "Polygons",
@@ -220,6 +221,11 @@ class MeshSequence(SequenceHeader):
         """Return the same mesh and times with other points, and no velocities."""
         return replace(self, points=points, velocities=None)
 
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames."""
+        for start in range(0, self.frame_count, size):
+            yield self.points[start : start + size]
+
     @cached_property
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal in the first frame, the unit that errors are quoted in."""
@@ -227,6 +233,17 @@ class MeshSequence(SequenceHeader):
 
     def __len__(self) -> int:
         return self.frame_count
+
+
+class Frames(Protocol):
+    """A sequence that streams: a `MeshSequence`, or an open reader (`mixseq.open_sequence`)."""
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+
+    def blocks(self, size: int = ...) -> Iterator[FloatArray]:
+        """Iterate over the points in blocks ``(B, V, 3)`` of at most `size` frames, from the first one on."""
 
 
 def bounding_diagonal(points: FloatArray) -> float:

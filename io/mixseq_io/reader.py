@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, SettingsError
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, check_block
+from mixseq.sequence import FloatArray, SequenceHeader, check_block
 from mixseq_io.blocks import check_velocities
 
 
@@ -136,18 +136,6 @@ class SequenceReader(ABC):
 def _check_size(size: int) -> None:
     if size < 1:
         raise SettingsError(f"block size is {size}; a positive number of frames is expected")
-
-
-class MemoryReader(SequenceReader):
-    """A reader of a sequence that is in memory already."""
-
-    def __init__(self, path: Path, sequence: MeshSequence) -> None:
-        super().__init__(path, sequence.header)
-        self._points = sequence.points
-
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        for start in range(0, len(self._points), size):
-            yield self._points[start : start + size]
 
 
 @contextmanager

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap
 from mixseq.operations.retime import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
-from mixseq.signals.model import MOST_FRAMES, Model
+from mixseq.signals.model import FRAMES, MOST_FRAMES, Model
 
 Float = NDArray[np.float64]
 
@@ -51,14 +52,18 @@ class Resampling:
     sources: Float
     slopes: Float
 
-    def blocks(self, size: int = 16, progress: Progress = silent) -> Iterator[Float]:
-        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``."""
-        return self.model.blocks(self.sources, size, progress)
+    def blocks(
+        self, size: int = FRAMES, progress: Progress = silent, workers: OrderedMap | None = None
+    ) -> Iterator[Float]:
+        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``; see `Model.blocks`."""
+        return self.model.blocks(self.sources, size, progress, workers)
 
-    def moving_blocks(self, size: int = 16, progress: Progress = silent) -> Iterator[tuple[Float, Float]]:
+    def moving_blocks(
+        self, size: int = FRAMES, progress: Progress = silent, workers: OrderedMap | None = None
+    ) -> Iterator[tuple[Float, Float]]:
         """Decode frames with velocities: yields points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0
-        for points, velocities in self.model.moving_blocks(self.sources, size, progress):
+        for points, velocities in self.model.moving_blocks(self.sources, size, progress, workers):
             slopes = self.slopes[done : done + len(points)]
             yield points, slopes[:, None, None] * velocities
             done += len(points)

@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.mapping import OrderedMap, serially
+from mixseq.progress import Progress, silent
+from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Modes, choose_keys, key_map, principal_modes
 from mixseq.spaces.base import ShapeSpace
+from mixseq.stored import Stored, blocks_of
+from mixseq.table import Table, new_table
 
 Float = NDArray[np.float64]
 PoseForm = Literal["modes", "keys"]
@@ -30,35 +34,24 @@ class Encoded:
         Mesh and times.
     space : ShapeSpace
         The space.
-    vectors : (T, D) float64
-        Its frames.
-    offsets : (T, offset_dim) float64
-        Their offsets, see `ShapeSpace.offsets`.
+    shapes : (T, S + O) table of float64
+        The vectors of the frames without their placement, and their offsets (`ShapeSpace.offsets`).
+    placement : (T, P) float64
+        The independent numbers of the placement.
     pose : {"modes", "keys"}
         What key shapes shall be.
     """
 
     header: SequenceHeader
     space: ShapeSpace
-    vectors: Float
-    offsets: Float
+    shapes: Table
+    placement: Float
     pose: PoseForm = "modes"
-
-    @property
-    def shapes(self) -> Float:
-        """The vectors ``(T, S)`` without their placement."""
-        return self.vectors[:, : self.space.dim - self.space.placement_dim]
-
-    @property
-    def placement(self) -> Float:
-        """The independent numbers ``(T, P)`` of the placement."""
-        start = self.space.dim - self.space.placement_dim
-        return self.vectors[:, start : start + self.space.stored_placement_dim]
 
     @cached_property
     def modes(self) -> Modes:
         """All modes of the shapes and their offsets."""
-        return principal_modes(np.concatenate([self.shapes, self.offsets], axis=1), self.space.shape_weights)
+        return principal_modes(self.shapes, self.space.shape_weights)
 
     @cached_property
     def shape_measure(self) -> Measure:
@@ -74,10 +67,52 @@ class Encoded:
         return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
 
 
-def encode(sequence: MeshSequence, space: ShapeSpace, pose: PoseForm = "modes") -> Encoded:
-    """Encode all frames of a sequence in a space."""
-    vectors = space.encode(sequence.points)
-    return Encoded(sequence.header, space, vectors, space.offsets(sequence.points, vectors), pose)
+def encode(
+    sequence: Stored | MeshSequence,
+    space: ShapeSpace,
+    pose: PoseForm = "modes",
+    workers: OrderedMap = serially,
+    progress: Progress = silent,
+) -> Encoded:
+    """Encode all frames of a sequence in a space.
+
+    Parameters
+    ----------
+    sequence : Stored or MeshSequence
+        The sequence.
+    space : ShapeSpace
+        The space.
+    pose : {"modes", "keys"}
+        What key shapes shall be.
+    workers : OrderedMap, optional
+        Who encodes blocks of frames.
+    progress : callable, optional
+        Told about every block.
+
+    Raises
+    ------
+    OutputError
+        If there is no room for the vectors, neither in memory nor in a temporary file.
+    """
+    count, start = len(sequence.points), space.dim - space.placement_dim
+    shapes = new_table((count, start + space.offset_dim))
+    placement = np.empty((count, space.stored_placement_dim))
+    previous, done = None, 0
+    for apart, offsets in workers(_encoded, space, blocks_of(sequence.points)):
+        vectors = space.without_jumps(apart, previous)
+        rows = slice(done, done + len(vectors))
+        shapes[rows] = np.concatenate([vectors[:, :start], offsets], axis=1)
+        placement[rows] = vectors[:, start : start + placement.shape[1]]
+        previous, done = vectors[-1], rows.stop
+        progress(done, count, "encoding frames")
+    return Encoded(sequence.header, space, shapes, placement, pose)
+
+
+def _encoded(space: ShapeSpace, points: FloatArray) -> tuple[Float, Float]:
+    """Vectors and offsets of a block of frames; nothing of them depends on other frames."""
+    vectors = space.encode_apart(points)
+    offsets = [space.offsets(points[t : t + 1], vectors[t : t + 1]) for t in range(len(points))]
+    return vectors, np.concatenate(offsets)
 
 
 @dataclass(frozen=True)
@@ -116,7 +151,7 @@ def build(encoded: Encoded, detail: Detail) -> Model:
     else:
         frames = choose_keys(modes.scores)
         pose = key_map(modes.scores[frames])
-        shapes = np.concatenate([encoded.shapes[frames], encoded.offsets[frames]], axis=1)
+        shapes = encoded.shapes[frames]
     if detail.knots is not None:
         inner = _inner_knots(detail.knots, times)
         time = least_squares_curve(times, modes.scores, inner)

@@ -2,33 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap, on_threads
 from mixseq.progress import Progress, silent
 from mixseq.reconstruction.shells import ShellSettings
-from mixseq.segmentation import MotionSettings, decompose, segment_by_labels, segment_by_motion
-from mixseq.sequence import MeshSequence
+from mixseq.segmentation import (
+    MotionSettings,
+    Observed,
+    Watched,
+    decompose,
+    frames_to_look_at,
+    gather,
+    observe,
+    segment_by_labels,
+    segment_by_motion,
+)
+from mixseq.sequence import Frames, bounding_diagonal
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
 from mixseq.spaces import ShapeSpace, VertexSpace, mixed_space
 from mixseq.spaces.mixed import PlacementName
+from mixseq.stored import Stored, blocks_of, stored
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 SpaceName = Literal["mixed", "vertex"]
 SPACES: tuple[SpaceName, ...] = ("mixed", "vertex")
 
-_STAGES = 4  # finding parts, growing joints, registering parts, encoding frames
+_STAGES = "reading frames", "finding parts", "growing joints", "registering parts", "encoding frames"
+
+
+_MARGIN = 10.0
+"""Joints are solved so much more accurately than the frames have to be."""
 
 
 def fit(
-    sequence: MeshSequence,
+    sequence: Frames,
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,
@@ -42,15 +59,21 @@ def fit(
     motion: MotionSettings | None = None,
     shell: ShellSettings | None = None,
     progress: Progress = silent,
+    workers: OrderedMap | None = None,
 ) -> Model:
     r"""Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
+
+    The sequence may be larger than memory: give what `mixseq.open_sequence` returns. Its points are read once, and are
+    kept in a temporary file as long as the work lasts, like their vectors. In memory are a few frames at a time, the
+    signals, and matrices of as many rows and columns as there are frames. The model is the same, to the last bit, as of
+    a `MeshSequence`.
 
     Without `exact`, `tolerance`, `rank` or `knots` the model is lossless to the eye: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
     Parameters
     ----------
-    sequence : MeshSequence
+    sequence : MeshSequence or SequenceReader
         The animation.
     exact : bool
         Keep everything: the frames are reproduced up to rounding.
@@ -77,6 +100,8 @@ def fit(
         Details of the segmentation and of the joint solves.
     progress : callable, optional
         Told about every stage.
+    workers : OrderedMap, optional
+        Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
 
     Returns
     -------
@@ -88,6 +113,10 @@ def fit(
         If a setting is out of range, or two contradict each other.
     SegmentationError
         If given parts do not fit the mesh.
+    FormatError, InvalidSequenceError
+        If a sequence that is read turns out to be damaged or unsound.
+    OutputError
+        If there is no room for a temporary file.
 
     Examples
     --------
@@ -101,20 +130,36 @@ def fit(
     """
     _check(exact, tolerance, rank, knots, pose, space)
     direct = exact or rank is not None or knots is not None
-    steps = _STAGES if direct else _STAGES + ROUNDS
-
-    def tell(done: int, what: str) -> None:
-        progress(done, steps, what)
-
+    stages = _Stages(progress, len(_STAGES) + (0 if direct else ROUNDS), sequence.header.frame_count)
+    work = workers or on_threads()
+    wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
+    shell = shell or ShellSettings(accuracy=wanted / _MARGIN)
     with one_blas_thread():
-        shape_space = _make_space(sequence, space, placement, parts, joint_width, motion, shell, tell)
-        tell(_STAGES - 1, "encoding frames")
-        encoded = encode(sequence, shape_space, pose)
-        tell(_STAGES, "encoding frames")
+        frames = stored(sequence, stages.at(0))
+        shape_space = _make_space(frames, space, placement, parts, joint_width, motion, shell, work, stages)
+        encoded = encode(frames, shape_space, pose, work, stages.at(4))
         if direct:
             return build(encoded, Detail(rank=rank, knots=knots))
-        wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-        return within(encoded, sequence, wanted, lambda done, _, what: tell(_STAGES + done, what))
+        return within(encoded, frames, wanted, stages.at(len(_STAGES), ROUNDS), work)
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """Progress of several stages as one; every stage counts as much as all frames."""
+
+    progress: Progress
+    count: int
+    frames: int
+
+    def at(self, first: int, stages: int = 1) -> Progress:
+        """Return what tells how far one stage is, or several of them."""
+
+        def tell(done: int, total: int, what: str) -> None:
+            self.progress(
+                first * self.frames + stages * self.frames * done // total, self.count * self.frames, what
+            )
+
+        return tell
 
 
 def _check(
@@ -140,25 +185,37 @@ def _check(
 
 
 def _make_space(
-    sequence: MeshSequence,
+    frames: Stored,
     space: SpaceName,
     placement: PlacementName,
     parts: int | ArrayLike | None,
     joint_width: int,
     motion: MotionSettings | None,
-    shell: ShellSettings | None,
-    tell: Callable[[int, str], None],
+    shell: ShellSettings,
+    workers: OrderedMap,
+    stages: _Stages,
 ) -> ShapeSpace:
+    header, points = frames.header, frames.points
     if space == "vertex":
-        return VertexSpace(sequence.vertex_count, sequence.diagonal or 1.0)
-    tell(0, "finding parts")
-    topology = Topology(sequence.faces, sequence.vertex_count)
+        return VertexSpace(header.vertex_count, bounding_diagonal(points[:1][0]) or 1.0)
+    stages.at(1)(0, 1, _STAGES[1])
+    topology = Topology(header.faces, header.vertex_count)
+    settings = motion or MotionSettings()
+    some = points[frames_to_look_at(len(points), settings.frames)]
     if parts is None or isinstance(parts, int | np.integer):
         count = None if parts is None else int(parts)
-        labels = segment_by_motion(sequence.points, topology, count, motion)
+        labels = segment_by_motion(some, topology, count, settings)
     else:
         labels = segment_by_labels(parts, topology)
-    tell(1, "growing joints")
-    decomposition = decompose(topology, labels, joint_width, sequence.points)
-    tell(2, "registering parts")
-    return mixed_space(sequence.points, topology, decomposition, placement, shell)
+    watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
+    observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(2)))
+    decomposition = decompose(topology, labels, joint_width, observed)
+    return mixed_space(points, topology, decomposition, placement, shell, workers, stages.at(3))
+
+
+def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
+    done = 0
+    for block in blocks:
+        yield block
+        done += len(block.rotations)
+        progress(done, frames, _STAGES[2])

@@ -11,14 +11,17 @@ Where the parts of the shape are in the world is no matter of shape: the **place
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap, on_threads, serially
+from mixseq.pickling import Remade
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
@@ -31,14 +34,17 @@ from mixseq.spaces import MixedSpace, ShapeSpace
 from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
+Decoded = TypeVar("Decoded")
 
+FRAMES = 4
+"""Frames decoded at once; each thread has as many in hand."""
 
 MOST_FRAMES = 10_000_000
 """More would be a slip of the rate or of the speed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Remade):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
 
     Attributes
@@ -257,24 +263,46 @@ class Model:
             times = np.minimum(first + np.arange(int(np.floor((last - first) * fps + 1e-6)) + 1) / fps, last)
         return self.header.with_times(self.times if times is None else self.inside(times), fps)
 
-    def blocks(self, times: ArrayLike, size: int = 16, progress: Progress = silent) -> Iterator[Float]:
-        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order."""
-        inside = self.inside(times)
-        for start in range(0, len(inside), size):
-            vectors, offsets = self._at(inside[start : start + size])
-            yield self.space.decode(vectors, offsets=offsets)
-            progress(min(start + size, len(inside)), len(inside), "decoding frames")
+    def blocks(
+        self,
+        times: ArrayLike,
+        size: int = FRAMES,
+        progress: Progress = silent,
+        workers: OrderedMap | None = None,
+    ) -> Iterator[Float]:
+        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order.
+
+        `workers` say who decodes the blocks, by default as many threads as there are cores. A frame is the same, to
+        the last bit, whoever decodes it and whatever frames are asked for with it.
+        """
+        return self._decoded(_points, times, size, progress, workers)
 
     def moving_blocks(
-        self, times: ArrayLike, size: int = 16, progress: Progress = silent
+        self,
+        times: ArrayLike,
+        size: int = FRAMES,
+        progress: Progress = silent,
+        workers: OrderedMap | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
+        return self._decoded(_moving_points, times, size, progress, workers)
+
+    def _decoded(
+        self,
+        decode: Callable[[Model, Float], Decoded],
+        times: ArrayLike,
+        size: int,
+        progress: Progress,
+        workers: OrderedMap | None,
+    ) -> Iterator[Decoded]:
         inside = self.inside(times)
-        for start in range(0, len(inside), size):
-            some = inside[start : start + size]
-            (vectors, offsets), (rates, offset_rates) = self._at(some), self._rates_at(some)
-            yield self.space.decode_moving(vectors, rates, offsets, offset_rates)
-            progress(min(start + size, len(inside)), len(inside), "decoding frames")
+        some = (inside[start : start + size] for start in range(0, len(inside), size))
+        work = workers or (on_threads() if len(inside) > size else serially)
+        done = 0
+        for block in work(decode, self, some):
+            yield block
+            done = min(done + size, len(inside))
+            progress(done, len(inside), "decoding frames")
 
     @property
     def key_frames(self) -> NDArray[np.int64]:
@@ -324,3 +352,13 @@ class Model:
                 "models do not extrapolate"
             )
         return np.clip(wanted, first, last)
+
+
+def _points(model: Model, times: Float) -> Float:
+    vectors, offsets = model._at(times)
+    return model.space.decode(vectors, offsets=offsets)
+
+
+def _moving_points(model: Model, times: Float) -> tuple[Float, Float]:
+    (vectors, offsets), (rates, offset_rates) = model._at(times), model._rates_at(times)
+    return model.space.decode_moving(vectors, rates, offsets, offset_rates)

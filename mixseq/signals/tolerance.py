@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
-from mixseq.sequence import MeshSequence
+from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals.detail import Detail, Encoded, build
 from mixseq.signals.model import Model
+from mixseq.stored import Stored
 
 LOSSLESS_TO_THE_EYE = 5e-4
 """Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
@@ -18,10 +20,16 @@ ENOUGH = 0.6
 ROUNDS = 7
 """At most so many models are tried before the finest of them."""
 
-_BLOCK = 8  # frames decoded between two looks at the error
+_LOOK = 8  # frames decoded between two looks at the error
 
 
-def within(encoded: Encoded, sequence: MeshSequence, tolerance: float, progress: Progress = silent) -> Model:
+def within(
+    encoded: Encoded,
+    sequence: Stored | MeshSequence,
+    tolerance: float,
+    progress: Progress = silent,
+    workers: OrderedMap | None = None,
+) -> Model:
     """Find signals that reproduce a sequence to a tolerance.
 
     Slack of the signals and error of the decoded frames grow together, though not evenly; so the slack is scaled
@@ -31,12 +39,14 @@ def within(encoded: Encoded, sequence: MeshSequence, tolerance: float, progress:
     ----------
     encoded : Encoded
         The sequence in a shape space.
-    sequence : MeshSequence
+    sequence : Stored or MeshSequence
         The sequence itself.
     tolerance : float
         Largest distance of a vertex, in diagonals.
     progress : callable, optional
         Told about every model that is tried.
+    workers : OrderedMap, optional
+        Who decodes blocks of frames.
 
     Returns
     -------
@@ -48,7 +58,7 @@ def within(encoded: Encoded, sequence: MeshSequence, tolerance: float, progress:
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
         model = build(encoded, Detail(slack=slack))
-        error = largest_error(model, sequence, stop=2 * tolerance)
+        error = largest_error(model, sequence, 2 * tolerance, workers)
         if error <= tolerance:
             low, best = slack, model
             if error > ENOUGH * tolerance or len(model.shapes) == 1 or number > ROUNDS // 2:
@@ -61,26 +71,33 @@ def within(encoded: Encoded, sequence: MeshSequence, tolerance: float, progress:
     return best if best is not None else build(encoded, Detail())
 
 
-def largest_error(model: Model, sequence: MeshSequence, stop: float = np.inf) -> float:
+def largest_error(
+    model: Model,
+    sequence: Stored | MeshSequence,
+    stop: float = np.inf,
+    workers: OrderedMap | None = None,
+) -> float:
     """Return the largest distance of a vertex at the frames, in diagonals.
 
     Parameters
     ----------
     model : Model
         A model of the sequence.
-    sequence : MeshSequence
+    sequence : Stored or MeshSequence
         The original.
     stop : float
         Do not look further once the error is above this.
+    workers : OrderedMap, optional
+        Who decodes blocks of frames.
     """
-    unit = sequence.diagonal or 1.0
+    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
     # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
-    frames = np.concatenate([np.arange(first, len(sequence), 4) for first in (0, 2, 1, 3)])
+    frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
-    for block in model.blocks(model.times[frames], _BLOCK):
+    for block in model.blocks(model.times[frames], workers=workers):
         apart = block - sequence.points[frames[done : done + len(block)]]
         largest = max(largest, float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit)
-        if largest > stop:
-            break
         done += len(block)
+        if largest > stop and done % _LOOK == 0:
+            break
     return largest

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.pickling import Remade
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray
 
@@ -16,7 +17,7 @@ DIFFERENCE = 1e-4
 """Step of difference quotients, relative to the size of a vector's metric."""
 
 
-class ShapeSpace(ABC):
+class ShapeSpace(Remade, ABC):
     """A space of vectors, each of which is a shape of one mesh, that may be added and scaled.
 
     For every space and all frames x of the sequence it was made for ``decode(encode(x)) = x``, and an affine
@@ -91,6 +92,18 @@ class ShapeSpace(ABC):
         -------
         (T, D) float64
         """
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``, each by itself: `without_jumps` makes them a sequence."""
+        return self.encode(points)
+
+    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Let vectors ``(T, D)`` of `encode_apart` go on from frame to frame, and from the one before, as in `encode`.
+
+        ``encode(points, previous)`` is ``without_jumps(encode_apart(points), previous)``: frames can be encoded in
+        any order, which is most of the work, and be put in order afterwards.
+        """
+        return vectors
 
     @abstractmethod
     def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:

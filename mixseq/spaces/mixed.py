@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.geometry.rigid import kabsch
-from mixseq.geometry.rotations import continuous_vectors
+from mixseq.geometry.rotations import vectors as shortest
+from mixseq.geometry.rotations import without_jumps
 from mixseq.progress import Progress, silent
 from mixseq.reconstruction.agreement import cross_matrices, solve, velocities
 from mixseq.reconstruction.anchored import AnchoredPlacement
@@ -186,19 +187,34 @@ class MixedSpace(ShapeSpace):
 
         A rigid motion of a frame changes nothing but its pose.
         """
-        before = self.split(previous[None]) if previous is not None else None
-        x = points.astype(np.float64) / self.scale
-        projection = self.projection
-        lengths = edge_lengths(x, self.topology.edges[projection.edge_ids])
-        angles = unwrap_angles(
-            dihedral_angles(x, self.topology.hinges[projection.hinge_ids]),
-            before.angles[0] if before else self.reference_angles,
-        )
-        aligned, turned, centres = registered(self.shapes, self.decomposition, x)
+        return self.without_jumps(self.encode_apart(points), previous)
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: angles and rotation vectors are the shortest ones."""
+        vectors = np.empty((len(points), self.dim))
+        edges = self.topology.edges[self.projection.edge_ids]
+        hinges = self.topology.hinges[self.projection.hinge_ids]
         posed = self.projection.posed
-        rotations = continuous_vectors(turned[:, posed], before.rotations[0] if before else None)
-        poses = complete(self.links, rotations, centres[:, posed], before.turns[0] if before else None)
-        return self.join(MixedBlocks(lengths, angles, aligned, *poses))
+        for vector, frame in zip(vectors, points, strict=True):
+            x = frame.astype(np.float64) / self.scale
+            aligned, turned, centres = registered(self.shapes, self.decomposition, x)
+            poses = complete(self.links, shortest(turned[None, posed]), centres[None, posed])
+            lengths, angles = edge_lengths(x, edges), dihedral_angles(x, hinges)
+            blocks = lengths, angles, aligned, *poses
+            np.concatenate([block.reshape(-1) for block in blocks], out=vector)
+        return vectors
+
+    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.without_jumps`."""
+        before = self.split(previous[None]) if previous is not None else None
+        blocks = self.split(vectors)
+        return self.join(
+            blocks._replace(
+                angles=unwrap_angles(blocks.angles, before.angles[0] if before else self.reference_angles),
+                rotations=without_jumps(blocks.rotations, before.rotations[0] if before else None),
+                turns=without_jumps(blocks.turns, before.turns[0] if before else None),
+            )
+        )
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Implement `ShapeSpace.shape_difference`.

@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.geometry.rigid import kabsch
-from mixseq.geometry.rotations import continuous_vectors
-from mixseq.reconstruction.links import Links, make_links
+from mixseq.geometry.rigid import aligning_rotations
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray
-from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 
@@ -19,19 +16,19 @@ SMALLEST = 1e-3
 
 
 def registered(shapes: Float, decomposition: Decomposition, x: FloatArray) -> tuple[Float, Float, Float]:
-    """Register the parts of frames ``(T, V, 3)`` to their mean shapes.
+    """Register the parts of a frame ``(V, 3)`` to their mean shapes ``(N, 3)``, part by part.
 
-    Returns the vertices as aligned to the shapes ``(T, N, 3)``, rotations ``(T, p, 3, 3)`` and centres ``(T, p, 3)``.
+    Returns the vertices as aligned to the shapes ``(N, 3)``, rotations ``(p, 3, 3)`` and centres ``(p, 3)``.
     """
-    aligned, rotations, centres = [], [], []
-    start = 0
-    for vertices in decomposition.parts:
-        rotation, centre = kabsch(shapes[start : start + len(vertices)], x[:, vertices])
-        aligned.append((x[:, vertices] - centre[:, None]) @ rotation)
-        rotations.append(rotation)
-        centres.append(centre)
-        start += len(vertices)
-    return np.concatenate(aligned, axis=1), np.stack(rotations, axis=1), np.stack(centres, axis=1)
+    from mixseq.spaces.registered_kernels import centred_parts, turned_back
+
+    ends = np.cumsum([len(vertices) for vertices in decomposition.parts])
+    vertices = np.concatenate(decomposition.parts)
+    moved, centres, covariances = centred_parts(
+        np.ascontiguousarray(x, dtype=np.float64), vertices, ends, shapes
+    )
+    rotations = aligning_rotations(covariances)
+    return turned_back(moved, ends, rotations), rotations, centres
 
 
 def radii_of_gyration(shapes: Float, decomposition: Decomposition) -> Float:
@@ -40,13 +37,3 @@ def radii_of_gyration(shapes: Float, decomposition: Decomposition) -> Float:
     sizes = [len(vertices) for vertices in decomposition.parts]
     starts = np.cumsum([0, *sizes[:-1]])
     return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), SMALLEST)
-
-
-def links_between(
-    points: FloatArray, topology: Topology, decomposition: Decomposition, shapes: Float
-) -> Links:
-    """Find the links between the parts of a sequence ``(T, V, 3)``, in diagonals; see `make_links`."""
-    _, turned, centres = registered(shapes, decomposition, points)
-    rotations = continuous_vectors(turned)
-    radii = radii_of_gyration(shapes, decomposition)
-    return make_links(points, topology, decomposition.part_of_face, rotations, centres, radii)

@@ -89,7 +89,10 @@ def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest
     with h5py.File(path, "w") as file:
         file.attrs["format"] = "mixseq-model"
     stub = ModuleType("mixseq_io.hdf5.model")
-    stub.load = lambda path: SimpleNamespace(sample=lambda: plain)  # type: ignore[attr-defined]
+    model = SimpleNamespace(
+        header=plain.header, times=plain.times, blocks=lambda times, size: plain.blocks(size)
+    )
+    stub.load = lambda path: model  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "mixseq_io.hdf5.model", stub)
     np.testing.assert_array_equal(read(path).points, plain.points)
 

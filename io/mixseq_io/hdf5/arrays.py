@@ -28,6 +28,7 @@ def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
     row = max(1, array[:1].size)
     chunks = (max(1, min(len(array), _CHUNK_ELEMENTS // row)), *array.shape[1:]) if array.size else None
     file.create_dataset(name, data=array, chunks=chunks, **(CHECKED if array.size else {}))
+    file.flush()  # where arrays are in the file must not depend on when the library finds time to write them
 
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:

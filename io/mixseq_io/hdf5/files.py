@@ -68,6 +68,7 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
             array = np.char.encode(array, "utf-8")
         storage = CHECKED | {"chunks": True} if array.size else {}
         file.create_dataset(f"surface/{name}", data=array, **storage)
+    file.flush()
 
 
 def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 
 from mixseq.errors import FormatError
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq_io.blocks import checked
 from mixseq_io.hdf5.files import (
     CHECKED,
@@ -37,7 +37,7 @@ from mixseq_io.hdf5.files import (
     whole,
     write_header,
 )
-from mixseq_io.reader import MemoryReader, SequenceReader, brief, naming
+from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
 VERSION = 1
@@ -58,20 +58,13 @@ def open_h5(path: Path) -> SequenceReader:
         file = resources.enter_context(h5py.File(path, "r"))
         kind = file.attrs.get("format")
         if kind == MODEL_FORMAT:
-            return MemoryReader(path, _sampled_model(path))
+            return _ModelReader(path)
         if kind != FORMAT:
             raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {kind!r})")
         check_version(path, file, VERSION)
         with naming(path):
             header = _header(path, file)
         return _H5Reader(path, header, file, resources.pop_all())
-
-
-def _sampled_model(path: Path) -> MeshSequence:
-    from mixseq_io.hdf5.model import load  # models build on formats, not formats on models
-
-    sequence: MeshSequence = load(path).sample()
-    return sequence
 
 
 def _header(path: Path, file: h5py.File) -> SequenceHeader:
@@ -84,6 +77,19 @@ def _header(path: Path, file: h5py.File) -> SequenceHeader:
     if len(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
     return read_header(path, file, vertex_count=shape[1], times=times)
+
+
+class _ModelReader(SequenceReader):
+    """Decodes the frames of a model as they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        from mixseq_io.hdf5.model import load  # models build on formats, not formats on models
+
+        self._model = load(path)
+        super().__init__(path, self._model.header)
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._model.blocks(self._model.times, size)
 
 
 class _H5Reader(SequenceReader):

@@ -58,6 +58,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     file.attrs["space"] = space.name
     group = file.require_group("space")
     group.attrs["scale"] = space.scale
+    file.flush()
     if isinstance(space, MixedSpace):
         group.attrs["placement"] = space.placement
         for name in ("shapes", "reference_lengths", "reference", "trust"):

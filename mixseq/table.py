@@ -1,0 +1,125 @@
+"""Tables of numbers that may be larger than memory: written row by row, read by rows or by columns.
+
+What is learned from a sequence takes all its frames at a few coordinates (the Gram matrix), or all coordinates of a few
+frames. A small table is an array. A large one is on disk, tile by tile, so that both are read in long runs:
+
+>>> table = new_table((3, 2))
+>>> table[0:3] = np.arange(6).reshape(3, 2)
+>>> [block.sum(axis=0).tolist() for _, block in column_blocks(table)]
+[[6.0, 9.0]]
+"""
+
+from __future__ import annotations
+
+import tempfile
+import weakref
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from mixseq.errors import OutputError
+
+IN_MEMORY = 1 << 28
+"""Tables of up to so many bytes are arrays."""
+
+_COLUMNS = 1 << 14
+_BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows that fewer columns must do
+
+
+class DiskTable:
+    """A table ``(T, ...)`` in a file that has no name: it vanishes with the table, or with the process.
+
+    Rows are set by slices, and read by slices or indices, as those of an array.
+
+    Raises
+    ------
+    OutputError
+        If there is no room for it.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> None:
+        self.shape = shape
+        self.dtype = np.dtype(dtype)
+        self._width = int(np.prod(shape[1:], dtype=np.int64))
+        self._step = _columns_at_once(len(self))
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the table
+        weakref.finalize(self, self._file.close)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __setitem__(self, rows: slice, values: NDArray[Any]) -> None:
+        first, last, _ = rows.indices(len(self))
+        flat = values.reshape(last - first, self._width)
+        try:
+            for columns in self._tiles():
+                self._seek(first, columns)
+                self._file.write(np.ascontiguousarray(flat[:, columns], dtype=self.dtype).data)
+            self._file.flush()
+        except OSError as error:
+            size = self.dtype.itemsize * len(self) * self._width
+            raise OutputError(
+                f"cannot write a temporary file of {size / 1e9:.1f} GB in {tempfile.gettempdir()}: {error.strerror}; "
+                "free some space, or set TMPDIR to another folder"
+            ) from error
+
+    def __getitem__(self, rows: slice | NDArray[np.integer]) -> NDArray[Any]:
+        wanted = np.arange(len(self))[rows]
+        flat = np.empty((len(wanted), self._width), dtype=self.dtype)
+        # Runs of rows that follow each other are read at once.
+        ends = np.flatnonzero(np.diff(wanted, prepend=-9, append=-9) != 1)
+        for start, stop in pairwise(ends):
+            for columns in self._tiles():
+                flat[start:stop, columns] = self._read(int(wanted[start]), int(stop - start), columns)
+        return flat.reshape(len(wanted), *self.shape[1:])
+
+    def columns(self) -> Iterator[tuple[slice, NDArray[Any]]]:
+        """Yield blocks of columns of the flattened rows: where they are, and all their rows ``(T, C)``."""
+        for columns in self._tiles():
+            yield columns, self._read(0, len(self), columns)
+
+    def _tiles(self) -> Iterator[slice]:
+        for start in range(0, self._width, self._step):
+            yield slice(start, min(start + self._step, self._width))
+
+    def _seek(self, row: int, columns: slice) -> None:
+        self._file.seek(
+            self.dtype.itemsize * (len(self) * columns.start + row * (columns.stop - columns.start))
+        )
+
+    def _read(self, first: int, count: int, columns: slice) -> NDArray[Any]:
+        self._seek(first, columns)
+        block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)
+        self._file.readinto(block.data.cast("B"))
+        return block
+
+
+Table = NDArray[Any] | DiskTable
+"""An array, or what has no place in memory."""
+
+
+def new_table(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Table:
+    """Make a table ``(T, ...)`` to be filled."""
+    size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
+    return np.empty(shape, dtype) if size <= IN_MEMORY else DiskTable(shape, dtype)
+
+
+def column_blocks(table: Table) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield a table ``(T, W)`` in blocks of columns: where they are, and all their rows ``(T, C)``.
+
+    The blocks are the same, wherever the table is.
+    """
+    if isinstance(table, DiskTable):
+        yield from table.columns()
+        return
+    step = _columns_at_once(len(table))
+    for start in range(0, table.shape[1], step):
+        columns = slice(start, min(start + step, table.shape[1]))
+        yield columns, np.ascontiguousarray(table[:, columns])
+
+
+def _columns_at_once(rows: int) -> int:
+    return min(_COLUMNS, max(_BLOCK // max(rows, 1), 64))

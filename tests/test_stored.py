@@ -1,0 +1,73 @@
+"""What streams is copied once, and checked on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from mixseq import table
+from mixseq.errors import InvalidSequenceError
+from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.stored import block_size, blocks_of, stored
+from mixseq.table import DiskTable
+from tests.meshes import bar
+
+BAR = bar(sides=4, rings=5, frames=7)
+
+
+@dataclass
+class Streamed:
+    """A sequence that is given in blocks, and counts how often."""
+
+    header: SequenceHeader
+    given: list[FloatArray]
+    times: int = 0
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        self.times += 1
+        yield from self.given
+
+
+def test_what_is_in_memory_stays_there() -> None:
+    assert stored(BAR).points is BAR.points
+    assert [len(block) for block in BAR.blocks(3)] == [3, 3, 1]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("limit", [0, 1 << 30])
+def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "IN_MEMORY", limit)
+    points: FloatArray = BAR.points.astype(dtype)
+    source = Streamed(BAR.header, [points[:2], points[2:3], points[3:]])
+    told: list[tuple[int, int, str]] = []
+    copy = stored(source, lambda *step: told.append(step))
+    assert isinstance(copy.points, DiskTable) == (limit == 0)
+    assert copy.points.dtype == dtype
+    for _ in range(2):
+        np.testing.assert_array_equal(np.concatenate(list(blocks_of(copy.points))), points)
+    assert source.times == 1
+    assert [done for done, _, _ in told] == [2, 3, 7]
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ([BAR.points[:5]], "5 frames of points but 7 times"),
+        ([], "0 frames of points but 7 times"),
+        ([BAR.points, BAR.points], "more frames than the 7 times"),
+        ([BAR.points[:, 1:]], "frame 0 has 21 vertices, the mesh has 22"),
+        ([BAR.points[:3], np.full((4, 22, 3), np.nan)], r"frame 3: vertex 0 .* must be finite"),
+    ],
+)
+def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> None:
+    with pytest.raises(InvalidSequenceError, match=message):
+        stored(Streamed(BAR.header, frames))
+
+
+def test_blocks_depend_on_the_mesh_only() -> None:
+    assert [block_size(count) for count in (3, 100_000, 169_000, 1 << 20, 1 << 24)] == [8, 8, 6, 1, 1]
+    long = MeshSequence.from_arrays(np.zeros((20, 3, 3)), [[0, 1, 2]])
+    assert [len(block) for block in blocks_of(long.points)] == [8, 8, 4]
