@@ -10,6 +10,8 @@
     ├── FormatError            a file that cannot be read: wrong type, damaged, too new
     │   └── AmbiguousError     a file with several candidates, where one must be chosen
     ├── OutputError            a file that cannot be written
+    ├── ClusterError           workers that cannot be reached, do not fit, or were lost
+    │   └── GivenUpError       work over which several workers died
     └── MissingExtraError      an optional package that is not installed
 
     MixseqWarning              data that a format cannot hold, or that was repaired
@@ -50,6 +52,14 @@ class AmbiguousError(FormatError):
 
 class OutputError(MixseqError):
     """A file that cannot be written."""
+
+
+class ClusterError(MixseqError):
+    """Workers on other machines that cannot be reached, do not fit, or were lost."""
+
+
+class GivenUpError(ClusterError):
+    """Work over which several workers died."""
 
 
 class MissingExtraError(MixseqError):

@@ -15,7 +15,19 @@ from mixseq.cli.options import examples
 @click.command(
     cls=LazyGroup,
     package=__name__,
-    names=("demo", "info", "convert", "encode", "decode", "resample", "edit", "compare", "plot", "formats"),
+    names=(
+        "demo",
+        "info",
+        "convert",
+        "encode",
+        "batch",
+        "decode",
+        "resample",
+        "edit",
+        "compare",
+        "plot",
+        "formats",
+    ),
     epilog=examples(
         "mixseq demo",
         "mixseq encode walk.usdc walk.h5",

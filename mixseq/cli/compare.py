@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +13,14 @@ import click
 
 import mixseq
 from mixseq.cli.console import print_json, print_table, progress_bar
-from mixseq.cli.files import read_sequence
+from mixseq.cli.files import counted, options_of
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.errors import MixseqWarning, SettingsError
 
 if TYPE_CHECKING:
     from mixseq.metrics import Comparison, Spread
-    from mixseq.sequence import MeshSequence
+    from mixseq.progress import Progress
+    from mixseq.sequence import FloatArray, Frames, SequenceHeader
 
 
 @click.command(
@@ -35,38 +38,80 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     Both are sequences or models of one mesh. If OTHER has more frames, those at the times of REFERENCE are
     compared. Distances are fractions of the diagonal of the reference's bounding box.
     """
-    ours, theirs = _options_of(reference, reading), _options_of(other, reading)
+    ours, theirs = options_of(reference, reading), options_of(other, reading)
     for name in reading.keys() - ours.keys() - theirs.keys():
         raise SettingsError(f"neither {reference} nor {other} is read with an option {name!r}")
-    with progress_bar(quiet) as progress:
-        a = read_sequence(reference, ours, progress)
-        b = read_sequence(other, theirs, progress)
-    _warn_of_axes(reference, a, other, b)
-    shared = at_times_of(a, b)
-    result = mixseq.compare(a, shared)
+    with (
+        progress_bar(quiet) as progress,
+        mixseq.open_sequence(reference, **ours) as a,
+        mixseq.open_sequence(other, **theirs) as b,
+    ):
+        _warn_of_axes(reference, a.header, other, b.header)
+        shared = at_times_of(a, b)
+        result = mixseq.compare(_Told(a, progress), shared)
     if as_json:
-        left_out = b.frame_count - shared.frame_count
+        left_out = b.header.frame_count - result.frames
         print_json(
             {"reference": str(reference), "other": str(other), "left_out": left_out} | result.as_dict()
         )
     elif not quiet:
         if shared is not b:
-            click.echo(f"compared at the {a.frame_count} times that {other} shares, out of {b.frame_count}")
+            there = b.header.frame_count
+            click.echo(f"compared at the {result.frames} times that {other} shares, out of {there}")
         print_table(_rows(result))
 
 
-def at_times_of(a: MeshSequence, b: MeshSequence) -> MeshSequence:
+def at_times_of(a: Frames, b: Frames) -> Frames:
     """Return b at the times of a, if b has more frames and those among them; else b itself."""
     from mixseq.metrics import shared_frames
-    from mixseq.sequence import MeshSequence
 
-    frames = shared_frames(a, b) if b.frame_count > a.frame_count else None
-    if frames is None:
-        return b
-    return MeshSequence.from_header(b.header.with_times(b.times[frames]), b.points[frames])
+    more = b.header.frame_count > a.header.frame_count
+    frames = shared_frames(a.header, b.header) if more else None
+    return b if frames is None else _Some(b, frozenset(frames.tolist()))
 
 
-def _warn_of_axes(reference: Path, a: MeshSequence, other: Path, b: MeshSequence) -> None:
+@dataclass(frozen=True)
+class _Some:
+    """Some frames of a sequence."""
+
+    frames: Frames
+    numbers: frozenset[int]
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+        whole = self.frames.header
+        return whole.with_times(whole.times[sorted(self.numbers)])
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the frames that were chosen."""
+        first = 0
+        for block in self.frames.blocks(size):
+            kept = [number for number in range(len(block)) if first + number in self.numbers]
+            first += len(block)
+            if kept:
+                yield block[kept]
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A sequence that tells how many of its frames were asked for."""
+
+    frames: Frames
+    progress: Progress
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+        return self.frames.header
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over all frames."""
+        count = self.frames.header.frame_count
+        return counted(self.frames.blocks(size), count, "comparing frames", self.progress)
+
+
+def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHeader) -> None:
     """Tell of up axes and units that differ: points are compared as they are."""
     if a.up_axis != b.up_axis or not math.isclose(a.metres_per_unit, b.metres_per_unit, rel_tol=1e-6):
         first, second = (f"{each.up_axis} up and units of {each.metres_per_unit:g} m" for each in (a, b))
@@ -75,16 +120,6 @@ def _warn_of_axes(reference: Path, a: MeshSequence, other: Path, b: MeshSequence
             MixseqWarning,
             stacklevel=2,
         )
-
-
-def _options_of(path: Path, reading: dict[str, Any]) -> dict[str, Any]:
-    """Return those of the options that the file's format knows: the two files may differ in format."""
-    from mixseq_io import FORMATS
-
-    extension = path.suffix.lower()
-    forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
-    known = {"up_axis", "metres_per_unit"} | {name for form in forms for name in form.read_options}
-    return {name: value for name, value in reading.items() if name in known}
 
 
 def _rows(result: Comparison) -> list[tuple[str, str]]:

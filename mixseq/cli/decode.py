@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,11 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import check_target, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option, writer_options
+from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
     from mixseq.sequence import SequenceHeader
     from mixseq.signals import Model
 
@@ -35,6 +37,7 @@ def _as_seconds(
         "mixseq decode walk.h5 walk48.usdc --fps 48",
         "mixseq decode walk.h5 still.obj --times 0.73",
         "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
+        "mixseq decode walk.h5 walk.usdc --cluster tcp://host:8786",
     ),
 )
 @click.argument("source", metavar="MODEL", type=FILE)
@@ -57,6 +60,7 @@ def _as_seconds(
     help="Also write the velocities of all vertices, for motion blur.",
 )
 @writer_options
+@workers_options
 @quiet_option
 def command(
     source: Path,
@@ -67,6 +71,7 @@ def command(
     end: float | None,
     velocities: bool,
     writing: dict[str, Any],
+    workers: AbstractContextManager[OrderedMap],
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -81,8 +86,8 @@ def command(
         header = model.header_at(times, fps)
     else:
         raise SettingsError("--times tells all times; leave out --start and --end")
-    with progress_bar(quiet) as progress:
-        write_frames(target, model, header, velocities, writing, progress)
+    with workers as work, progress_bar(quiet) as progress:
+        write_frames(target, model, header, velocities, writing, progress, work)
     if not quiet:
         first, last = header.times[[0, -1]]
         print_table(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,11 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option, writer_options
+from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
     from mixseq.signals import Model
 
 
@@ -58,6 +60,7 @@ A script has a table for every edit:
     help="Also write the velocities of all vertices, where OUT is a sequence.",
 )
 @writer_options
+@workers_options
 @quiet_option
 def command(
     source: Path,
@@ -66,6 +69,7 @@ def command(
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
+    workers: AbstractContextManager[OrderedMap],
     quiet: bool,
 ) -> None:
     """Edit the motion of a model by a script.
@@ -98,7 +102,7 @@ def command(
         ),
     )
     rows = []
-    with progress_bar(quiet) as progress:
+    with workers as work, progress_bar(quiet) as progress:
         for edit in edits:
             progress(edit.number - 1, len(edits), edit.operation)
             edited = edit(model)
@@ -108,7 +112,7 @@ def command(
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            write_frames(target, model, header, velocities, writing, progress)
+            write_frames(target, model, header, velocities, writing, progress, work)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
     announce(target)

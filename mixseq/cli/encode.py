@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,11 +11,12 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
-from mixseq.cli.files import check_model_target, read_sequence
+from mixseq.cli.files import Decoded, check_model_target
 from mixseq.cli.info import dimension_rows
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options, workers_options
 
 if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
     from mixseq.metrics import Comparison
 
 
@@ -88,6 +90,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Decode all frames of the finished model and compare them with SOURCE.",
 )
+@workers_options
 @reader_options
 @quiet_option
 def command(
@@ -103,21 +106,25 @@ def command(
     joint_width: int,
     placement: Literal["anchored", "free"],
     check: bool,
+    workers: AbstractContextManager[OrderedMap],
     reading: dict[str, Any],
     quiet: bool,
 ) -> None:
     """Turn a sequence into a model.
 
-    SOURCE is a sequence in any format. The model in TARGET, an HDF5 file, reproduces its frames within the tolerance
-    and can be decoded at any time in between.
+    SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file, reproduces
+    its frames within the tolerance and can be decoded at any time in between.
     """
     check_model_target(target, source)
     start = perf_counter()
     error: Comparison | None = None
-    with progress_bar(quiet) as progress:
-        sequence = read_sequence(source, reading, progress)
+    with (
+        workers as work,
+        progress_bar(quiet) as progress,
+        mixseq.open_sequence(source, **reading) as reader,
+    ):
         model = mixseq.fit(
-            sequence,
+            reader,
             exact=exact,
             tolerance=tolerance,
             rank=rank,
@@ -128,11 +135,12 @@ def command(
             parts=parts,
             joint_width=joint_width,
             progress=progress,
+            workers=work,
         )
         mixseq.save(target, model)
         seconds = perf_counter() - start
         if check:
-            error = mixseq.compare(sequence, mixseq.load(target).sample(progress=progress))
+            error = mixseq.compare(reader, Decoded(mixseq.load(target), progress, work))
     if not quiet:
         rows = [
             *dimension_rows(model),

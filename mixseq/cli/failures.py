@@ -14,6 +14,7 @@ Anything else is a bug in mixseq, and those do come with a traceback.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -90,8 +91,15 @@ def _unwinding_when_terminated() -> Iterator[None]:
     def leave(number: int, frame: object) -> NoReturn:
         raise SystemExit(128 + number)
 
-    before = signal.signal(signal.SIGTERM, leave)
+    def silence(ignored: sys.UnraisableHookArgs) -> None:
+        # Libraries that call Python from C print what they cannot pass on, though the process ends as it should.
+        if not issubclass(ignored.exc_type, SystemExit | KeyboardInterrupt):
+            usual(ignored)
+
+    before, usual = signal.signal(signal.SIGTERM, leave), sys.unraisablehook
+    sys.unraisablehook = silence
     try:
         yield
     finally:
+        sys.unraisablehook = usual
         signal.signal(signal.SIGTERM, before)

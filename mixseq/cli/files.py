@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
     from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
     from mixseq.signals import Model
 
@@ -57,15 +59,17 @@ def write_frames(
     velocities: bool,
     writing: Mapping[str, Any],
     progress: Progress,
+    workers: OrderedMap,
 ) -> None:
     """Decode the frames of a header and write them as they come, with velocities or without."""
     from mixseq_io import in_step
 
     if velocities:
-        points, speeds = in_step(model.moving_blocks(header.times, progress=progress))
+        points, speeds = in_step(model.moving_blocks(header.times, progress=progress, workers=workers))
         write_sequence(path, header, points, speeds, writing)
     else:
-        write_sequence(path, header, model.blocks(header.times, progress=progress), None, writing)
+        blocks = model.blocks(header.times, progress=progress, workers=workers)
+        write_sequence(path, header, blocks, None, writing)
 
 
 def write_sequence(
@@ -115,3 +119,31 @@ def check_model_target(path: Path, source: Path) -> None:
     if path.suffix.lower() not in MODEL_EXTENSIONS:
         raise OutputError(f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
     check_target(path, source)
+
+
+def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the options that the file's format knows: several files may differ in format."""
+    from mixseq_io import FORMATS
+
+    extension = path.suffix.lower()
+    forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
+    known = {"up_axis", "metres_per_unit"} | {name for form in forms for name in form.read_options}
+    return {name: value for name, value in reading.items() if name in known}
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """The frames of a model, decoded as they are asked for."""
+
+    model: Model
+    progress: Progress
+    workers: OrderedMap
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+        return self.model.header
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Decode all frames."""
+        return self.model.blocks(self.model.times, progress=self.progress, workers=self.workers)

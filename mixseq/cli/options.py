@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
 
 Command = Callable[..., None]
 
@@ -101,6 +107,36 @@ def writer_options(command: Command) -> Command:
         command(*args, writing=_those_given(given), **settings)
 
     return with_options
+
+
+def workers_options(command: Command) -> Command:
+    """Add the options that say who works; the command gets ``workers``, a context that yields an `OrderedMap`."""
+
+    @click.option(
+        "--threads", type=click.IntRange(min=1), metavar="N", help="Threads to work on.  [default: all cores]"
+    )
+    @click.option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Work on a dask cluster: tcp://host:8786, or local:N for N processes here.",
+    )
+    @wraps(command)
+    def with_options(*args: Any, threads: int | None, cluster: str | None, **settings: Any) -> None:
+        command(*args, workers=_workers(threads, cluster), **settings)
+
+    return with_options
+
+
+def _workers(threads: int | None, address: str | None) -> AbstractContextManager[OrderedMap]:
+    if address is None:
+        from mixseq.mapping import on_threads
+
+        return nullcontext(on_threads(threads))
+    if threads is not None:
+        raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
+    from mixseq.cluster import cluster
+
+    return cluster(address)
 
 
 def _those_given(options: dict[str, Any]) -> dict[str, Any]:

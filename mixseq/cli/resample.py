@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,21 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import check_target, is_model, read_sequence, write_sequence
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
+from mixseq.cli.options import (
+    FILE,
+    examples,
+    quiet_option,
+    reader_options,
+    workers_options,
+    writer_options,
+)
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from mixseq.mapping import OrderedMap
     from mixseq.operations.resampling import Resampling
     from mixseq.progress import Progress
     from mixseq.signals import Model
@@ -75,6 +84,7 @@ if TYPE_CHECKING:
 @click.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
 @reader_options
 @writer_options
+@workers_options
 @quiet_option
 def command(
     source: Path,
@@ -91,6 +101,7 @@ def command(
     exact: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
+    workers: AbstractContextManager[OrderedMap],
     quiet: bool,
 ) -> None:
     """Change the frame rate, speed or direction of a sequence.
@@ -111,14 +122,15 @@ def command(
     from mixseq_io import in_step
 
     retiming = None if retime is None else read_retiming(retime, smooth=not linear)
-    with progress_bar(quiet) as progress:
+    with workers as work, progress_bar(quiet) as progress:
         model = _model(source, tolerance, reading, progress)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
-            points, speeds = in_step(planned.moving_blocks(progress=progress))
+            points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))
             write_sequence(target, planned.header, points, speeds, writing)
         else:
-            write_sequence(target, planned.header, planned.blocks(progress=progress), None, writing)
+            blocks = planned.blocks(progress=progress, workers=work)
+            write_sequence(target, planned.header, blocks, None, writing)
     if not quiet:
         print_table(_rows(planned))
     announce(target)

@@ -1,0 +1,143 @@
+"""``mixseq batch``: a folder of assets, with one report."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from mixseq.cli.console import print_table, progress_bar
+from mixseq.cli.files import options_of
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options, workers_options
+from mixseq.errors import OutputError, SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.mapping import OrderedMap
+
+
+@click.command(
+    "batch",
+    epilog=examples(
+        "mixseq batch shots/*.usdc --out models",
+        "mixseq batch shots --out models --tolerance 0.001",
+        "mixseq batch shots --out models --cluster tcp://host:8786",
+    ),
+)
+@click.argument("caches", nargs=-1, required=True, type=FILE)
+@click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
+@click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
+@click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
+)
+@click.option(
+    "--rank",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Number of shape modes; parts stay in place exactly.",
+)
+@click.option(
+    "--space",
+    type=click.Choice(["mixed", "vertex"]),
+    default="mixed",
+    show_default=True,
+    help="Shape space: parts and joints, or plain vertices.",
+)
+@click.option(
+    "--parts",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Number of parts; every connected component has at least one.  [default: automatic]",
+)
+@click.option(
+    "--joint-width",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    metavar="N",
+    help="Largest width of joints, in strips of triangles on each side of a boundary.",
+)
+@click.option(
+    "--placement",
+    type=click.Choice(["anchored", "free"]),
+    default="anchored",
+    show_default=True,
+    help="How parts are placed: by a pose each, or by registration.",
+)
+@workers_options
+@reader_options
+@quiet_option
+@click.pass_context
+def command(
+    context: click.Context,
+    caches: tuple[Path, ...],
+    out: Path,
+    force: bool,
+    exact: bool,
+    tolerance: float | None,
+    rank: int | None,
+    space: Literal["mixed", "vertex"],
+    parts: int | None,
+    joint_width: int,
+    placement: Literal["anchored", "free"],
+    workers: AbstractContextManager[OrderedMap],
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Turn many sequences into models, with one report.
+
+    CACHES are sequences in any format, or folders of them. Each becomes a model in the folder, is decoded and compared.
+    The report, report.json and report.md there, is up to date after every asset. A failure does not stop the others.
+
+    The same command goes on where it was interrupted, and does again only what failed or has changed.
+    """
+    if exact + (tolerance is not None) + (rank is not None) > 1:
+        raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file; give the name of a folder")
+    from mixseq.cli.batch.plan import find_sources, plan
+    from mixseq.cli.batch.report import HEADING, read_report, rows
+    from mixseq.cli.batch.work import in_turn, on_cluster, run
+    from mixseq.cluster import Cluster
+
+    settings = {
+        "exact": exact,
+        "tolerance": tolerance,
+        "rank": rank,
+        "space": space,
+        "placement": placement,
+        "parts": parts,
+        "joint_width": joint_width,
+        "reading": {
+            name: str(value.resolve()) if isinstance(value, Path) else value
+            for name, value in reading.items()
+        },
+    }
+    earlier = read_report(out)
+    names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
+    assets = plan(find_sources(caches), out, names)
+    for name in reading:
+        if not any(name in options_of(asset.source, reading) for asset in assets):
+            raise SettingsError(f"none of the sequences is read with an option {name!r}")
+    _make(out)
+    with workers as mapped, progress_bar(quiet) as progress:
+        work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
+        report = run(assets, settings, earlier, out.resolve(), work, force)
+    ours = [report.entries[str(asset.source)] for asset in assets]
+    if not quiet:
+        print_table(rows(ours), HEADING)
+    click.echo(f"wrote {click.format_filename(out / 'report.md')} ({report.summary()})")
+    if any(entry.state != "done" for entry in ours):
+        context.exit(1)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {folder}: {error.strerror}; choose another one") from error

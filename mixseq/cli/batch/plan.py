@@ -1,0 +1,145 @@
+"""What a batch has to do: which sequences there are, and where their models go."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mixseq.cli.files import is_model
+from mixseq.errors import FormatError, OutputError
+
+_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A sequence to be encoded.
+
+    Attributes
+    ----------
+    source : Path
+        Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
+    target : Path
+        The model to write, absolute.
+    size, changed : int
+        Bytes of the source, and when it was changed last, in nanoseconds: by these it is known again.
+    """
+
+    source: Path
+    target: Path
+    size: int
+    changed: int
+
+
+def find_sources(paths: Iterable[Path]) -> list[Path]:
+    """Return the sequences that are meant, each once, absolute: files and patterns as they are, folders searched.
+
+    In a folder every file of a format that holds sequences is one, and so are files with the same name but for their
+    numbers. Models are none, nor are single meshes, which belong to point caches. Folders in it are left alone.
+
+    Raises
+    ------
+    FormatError
+        If a file does not exist, or there is nothing in a folder.
+    """
+    found: dict[Path, None] = {}
+    for path in paths:
+        sources = sorted(_in_folder(path)) if path.is_dir() else [path]
+        if not sources:
+            raise FormatError(
+                f"{path}: there are no sequences in this folder; `mixseq formats` lists what can be read"
+            )
+        for source in sources:
+            if not files_of(source):
+                raise FormatError(f"{source} does not exist")
+            found[source.parent.resolve() / source.name] = None
+    return list(found)
+
+
+def files_of(source: Path) -> list[Path]:
+    """Return the file of a sequence, or its numbered files; none if they do not exist."""
+    from mixseq_io.numbered.names import files_of_pattern
+
+    return [source] if source.exists() else [file for _, file in files_of_pattern(source)]
+
+
+def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[Asset, ...]:
+    """Choose where models go: ``walk.usdc`` to ``walk.h5``, or to ``walk.usdc.h5`` if there is another walk.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        What `find_sources` returned.
+    out : Path
+        The folder of the models.
+    names : mapping of str to str
+        Names of models that sources got before, which they keep.
+
+    Raises
+    ------
+    OutputError
+        If two sources would get the same name, or a model would replace a source.
+    """
+    taken = {name.casefold() for name in names.values()}
+    stems = Counter(stem_of(source).casefold() for source in sources if str(source) not in names)
+    owners: dict[str, Path | str] = {
+        name.casefold(): other for other, name in names.items() if Path(other) not in set(sources)
+    }
+    assets = []
+    for source in sources:
+        stem = stem_of(source)
+        alone = stems[stem.casefold()] == 1 and f"{stem}.h5".casefold() not in taken
+        name = names.get(str(source)) or (f"{stem}.h5" if alone else f"{stem}{source.suffix}.h5")
+        other = owners.setdefault(name.casefold(), source)
+        if other is not source:
+            raise OutputError(
+                f"{source} and {other} would both be written to {out / name}; give one of them another --out"
+            )
+        target = out.resolve() / name
+        if target in sources:
+            raise OutputError(f"{target} is a source itself and would be lost; give another --out")
+        states = [file.stat() for file in files_of(source)]
+        size, changed = sum(state.st_size for state in states), max(state.st_mtime_ns for state in states)
+        assets.append(Asset(source, target, size, changed))
+    return tuple(assets)
+
+
+def stem_of(source: Path) -> str:
+    """Return what a sequence is called: numbered files without their number, or by their folder if nothing is left.
+
+    Examples
+    --------
+    >>> [stem_of(Path("shots") / name) for name in ("walk.usdc", "run_####.obj", "%04d.ply")]
+    ['walk', 'run', 'shots']
+    """
+    from mixseq_io.numbered.names import is_pattern
+
+    if source.is_dir():
+        return source.name
+    if not is_pattern(source):
+        return source.stem
+    return re.sub(r"[ ._-]*(#+|%\d*d)", "", source.stem) or source.parent.name
+
+
+def _in_folder(folder: Path) -> Iterator[Path]:
+    from mixseq_io import FORMATS
+
+    formats = {extension: each for each in FORMATS for extension in each.extensions}
+    series: dict[str, list[str]] = defaultdict(list)
+    for file in folder.iterdir():
+        form = formats.get(file.suffix.lower())
+        if form is None or file.name.startswith(".") or not file.is_file():
+            continue
+        if not form.numbered:
+            if not is_model(file):
+                yield file
+        elif number := _LAST_NUMBER.search(file.stem):
+            around = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
+            series["\0".join(around)].append(number[1])
+    for names, numbers in series.items():
+        before, after = names.split("\0")
+        if len(numbers) > 1:
+            yield folder / f"{before}{'#' * min(map(len, numbers))}{after}"

@@ -1,0 +1,183 @@
+"""The report of a batch: what became of every asset. In JSON, from which a batch goes on, and in Markdown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from mixseq.cli.batch.plan import Asset
+from mixseq.cli.console import format_bytes
+from mixseq.cli.formats import as_markdown
+from mixseq.errors import FormatError
+from mixseq.version import __version__
+
+HEADING = ("asset", "frames", "vertices", "time", "max error", "KG error", "size", "bits", "")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What became of an asset.
+
+    Attributes
+    ----------
+    source, target, source_bytes, source_changed
+        The asset, see `Asset`.
+    settings : mapping
+        How it was to be encoded.
+    state : {"done", "failed", "left"}
+        Left are those that nobody came to.
+    frames, vertices : int, optional
+        What was encoded.
+    seconds : float, optional
+        Time of encoding, without the check.
+    max_error : float, optional
+        Largest error of a vertex in diagonals, decoded.
+    kg_percent : float, optional
+        Karni-Gotsman error.
+    bytes : int, optional
+        Size of the model.
+    bits : float, optional
+        The same in bits per vertex and frame.
+    message : str
+        Why it failed.
+    warnings : tuple of str
+        What was told while it was read.
+    """
+
+    source: str
+    target: str
+    source_bytes: int
+    source_changed: int
+    settings: Mapping[str, Any]
+    state: Literal["done", "failed", "left"] = "left"
+    frames: int | None = None
+    vertices: int | None = None
+    seconds: float | None = None
+    max_error: float | None = None
+    kg_percent: float | None = None
+    bytes: int | None = None
+    bits: float | None = None
+    message: str = ""
+    warnings: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
+        """Make the entry of an asset."""
+        return cls(str(asset.source), str(asset.target), asset.size, asset.changed, settings, **result)
+
+    def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
+        """Whether the asset is done: by this source, with these settings, and the model is still there."""
+        same = Entry.of(asset, settings)
+        told = ("source", "target", "source_bytes", "source_changed", "settings")
+        return (
+            self.state == "done"
+            and all(getattr(self, name) == getattr(same, name) for name in told)
+            and asset.target.is_file()
+            and asset.target.stat().st_size == self.bytes
+        )
+
+
+@dataclass(frozen=True)
+class Report:
+    """Entries by their sources, and whether the batch came to its end."""
+
+    entries: Mapping[str, Entry]
+    finished: bool = False
+
+    def with_entry(self, entry: Entry) -> Report:
+        """Return the report with another entry for its source."""
+        return Report({**self.entries, entry.source: entry}, self.finished)
+
+    def count(self, state: str) -> int:
+        """Return how many entries are in a state."""
+        return sum(entry.state == state for entry in self.entries.values())
+
+    def summary(self) -> str:
+        """Return one line about all of them."""
+        return ", ".join(
+            f"{self.count(state)} {state}" for state in ("done", "failed", "left") if self.count(state)
+        )
+
+
+def read_report(folder: Path) -> Report:
+    """Read the report in a folder; without one, or of nothing, it is empty.
+
+    Raises
+    ------
+    FormatError
+        If it is damaged.
+    """
+    path = folder / "report.json"
+    if not path.exists():
+        return Report({})
+    known = {each.name for each in fields(Entry)}
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        entries = [
+            Entry(**{key: value for key, value in asset.items() if key in known})
+            for asset in stored["assets"]
+        ]
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
+    return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write ``report.json`` and ``report.md``, each as a whole."""
+    from mixseq_io.atomic import replacing
+
+    stored = {
+        "mixseq": __version__,
+        "finished": report.finished,
+        "assets": [asdict(entry) for entry in report.entries.values()],
+    }
+    for name, text in (
+        ("report.json", json.dumps(stored, indent=2) + "\n"),
+        ("report.md", in_markdown(report)),
+    ):
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Return the rows of the table under `HEADING`."""
+    return [_row(entry) for entry in entries]
+
+
+def _row(entry: Entry) -> tuple[str, ...]:
+    def shown(value: float | None, form: str) -> str:
+        return "" if value is None else form.format(value)
+
+    return (
+        Path(entry.target).stem,
+        shown(entry.frames, "{:,}"),
+        shown(entry.vertices, "{:,}"),
+        shown(entry.seconds, "{:.1f} s"),
+        shown(entry.max_error, "{:.2g}"),
+        shown(entry.kg_percent, "{:.2g} %"),
+        "" if entry.bytes is None else format_bytes(entry.bytes),
+        shown(entry.bits, "{:.3g}"),
+        {"done": "", "failed": f"failed: {entry.message}", "left": "left"}[entry.state],
+    )
+
+
+def in_markdown(report: Report) -> str:
+    """Return the report in Markdown."""
+    entries = list(report.entries.values())
+    again = "" if report.finished else " Not finished: the same command goes on with what is left."
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in rows(entries)]
+    lines = [
+        "# Batch",
+        "",
+        f"{len(entries)} assets: {report.summary()}.{again}",
+        "",
+        as_markdown([HEADING, *cells]),
+        "",
+        "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
+        "one of Karni and Gotsman. Bits are per vertex and frame.",
+    ]
+    told = [f"- {Path(entry.target).stem}: {each}" for entry in entries for each in entry.warnings]
+    return "\n".join([*lines, *(["", "## Warnings", "", *told] if told else [])]) + "\n"

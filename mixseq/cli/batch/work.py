@@ -1,0 +1,161 @@
+"""Encode assets, one after the other or on a cluster, and keep the report."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import mixseq
+from mixseq.cli.batch.plan import Asset
+from mixseq.cli.batch.report import Entry, Report, write_report
+from mixseq.cli.files import Decoded, options_of
+from mixseq.errors import GivenUpError, MixseqError, MixseqWarning
+from mixseq.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from mixseq.cluster import Cluster
+    from mixseq.mapping import OrderedMap
+
+Settings = Mapping[str, Any]
+"""The settings of `mixseq.fit`, and under ``reading`` those of the readers; all of them can be written as JSON."""
+
+Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
+"""Yields assets as they are done, with a function that returns what became of each."""
+
+UNFINISHED = ".unfinished"
+"""Folder for models that are not finished."""
+
+
+def run(
+    assets: Iterable[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
+) -> Report:
+    """Encode the assets that are not done yet.
+
+    The report is on the disk before the work starts, and after every asset: whatever happens, it tells what is left.
+
+    Raises
+    ------
+    OutputError
+        If the report cannot be written.
+    ClusterError
+        If the connection to a cluster is lost.
+    """
+    left = []
+    entries: dict[str, Entry] = {}
+    for asset in assets:
+        before = earlier.entries.get(str(asset.source))
+        if before is None or force or not before.holds_for(asset, settings):
+            left.append(asset)
+            before = Entry.of(asset, settings)
+        entries[before.source] = before
+    report = Report(entries | {key: entry for key, entry in earlier.entries.items() if key not in entries})
+    write_report(out, report)
+    try:
+        for asset, result in work(settings, left):
+            report = report.with_entry(_entry(asset, settings, result))
+            write_report(out, report)
+    finally:
+        shutil.rmtree(out / UNFINISHED, ignore_errors=True)
+    report = replace(report, finished=not report.count("left"))
+    write_report(out, report)
+    return report
+
+
+def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Entry:
+    try:
+        return result()
+    except GivenUpError as error:
+        return Entry.of(asset, settings, state="failed", message=str(error))
+
+
+def in_turn(workers: OrderedMap, progress: Progress) -> Work:
+    """Return what encodes assets here, one after the other, the frames of each spread over `workers`."""
+
+    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
+        for asset in assets:
+            entry = encode_asset(settings, asset, workers, _naming(asset, progress))
+            yield asset, lambda entry=entry: entry  # type: ignore[misc]
+
+    return work
+
+
+def on_cluster(cluster: Cluster, progress: Progress) -> Work:
+    """Return what encodes assets on a cluster, each by one worker."""
+
+    def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
+        left = list(assets)
+        progress(0, len(left), "encoding assets")
+        for done, item in enumerate(cluster.as_done(encode_asset, settings, left), start=1):
+            yield item
+            progress(done, len(left), "encoding assets")
+
+    return work
+
+
+def _naming(asset: Asset, progress: Progress) -> Progress:
+    return lambda done, total, what: progress(done, total, f"{asset.target.stem}: {what}")
+
+
+def encode_asset(
+    settings: Settings, asset: Asset, workers: OrderedMap | None = None, progress: Progress = silent
+) -> Entry:
+    """Encode an asset, decode and compare it. The model appears when all of that went well.
+
+    What goes wrong is told in the entry: others of the batch may do better.
+    """
+    try:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", MixseqWarning)
+            result = _encode(settings, asset, workers, progress)
+        said = tuple(str(each.message) for each in told if issubclass(each.category, MixseqWarning))
+        return Entry.of(asset, settings, state="done", warnings=said, **result)
+    except MixseqError as error:
+        message = str(error)
+    except OSError as error:
+        message = f"{error.filename or asset.source}: {error.strerror or error}"
+    except MemoryError:
+        message = "there is not enough memory"
+    except Exception as error:
+        # A bug, but no reason to leave the other assets.
+        message = (
+            f"a bug in mixseq, {type(error).__name__}: {error}; `mixseq encode` tells more, please report it"
+        )
+    return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
+
+
+def _encode(
+    settings: Settings, asset: Asset, workers: OrderedMap | None, progress: Progress
+) -> dict[str, Any]:
+    from mixseq.mapping import serially
+
+    mapped = workers or serially
+    reading = options_of(asset.source, settings["reading"])
+    fitting = {name: value for name, value in settings.items() if name != "reading"}
+    unfinished = asset.target.parent / UNFINISHED
+    unfinished.mkdir(exist_ok=True)
+    with (
+        TemporaryDirectory(dir=unfinished) as folder,
+        mixseq.open_sequence(asset.source, **reading) as reader,
+    ):
+        file = Path(folder) / asset.target.name
+        start = perf_counter()
+        mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
+        seconds = perf_counter() - start
+        error = mixseq.compare(reader, Decoded(mixseq.load(file), progress, mapped))
+        size = file.stat().st_size
+        file.replace(asset.target)
+    return {
+        "frames": error.frames,
+        "vertices": error.vertices,
+        "seconds": seconds,
+        "max_error": error.as_dict()["max_error"],
+        "kg_percent": error.as_dict()["kg_percent"],
+        "bytes": size,
+        "bits": 8 * size / (error.frames * error.vertices),
+    }

@@ -1,0 +1,307 @@
+"""``mixseq batch``: many assets, one report, and no failure that stops the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import mixseq
+from mixseq.cli import main
+from mixseq.cli.batch.plan import find_sources, plan
+from mixseq.cli.batch.report import Entry, Report, read_report
+from mixseq.cli.batch.work import encode_asset, on_cluster, run
+from mixseq.errors import FormatError, OutputError
+from mixseq.sequence import MeshSequence
+
+SETTINGS = {"space": "vertex", "exact": True, "reading": {}}
+
+
+@pytest.fixture
+def shots(tmp_path: Path, bent_bar: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with three sequences, of which the second is damaged; the current folder is above it."""
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    monkeypatch.chdir(tmp_path)
+    mixseq.write(folder / "one.npz", bent_bar)
+    (folder / "three.npz").write_text("no mesh")
+    mixseq.write(folder / "two.usdc", bent_bar)
+    return folder
+
+
+def batch(*arguments: str) -> Result:
+    command = ["batch", "shots", "--out", "models", "--space", "vertex", *arguments]
+    return CliRunner().invoke(main, command, prog_name="mixseq", catch_exceptions=False)
+
+
+def states(folder: str = "models") -> dict[str, str]:
+    stored = json.loads((Path(folder) / "report.json").read_text())
+    return {Path(asset["source"]).name: asset["state"] for asset in stored["assets"]}
+
+
+def times() -> dict[str, int]:
+    return {file.name: file.stat().st_mtime_ns for file in Path("models").glob("*.h5")}
+
+
+@pytest.mark.usefixtures("shots")
+def test_a_failure_does_not_stop_the_others(bent_bar: MeshSequence) -> None:
+    result = batch()
+    assert result.exit_code == 1
+    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
+    lines = result.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["asset", "one", "three", "two", "wrote"]
+    assert "failed: " in lines[2] and "three.npz" in lines[2]
+    assert lines[-1].endswith("report.md (2 done, 1 failed)")
+    assert sorted(path.name for path in Path("models").iterdir()) == [
+        "one.h5",
+        "report.json",
+        "report.md",
+        "two.h5",
+    ]
+    assert mixseq.compare(bent_bar, mixseq.load("models/one.h5").sample()).max_error < 0.0005
+
+
+@pytest.mark.usefixtures("shots")
+def test_report_tells_what_was_measured(bent_bar: MeshSequence) -> None:
+    batch("--tolerance", "0.01")
+    entry = read_report(Path("models")).entries[str(Path("shots/one.npz").resolve())]
+    model = Path("models/one.h5")
+    error = mixseq.compare(bent_bar, mixseq.load(model).sample())
+    assert (entry.frames, entry.vertices) == (bent_bar.frame_count, bent_bar.vertex_count)
+    assert entry.bytes == model.stat().st_size
+    assert entry.bits == 8 * model.stat().st_size / bent_bar.points[..., 0].size
+    assert entry.max_error == pytest.approx(error.max_error)
+    assert entry.kg_percent == pytest.approx(error.kg_percent)
+    assert entry.seconds is not None and entry.seconds > 0
+    text = Path("models/report.md").read_text()
+    assert "3 assets: 2 done, 1 failed.\n" in text
+    assert "| one | 4 | 77 |" in text
+
+
+@pytest.mark.usefixtures("shots")
+def test_what_is_done_is_skipped(bent_bar: MeshSequence) -> None:
+    batch()
+    before = times()
+    mixseq.write("shots/three.npz", bent_bar)  # repaired
+    assert batch().exit_code == 0
+    assert states() == dict.fromkeys(("one.npz", "three.npz", "two.usdc"), "done")
+    after = times()
+    assert {name: after[name] for name in before} == before
+    mixseq.write("shots/one.npz", bent_bar.with_points(bent_bar.points * 2))  # changed
+    Path("models/three.h5").unlink()
+    batch()
+    assert {name for name, time in times().items() if after.get(name) != time} == {"one.h5", "three.h5"}
+
+
+@pytest.mark.usefixtures("shots")
+@pytest.mark.parametrize("arguments", [["--force"], ["--exact"], ["--tolerance", "0.1"], ["--up-axis", "Z"]])
+def test_done_with_other_settings_is_not_done(arguments: list[str]) -> None:
+    batch()
+    before = times()
+    batch(*arguments)
+    assert all(time != before[name] for name, time in times().items())
+
+
+@pytest.mark.usefixtures("shots")
+def test_interrupted_and_continued(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, calls = mixseq.fit, []
+
+    def interrupted(*arguments: Any, **settings: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return fit(*arguments, **settings)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mixseq, "fit", interrupted)
+        result = batch()
+    assert (result.exit_code, result.stderr.strip()) == (130, "mixseq: interrupted")
+    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "left"}
+    assert not read_report(Path("models")).finished
+    assert "1 left. Not finished: the same command goes on" in Path("models/report.md").read_text()
+    assert sorted(path.name for path in Path("models").iterdir()) == ["one.h5", "report.json", "report.md"]
+    before = times()
+    batch()
+    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
+    assert times()["one.h5"] == before["one.h5"]
+    assert read_report(Path("models")).finished
+
+
+@pytest.mark.usefixtures("shots")
+def test_a_bug_is_a_failure_of_one_asset(monkeypatch: pytest.MonkeyPatch) -> None:
+    def buggy(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("one\ntwo")
+
+    monkeypatch.setattr(mixseq, "fit", buggy)
+    assert batch().exit_code == 1
+    entry = read_report(Path("models")).entries[str(Path("shots/one.npz").resolve())]
+    assert entry.message.startswith("a bug in mixseq, ZeroDivisionError: one two;")
+
+
+@pytest.mark.usefixtures("shots")
+def test_warnings_are_in_the_report(bent_bar: MeshSequence) -> None:
+    mixseq.write("shots/four.npz", bent_bar)
+    fit = mixseq.fit
+
+    def warning(*arguments: Any, **settings: Any) -> Any:
+        import warnings
+
+        warnings.warn("a loss", mixseq.errors.MixseqWarning, stacklevel=1)
+        return fit(*arguments, **settings)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mixseq, "fit", warning)
+        assert batch().stderr == ""
+    assert "- four: a loss\n- one: a loss\n" in Path("models/report.md").read_text()
+
+
+# Sources and names ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::mixseq.errors.MixseqWarning")
+def test_what_is_found_in_a_folder(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    for name in ("a.npz", "b.h5", "walk_####.obj", "run7_##.ply"):
+        mixseq.write(tmp_path / name, MeshSequence.from_header(bent_bar.header, bent_bar.points))
+    mixseq.save(tmp_path / "model.h5", mixseq.fit(bent_bar, space="vertex"))
+    for name in ("notes.txt", ".hidden.npz", "still.obj", "still01.obj"):
+        (tmp_path / name).touch()
+    (tmp_path / "deeper").mkdir()
+    mixseq.write(tmp_path / "deeper" / "c.npz", bent_bar)
+    found = find_sources([tmp_path, tmp_path / "a.npz", tmp_path / "deeper" / ".." / "b.h5"])
+    assert [path.name for path in found] == ["a.npz", "b.h5", "run7_##.ply", "walk_####.obj"]
+    assets = plan(found, tmp_path / "out", {})
+    assert [asset.target.name for asset in assets] == ["a.h5", "b.h5", "run7.h5", "walk.h5"]
+    assert assets[3].size == sum(file.stat().st_size for file in tmp_path.glob("walk_*.obj"))
+
+
+def touched(folder: Path, *names: str) -> list[Path]:
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).touch()
+    return [folder / name for name in names]
+
+
+def test_two_of_the_same_stem_have_two_names(tmp_path: Path) -> None:
+    sources = touched(tmp_path, "walk.usdc", "Walk.abc", "run.abc")
+    assert [a.target.name for a in plan(sources, tmp_path, {})] == ["walk.usdc.h5", "Walk.abc.h5", "run.h5"]
+
+
+def test_names_stay_when_others_come(tmp_path: Path) -> None:
+    first, second = touched(tmp_path, "walk.usdc", "walk.abc")
+    names = {str(first): "walk.h5"}
+    assert [a.target.name for a in plan([first, second], tmp_path, names)] == ["walk.h5", "walk.abc.h5"]
+    assert [a.target.name for a in plan([second], tmp_path, names)] == ["walk.abc.h5"]
+
+
+def test_two_of_the_same_name_are_refused(tmp_path: Path) -> None:
+    sources = touched(tmp_path, "a/walk.usdc", "b/walk.usdc")
+    with pytest.raises(
+        OutputError, match=r"b/walk.usdc and .*a/walk.usdc would both be written to .*another --out"
+    ):
+        plan(sources, tmp_path / "out", {})
+    names = {str(sources[0]): "walk.h5", "gone.usdc": "walk.usdc.h5"}
+    with pytest.raises(OutputError, match=r"b/walk.usdc and gone.usdc would both"):
+        plan(sources, tmp_path / "out", names)
+
+
+def test_a_source_is_no_target(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"walk.h5 is a source itself"):
+        plan(touched(tmp_path, "walk.h5"), tmp_path, {})
+
+
+# Refusals -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("shots")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("shots none.npz --out models", "none.npz does not exist"),
+        ("empty --out models", "empty: there are no sequences in this folder"),
+        ("shots --out models --exact --rank 3", "--exact, --tolerance and --rank exclude each other"),
+        ("shots --out shots/one.npz", "one.npz is a file; give the name of a folder"),
+        ("shots --out none/models", "cannot make the folder none/models: No such file"),
+        ("shots --out models --animation Run", "none of the sequences is read with an option 'animation'"),
+        ("shots --out models --threads 2 --cluster local:2", "--threads and --cluster exclude each other"),
+        ("shots --out models --cluster local:many", "'local:many' is none"),
+        ("shots --out damaged", "report.json is damaged; delete it"),
+    ],
+)
+def test_refusals(arguments: str, message: str) -> None:
+    Path("empty").mkdir()
+    Path("damaged").mkdir()
+    Path("damaged/report.json").write_text("{")
+    result = CliRunner().invoke(
+        main, ["batch", *arguments.split()], prog_name="mixseq", catch_exceptions=False
+    )
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not list(Path("models").glob("*.h5"))
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"assets": [1]}', '{"assets": [{"source": "a"}]}'])
+def test_damaged_reports(text: str, tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(FormatError, match=r"report\.json is damaged"):
+        read_report(tmp_path)
+
+
+# Clusters -------------------------------------------------------------------------------------------------
+
+
+def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    pytest.importorskip("distributed")
+    from mixseq.cluster import cluster
+
+    for number in range(6):
+        points = bent_bar.points * (1 + np.arange(4) * number)[:, None, None]
+        mixseq.write(tmp_path / f"shot{'abcdef'[number]}.npz", bent_bar.with_points(points))
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    here = plan(find_sources([tmp_path]), tmp_path / "here", {})
+    there = plan(find_sources([tmp_path]), tmp_path / "there", {})
+    for asset in here:
+        assert encode_asset(SETTINGS, asset).state == "done"
+    with cluster("local:2") as workers:
+        victims = list(workers._client.run(os.getpid).values())[:1]
+
+        def kill_one(done: int, total: int, what: str) -> None:
+            if done == 1 and victims:
+                os.kill(victims.pop(), signal.SIGKILL)
+
+        report = run(
+            there, SETTINGS, Report({}), tmp_path / "there", on_cluster(workers, kill_one), force=False
+        )
+    assert report.finished and report.count("done") == 6
+    for one, other in zip(here, there, strict=True):
+        assert one.target.read_bytes() == other.target.read_bytes()
+
+
+def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    from mixseq.errors import GivenUpError
+
+    def given_up(settings: object, assets: Any) -> Any:
+        def result() -> Entry:
+            raise GivenUpError("several workers died")
+
+        return ((asset, result) for asset in assets)
+
+    assets = plan(touched(tmp_path, "walk.npz"), tmp_path, {})
+    report = run(assets, SETTINGS, Report({}), tmp_path, given_up, force=False)
+    assert [(entry.state, entry.message) for entry in report.entries.values()] == [
+        ("failed", "several workers died")
+    ]
+
+
+def test_silence(shots: Path) -> None:
+    (shots / "three.npz").unlink()
+    result = batch("--quiet")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.splitlines() == [f"wrote {Path('models/report.md')} (2 done)"]
