@@ -1,0 +1,112 @@
+"""The same problem without parts: Gauss-Newton on the lengths and angles of the whole mesh (the space S_e).
+
+The mesh is one joint with no vertex fixed, so kernels, solver and criteria are those of the joints. Patterns are
+analysed, and constant matrices factored, before anything is timed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
+from mixseq.reconstruction.patch import Patch
+from mixseq.reconstruction.shells import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.reconstruction.solvers import Analysis
+from mixseq.reconstruction.unfold import unfold
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FullMesh:
+    """A mesh between two of its poses ``(2, V, 3)``, in diagonals; rslab works on `threads` threads."""
+
+    topology: Topology
+    ends: Float
+    threads: int
+    settings: ShellSettings
+
+    @cached_property
+    def lengths(self) -> Float:
+        """Mean edge lengths of the two."""
+        return np.asarray(edge_lengths(self.ends, self.topology.edges).mean(axis=0))
+
+    @cached_property
+    def angles(self) -> Float:
+        """Mean dihedral angles of the two, by the shorter way round."""
+        return np.asarray(unwrap_angles(dihedral_angles(self.ends, self.topology.hinges)).mean(axis=0))
+
+    @cached_property
+    def problem(self) -> ShellProblem:
+        t = self.topology
+        nothing_fixed = np.zeros(t.vertex_count, dtype=bool)
+        faces = t.faces.astype(np.int64)
+        patch = Patch(faces, t.edges, t.face_edges, t.hinges, t.hinge_faces, nothing_fixed)
+        for pattern in (patch.equations.pattern, patch.frame_pattern):
+            # In place of the analysis that the pattern would make itself.
+            vars(pattern)["analysis"] = _analysed(pattern.starts, pattern.rows, self.threads)
+        return ShellProblem(patch, self.lengths, self.angles, 1.0 / self.lengths, self.settings.bending)
+
+    def prepare(self) -> None:
+        """Analyse and compile whatever is kept, so that it is not timed."""
+        iterate(self.problem, self.ends[0])
+        _ = self.problem.patch.laplacian_factor
+
+    def from_vertices(self) -> tuple[Float, ShellReport]:
+        """Solve, starting from the mean of the vertices."""
+        return fit_shell(self.problem, self.ends.mean(axis=0), self.settings)
+
+    def from_frames(self) -> tuple[Float, ShellReport]:
+        """Solve, starting from the linear start; only for a connected mesh."""
+        patch = self.problem.patch
+        start = unfold(patch, self.lengths, self.angles, np.zeros_like(self.ends[0]))
+        return fit_shell(self.problem, start, self.settings)
+
+
+def iterate(problem: ShellProblem, points: Float) -> Float:
+    """One iteration of Gauss-Newton: residuals, assembly, factorisation, solution. Returns the step."""
+    residuals = problem.residuals(points)
+    values, gradient = problem.normal_equations(points, residuals)
+    pattern = problem.patch.equations.pattern
+    diagonal = values[pattern.diagonal]
+    values[pattern.diagonal] = (1 + 1e-6) * diagonal + 1e-12 * diagonal.max()
+    return -pattern.analysis.factor(values).solve(gradient)
+
+
+def _analysed(starts: Any, rows: Any, threads: int) -> Analysis:
+    try:
+        import rslab
+    except ImportError:
+        from mixseq.reconstruction.solvers import analyse
+
+        return analyse(starts, rows)
+    return _Rslab(rslab, starts, rows, threads)
+
+
+class _Rslab:
+    """rslab with a given number of threads, whatever the size of the matrix."""
+
+    def __init__(self, rslab: Any, starts: Any, rows: Any, threads: int) -> None:
+        from scipy import sparse
+
+        size = len(starts) - 1
+        pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
+        self._symbolic = rslab.analyze(pattern, path="ldlt", threads=threads)
+
+    def factor(self, values: Float) -> Any:
+        return _RslabFactor(self._symbolic.factor(values))
+
+
+class _RslabFactor:
+    def __init__(self, factor: Any) -> None:
+        self._factor = factor
+
+    def solve(self, right: Float) -> Float:
+        right = np.ascontiguousarray(right)
+        return np.asarray(self._factor.solve(right) if right.ndim == 1 else self._factor.solve_many(right))

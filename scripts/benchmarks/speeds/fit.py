@@ -1,0 +1,100 @@
+"""Fitting a sequence, against the skinning decomposition of py-dem-bones with as many bones as we have parts."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import mixseq
+from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.child import run_module
+from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
+from scripts.benchmarks.common.timing import Timing, repeated
+
+NAMES = {"horse_gallop": 5, "q_man_run": 5, "elephant_gallop": None}
+"""How many times faster a fit should be; None: for information."""
+
+FITS: dict[str, dict[str, Any]] = {"rank=20": {"rank": 20}, "default": {}}
+PEERS = Path("out", "peers")
+INSTALL = f"pip install --no-deps --target {PEERS} py-dem-bones==0.13.1"
+
+
+def measure(say: Say) -> Section:
+    """Measure all animations."""
+    columns = ("sequence", "method", "parts or bones", "s", "KG %", "max error/diag", "py-dem-bones / this")
+    rows: list[tuple[str, ...]] = []
+    section = Section("Fitting", [Table("", columns, rows)])
+    for name, target in NAMES.items():
+        _measure(section, rows, name, target, say)
+    section.notes.append(
+        "`fit` is the whole of it: parts, joints, registration, signals; with the default tolerance also the search "
+        "for the detail that keeps it. py-dem-bones: 30 iterations, 4 weights a vertex; only its solver is timed. "
+        "Where its own clustering stops early it is started again from labels of k-means, which are not timed."
+    )
+    return section
+
+
+def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: int | None, say: Say) -> None:
+    sequence = animation(name)
+    fits = {}
+    for which, settings in FITS.items():
+        say(f"{name}: fit, {which}")
+        timing, model = repeated(lambda: mixseq.fit(sequence, **settings), 3, 40.0, warm=True)  # noqa: B023
+        fits[which] = timing, mixseq.compare(sequence, model.sample())
+    bones = len(model.decomposition.parts)
+    say(f"{name}: py-dem-bones, {bones} bones")
+    theirs = _dem_bones(name, bones)
+    for which, (timing, error) in fits.items():
+        ratio = None if theirs is None else Timing(tuple(theirs["seconds"])).median / timing.median
+        rows.append(
+            (
+                name,
+                f"fit, {which}",
+                str(bones),
+                timing.text(),
+                f"{error.kg_percent:.3g}",
+                f"{error.max_error:.2g}",
+                "-" if ratio is None else f"{ratio:.3g}",
+            )
+        )
+        section.figures.append(
+            {"sequence": name, "method": which, "seconds": timing.runs, "kg_percent": error.kg_percent}
+        )
+        if target is not None and theirs is not None and ratio is not None:
+            section.targets.extend(
+                [
+                    at_least(f"{name}, fit {which}: times faster than py-dem-bones", ratio, target),
+                    at_most(
+                        f"{name}, fit {which}: KG below py-dem-bones'",
+                        error.kg_percent,
+                        theirs["kg_percent"],
+                        " %",
+                    ),
+                ]
+            )
+            section.bars.append(Bar(f"{name}, fit {which}", ratio, target))
+    if theirs is None:
+        rows.append((name, f"not installed: `{INSTALL}`", *["-"] * 5))
+        return
+    rows.append(
+        (
+            name,
+            f"py-dem-bones, {theirs['start']}",
+            str(theirs["bones"]),
+            Timing(tuple(theirs["seconds"])).text(),
+            f"{theirs['kg_percent']:.3g}",
+            f"{theirs['max_error']:.2g}",
+            "",
+        )
+    )
+    section.figures.append({"sequence": name, "method": "py-dem-bones", **theirs})
+
+
+def _dem_bones(name: str, bones: int) -> dict[str, Any] | None:
+    """What py-dem-bones does in a process of its own; None if it is not installed."""
+    path = os.pathsep.join([str(PEERS), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)
+    output = run_module("common.dembones", name, bones, environment={"PYTHONPATH": path}).output
+    found: dict[str, Any] | None = json.loads(output.strip().splitlines()[-1])
+    return found

@@ -1,0 +1,129 @@
+"""One interpolated frame, w = 0.5 between two far poses: MixIT against full-mesh Gauss-Newton."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import mixseq
+from mixseq.reconstruction.shells import ShellReport
+from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.envelope import envelope
+from scripts.benchmarks.common.full_mesh import FullMesh
+from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
+from scripts.benchmarks.common.timing import Timing, repeated
+
+PAIRS = (
+    ("lion_poses", 2, 5, 10, 2.1),
+    ("cat_poses", 1, 3, 10, 3.1),
+    ("horse_poses", 1, 3, 10, 4.1),
+    ("elephant_gallop", 0, 12, 20, 70.0),
+)
+"""Animation, its two frames, how many times faster MixIT should be, seconds of a C++ program (CHOLMOD, one core)."""
+
+ONCE = 10.0
+"""A full-mesh solve that takes more seconds than this is not repeated."""
+
+COLUMNS = ("pair", "method", "s", "iterations", "converged", "full mesh / this", "relative length", "degrees")
+
+
+def measure(say: Say) -> Section:
+    """Measure all pairs."""
+    rows: list[tuple[str, ...]] = []
+    section = Section(
+        "One interpolated frame",
+        [Table("Errors against the means of the two frames, at 99 % / 99.9 % / max.", COLUMNS, rows)],
+    )
+    for name, first, second, factor, cpp in PAIRS:
+        _measure_pair(section, rows, name, first, second, factor, cpp, say)
+    section.notes.append(
+        "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
+        "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "
+        "counts. Analysis of patterns and compilation are not timed on either side. Iterations of MixIT are those of "
+        "all joints together. `capped`: stopped at the largest number of iterations; `held back`: the last steps were "
+        "damped, no better point was found."
+    )
+    return section
+
+
+def _measure_pair(
+    section: Section,
+    rows: list[tuple[str, ...]],
+    name: str,
+    first: int,
+    second: int,
+    factor: float,
+    cpp: float,
+    say: Say,
+) -> None:
+    sequence = animation(name)
+    pair = f"{name} {first}-{second}"
+    ends = sequence.points[[first, second]].astype(np.float64) / sequence.diagonal
+    topology = mixseq.Topology(sequence.faces, sequence.vertex_count)
+    solved: list[tuple[str, Timing, list[ShellReport], Any, int]] = []
+
+    for placement in ("free", "anchored"):
+        say(f"{pair}: MixIT, {placement}")
+        model = mixseq.fit(sequence, exact=True, placement=placement)
+        vector = model.space.encode(sequence.points[[first, second]]).mean(axis=0, keepdims=True)
+        space = model.mixed
+        timing, (points, reports) = repeated(lambda: space.decode_with_reports(vector), 7, 20.0, warm=True)  # noqa: B023
+        solved.append((f"MixIT {placement}", timing, reports[0], points[0] / sequence.diagonal, 1))
+    settings = space.settings
+
+    for threads in (1, 2):
+        mesh = FullMesh(topology, ends, threads, settings)
+        mesh.prepare()
+        starts = {"vertices": mesh.from_vertices}
+        if topology.component_count == 1:
+            starts["linear start"] = mesh.from_frames
+        for start, solve in starts.items():
+            say(f"{pair}: full mesh from {start}, {threads} threads")
+            timing, (points, report) = repeated(solve, 3, ONCE)
+            solved.append((f"full mesh, {start}, {threads} thr.", timing, [report], points, threads))
+
+    fastest = min(timing.median for method, timing, *_ in solved if method.startswith("full"))
+    for method, timing, reports_, points, threads in solved:
+        errors = envelope(topology, points, mesh.lengths, mesh.angles)
+        ratio = fastest / timing.median
+        ours = method.startswith("MixIT")
+        rows.append(
+            (
+                pair,
+                method,
+                timing.text(),
+                str(sum(report.iterations for report in reports_)),
+                _state(reports_, settings.iterations),
+                f"{ratio:.3g}" if ours else "",
+                *errors.texts(),
+            )
+        )
+        section.figures.append(
+            {
+                "pair": pair,
+                "method": method,
+                "threads": threads,
+                "seconds": timing.runs,
+                "iterations": [report.iterations for report in reports_],
+                "converged": [report.converged for report in reports_],
+                "lengths": errors.lengths,
+                "degrees": errors.degrees,
+            }
+        )
+        if ours:
+            section.targets.append(at_least(f"{pair}, {method}: times faster than full mesh", ratio, factor))
+            section.targets.append(
+                at_most(
+                    f"{pair}, {method}: a tenth of the C++ program's {cpp:g} s", timing.median, cpp / 10, " s"
+                )
+            )
+            section.bars.append(Bar(f"{pair}, {method}", ratio, factor))
+
+
+def _state(reports: list[ShellReport], most: int) -> str:
+    if len(reports) > 1:
+        return f"{sum(report.converged for report in reports)} of {len(reports)} joints"
+    if reports[0].converged:
+        return "yes"
+    return "capped" if reports[0].iterations >= most else "held back"

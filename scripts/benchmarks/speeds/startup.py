@@ -1,0 +1,72 @@
+"""Start-up: the help, the import, and the pause of the first run that compiles."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+
+from scripts.benchmarks.common.child import MIXSEQ, run, run_module
+from scripts.benchmarks.common.section import Say, Section, Table, at_most
+from scripts.benchmarks.common.timing import Timing
+
+RUNS = 10
+HELP, IMPORT, FIRST, LATER = 0.3, 0.5, 15.0, 1.0
+
+
+def measure(say: Say) -> Section:
+    """Measure all of it in new processes."""
+    say("help and import")
+    nothing = _timed(sys.executable, "-c", "")
+    help_ = _timed(*MIXSEQ, "--help")
+    import_ = _timed(sys.executable, "-c", "import mixseq")
+    all_ = _timed(sys.executable, "-c", "import mixseq; mixseq.read, mixseq.fit, mixseq.save")
+    with tempfile.TemporaryDirectory() as cache:
+        say("first run, with nothing compiled")
+        cold = _first_use(cache)
+        say("second run")
+        warm = _first_use(cache)
+    first, second = sum(cold["first"]) - sum(warm["first"]), sum(warm["first"]) - sum(warm["again"])
+    rows = [
+        ("Python alone", nothing.text()),
+        ("`mixseq --help`", help_.text()),
+        ("`import mixseq`", import_.text()),
+        ("the same, and what `read`, `fit` and `save` need", all_.text()),
+        (
+            "first run, nothing compiled yet: fit, decode with velocities, both placements",
+            f"{sum(cold['first']):.3g}",
+        ),
+        ("second run, a new process", f"{sum(warm['first']):.3g}"),
+        ("the same once more in that process", f"{sum(warm['again']):.3g}"),
+    ]
+    return Section(
+        "Start-up",
+        [Table("Each in new processes.", ("what", "s"), rows)],
+        [
+            at_most("`mixseq --help`", help_.median, HELP, " s"),
+            at_most("`import mixseq`, Python's own start included", import_.median, IMPORT, " s"),
+            at_most("pause of the first run (first minus second)", first, FIRST, " s"),
+            at_most("pause of later runs (second minus once more)", second, LATER, " s"),
+        ],
+        figures=[
+            {
+                "help": help_.runs,
+                "import": import_.runs,
+                "all": all_.runs,
+                "python": nothing.runs,
+                "cold": cold,
+                "warm": warm,
+            }
+        ],
+    )
+
+
+def _timed(*command: object) -> Timing:
+    run(*command)  # files are read into memory once
+    return Timing(tuple(run(*command).seconds for _ in range(RUNS)))
+
+
+def _first_use(cache: str) -> dict[str, list[float]]:
+    output = run_module("common.first_use", environment={"NUMBA_CACHE_DIR": cache}).output
+    seconds: dict[str, list[float]] = json.loads(output.strip().splitlines()[-1])
+    return seconds
