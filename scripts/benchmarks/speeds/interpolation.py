@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ def measure(say: Say) -> Section:
     for name, first, second, factor, cpp in PAIRS:
         _measure_pair(section, rows, name, first, second, factor, cpp, say)
     section.notes.append(
+        "`MixIT anchored, offsets` is how models interpolate. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
         "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "
         "counts. Analysis of patterns and compilation are not timed on either side. Iterations of MixIT are those of "
@@ -66,10 +68,18 @@ def _measure_pair(
     for placement in ("free", "anchored"):
         say(f"{pair}: MixIT, {placement}")
         model = mixseq.fit(sequence, exact=True, placement=placement)
-        vector = model.space.encode(sequence.points[[first, second]]).mean(axis=0, keepdims=True)
-        space = model.mixed
-        timing, (points, reports) = repeated(lambda: space.decode_with_reports(vector), 7, 20.0, warm=True)  # noqa: B023
-        solved.append((f"MixIT {placement}", timing, reports[0], points[0] / sequence.diagonal, 1))
+        space, frames = model.mixed, sequence.points[[first, second]]
+        vectors = space.encode(frames)
+        offsets = space.offsets(frames, vectors).mean(axis=0, keepdims=True)
+        vector = vectors.mean(axis=0, keepdims=True)
+        for what, beside in {"": None, ", offsets": offsets}.items():
+            if beside is None or beside.size:
+                timing, (points, reports) = repeated(
+                    partial(space.decode_with_reports, vector, offsets=beside), 7, 20.0, warm=True
+                )
+                solved.append(
+                    (f"MixIT {placement}{what}", timing, reports[0], points[0] / sequence.diagonal, 1)
+                )
     settings = space.settings
 
     for threads in (1, 2):
