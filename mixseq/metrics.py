@@ -239,8 +239,14 @@ def _blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
     """Yield the points of both, `size` frames at a time, however they are read."""
     x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
     while frames := list(islice(x, size)):
-        pair = np.stack(frames), np.stack(list(islice(y, size)))
-        yield pair[0].astype(np.float64), pair[1].astype(np.float64)
+        others = list(islice(y, size))
+        if len(others) != len(frames):
+            raise InvalidSequenceError(
+                "the other sequence ends before the reference; its file is not complete"
+            )
+        yield np.stack(frames).astype(np.float64), np.stack(others).astype(np.float64)
+    if next(y, None) is not None:
+        raise InvalidSequenceError("the other sequence goes on after the reference ends; its header is wrong")
 
 
 def _gather_strains(strains: _Gathered, topology: Topology, x: Float, y: Float) -> None:

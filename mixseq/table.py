@@ -14,8 +14,9 @@ from __future__ import annotations
 import tempfile
 import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -45,8 +46,13 @@ class DiskTable:
         self.dtype = np.dtype(dtype)
         self._width = int(np.prod(shape[1:], dtype=np.int64))
         self._step = _columns_at_once(len(self))
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the table
-        weakref.finalize(self, self._file.close)
+        try:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the table
+        except OSError as error:
+            raise OutputError(
+                f"there is no folder for temporary files ({error.strerror}); set TMPDIR to one"
+            ) from error
+        weakref.finalize(self, _close, self._file)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -93,8 +99,14 @@ class DiskTable:
     def _read(self, first: int, count: int, columns: slice) -> NDArray[Any]:
         self._seek(first, columns)
         block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)
-        self._file.readinto(block.data.cast("B"))
+        if self._file.readinto(block.data.cast("B")) < block.nbytes:
+            raise OutputError("a temporary file was cut short; is the disk full?")
         return block
+
+
+def _close(file: IO[bytes]) -> None:
+    with suppress(OSError):  # a full disk: what could not be written is not wanted any more
+        file.close()
 
 
 Table = NDArray[Any] | DiskTable

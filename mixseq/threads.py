@@ -6,9 +6,12 @@ products, of which we have many, get slower on top.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import lru_cache
 from threading import Lock
+from typing import Any
 
 _lock = Lock()
 _users = 0
@@ -37,7 +40,13 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def _one_thread() -> AbstractContextManager[object]:
-    from threadpoolctl import threadpool_limits
-
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    limits: AbstractContextManager[object] = _controller(len(sys.modules)).limit(limits=1, user_api="blas")
     return limits
+
+
+@lru_cache(maxsize=1)
+def _controller(modules: int) -> Any:
+    """Find the libraries, which takes milliseconds: again only when modules, and perhaps libraries, were loaded."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

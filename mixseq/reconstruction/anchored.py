@@ -98,6 +98,11 @@ class AnchoredPlacement:
         slices = rows.edge_slices, rows.hinge_slices, rows.free_slices
         return list(zip(rows.joints, rows.patches, *slices, self._blends, strict=True))
 
+    def prepare(self) -> None:
+        """Implement `Placement.prepare`."""
+        self.rows.prepare()
+        self._solved, self._copies, self._reference_poses  # noqa: B018 - cached properties
+
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `Placement.assemble`; a vertex that several parts share is where they put it on average."""
         points = self._on_average(self._turned(frame.rotations, frame.parts), frame.translations)

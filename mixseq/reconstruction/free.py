@@ -103,6 +103,11 @@ class FreePlacement:
         """The first part of every group of pieces that hold each other."""
         return self._overlaps.roots
 
+    def prepare(self) -> None:
+        """Implement `Placement.prepare`."""
+        self._rows.prepare()
+        self._known_edges, self._known_hinges, self._overlaps, self._seams.factor  # noqa: B018 - cached properties
+
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `Placement.assemble`."""
         pieces, reports = [frame.parts], []

@@ -60,6 +60,9 @@ class Placement(Protocol):
     def posed(self) -> Index:
         """Parts ``(g,)`` whose poses are stored."""
 
+    def prepare(self) -> None:
+        """Compute what all frames share."""
+
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Turn one frame of S_m into vertex positions ``(V, 3)``, with a report for each joint that was solved."""
 
@@ -72,6 +75,11 @@ class JointRows:
     patches: tuple[Patch, ...]
     stored_edges: tuple[Mask, ...]
     stored_hinges: tuple[Mask, ...]
+
+    def prepare(self) -> None:
+        """Find the patterns of all systems."""
+        for patch in self.patches:
+            patch.equations.pattern.analysis  # noqa: B018 - cached properties
 
     @cached_property
     def edge_ids(self) -> Index:

@@ -182,12 +182,16 @@ def conjugate_gradients(
     most: int,
     solution: Float,
 ) -> int:
-    """Solve with the 3 x 3 blocks of the diagonal as preconditioner; return the number of steps, -1 if too many.
+    """Solve with the 3 x 3 blocks of the diagonal as preconditioner; return the number of steps.
+
+    -1 if there would be too many, or rounding makes the matrix or the preconditioner indefinite.
 
     Stops when the residual, in the norm of the preconditioner, is down to `tolerance` times that of the start, zero.
     """
     size = len(right)
-    inverse = _inverse_blocks(places, values, size // 3)
+    inverse = np.empty((size // 3, 6))
+    if not _invert_blocks(places, values, inverse):
+        return -1
     r, z, q, p = right.copy(), np.empty(size), np.empty(size), np.zeros(size)
     solution[:] = 0.0
     before = first = 0.0
@@ -202,6 +206,8 @@ def conjugate_gradients(
             now += r[i] * z[i]
         if step == 0:
             first = now
+        if now < 0.0:
+            return -1
         if now <= tolerance * tolerance * first:
             return step
         ratio = now / before if step > 0 else 0.0
@@ -212,6 +218,8 @@ def conjugate_gradients(
         curvature = 0.0
         for i in range(size):
             curvature += p[i] * q[i]
+        if not curvature > 0.0:
+            return -1
         length = now / curvature
         for i in range(size):
             solution[i] += length * p[i]
@@ -249,15 +257,17 @@ def _multiply(starts: Index, rows: Index, values: Float, p: Float, q: Float) -> 
 
 
 @inlined
-def _inverse_blocks(places: Index, values: Float, count: int) -> Float:
-    """Upper triangles ``(count, 6)``, row by row, of the inverses of the diagonal's blocks."""
-    inverse = np.empty((count, 6))
-    for v in range(count):
+def _invert_blocks(places: Index, values: Float, inverse: Float) -> bool:
+    """Write upper triangles ``(n, 6)``, row by row, of the inverses of diagonal blocks; say if all are definite."""
+    for v in range(len(inverse)):
         a, b, c = values[places[v, 0]], values[places[v, 0] + 1], values[places[v, 0] + 2]
         d, e, f = values[places[v, 1] + 1], values[places[v, 1] + 2], values[places[v, 2] + 2]
         first, second, third = d * f - e * e, c * e - b * f, b * e - d * c
-        scale = 1.0 / (a * first + b * second + c * third)
+        determinant = a * first + b * second + c * third
+        if not (a > 0.0 and a * d > b * b and determinant > 0.0):
+            return False
+        scale = 1.0 / determinant
         inverse[v, 0], inverse[v, 1], inverse[v, 2] = scale * first, scale * second, scale * third
         inverse[v, 3], inverse[v, 4] = scale * (a * f - c * c), scale * (b * c - a * e)
         inverse[v, 5] = scale * (a * d - b * b)
-    return inverse
+    return True

@@ -227,7 +227,7 @@ def fit_shell(
     if not np.isfinite(energy):
         raise ReconstructionError("lengths, angles or fixed vertices of a joint are not finite")
     pattern = problem.patch.equations.pattern
-    damping = 1e-6
+    damping, held = 1e-6, bool(problem.pull.weights.size)
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
@@ -235,7 +235,7 @@ def fit_shell(
         diagonal = values[pattern.diagonal]
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max()
-            step = _step(pattern, values, gradient, held=bool(problem.pull.weights.size))
+            step, held = _step(pattern, values, gradient, held)
             promised = -float(gradient @ step)  # what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= HELD)
@@ -256,8 +256,8 @@ def fit_shell(
     return points, ShellReport(energy, settings.iterations, False)
 
 
-def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> Float:
-    """Solve for a step.
+def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:
+    """Solve for a step; also tell whether conjugate gradients, which are tried if `held`, are worth trying again.
 
     Where every vertex is held by a pull the matrix is well conditioned, and a few conjugate gradients are a tenth of
     the work of a factorisation; without a pull soft bends make it so ill conditioned that they would be many.
@@ -268,5 +268,5 @@ def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> 
             pattern.starts, pattern.rows, pattern.places, values, -gradient, CLOSE, MOST, step
         )
         if steps >= 0:
-            return step
-    return -pattern.analysis.factor(values).solve(gradient)
+            return step, True
+    return -pattern.analysis.factor(values).solve(gradient), False

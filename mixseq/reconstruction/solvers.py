@@ -7,8 +7,8 @@ number of threads.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -18,9 +18,6 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from mixseq.errors import ReconstructionError
-
-with suppress(ImportError):
-    import rslab  # noqa: F401 - here, not when it is used: it crashes once the thread that imported it has ended
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -74,17 +71,31 @@ def factorise(matrix: sparse.sparray) -> Factor:
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
 
 
-def solver_name() -> str:
-    """Return the name of the library that factors matrices."""
-    return "SuperLU" if _rslab() is None else "rslab"
-
-
 def _rslab() -> Any | None:
     try:
         import rslab
     except ImportError:
         return None
     return rslab
+
+
+def _import_for_good() -> None:
+    """Import rslab on a thread that does not end: it crashes once the one that imported it has ended."""
+    done = threading.Event()
+
+    def stay() -> None:
+        _rslab()
+        done.set()
+        threading.Event().wait()
+
+    if threading.current_thread() is threading.main_thread():
+        _rslab()
+    else:
+        threading.Thread(target=stay, daemon=True, name="rslab").start()
+        done.wait()
+
+
+_import_for_good()
 
 
 def _singular(error: Exception) -> ReconstructionError:

@@ -99,8 +99,8 @@ def observe(watched: Watched, points: FloatArray) -> Observed:
 
 def gather(blocks: Iterable[Observed]) -> Observed:
     """Put together what was seen of the blocks of a sequence, one at least, in their order."""
-    seen = list(blocks)
-    return Observed(
-        rotations=np.concatenate([block.rotations for block in seen]),
-        flat=np.asarray(np.any([block.flat for block in seen], axis=0)),
-    )
+    rotations, flat = [], None
+    for block in blocks:
+        rotations.append(block.rotations)
+        flat = block.flat if flat is None else flat | block.flat
+    return Observed(np.concatenate(rotations), np.zeros(0, dtype=bool) if flat is None else flat)

@@ -298,6 +298,7 @@ class Model(Remade):
         inside = self.inside(times)
         some = (inside[start : start + size] for start in range(0, len(inside), size))
         work = workers or (on_threads() if len(inside) > size else serially)
+        self.space.prepare()
         done = 0
         for block in work(decode, self, some):
             yield block

@@ -20,8 +20,6 @@ ENOUGH = 0.6
 ROUNDS = 7
 """At most so many models are tried before the finest of them."""
 
-_LOOK = 8  # frames decoded between two looks at the error
-
 
 def within(
     encoded: Encoded,
@@ -96,8 +94,10 @@ def largest_error(
     largest, done = 0.0, 0
     for block in model.blocks(model.times[frames], workers=workers):
         apart = block - sequence.points[frames[done : done + len(block)]]
-        largest = max(largest, float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit)
-        done += len(block)
-        if largest > stop and done % _LOOK == 0:
+        error = float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit
+        if not np.isfinite(error):
+            return np.inf
+        largest, done = max(largest, error), done + len(block)
+        if largest > stop:
             break
     return largest

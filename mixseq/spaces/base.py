@@ -39,6 +39,9 @@ class ShapeSpace(Remade, ABC):
     def dim(self) -> int:
         """Length D of a vector."""
 
+    def prepare(self) -> None:
+        """Compute what all frames share, so that threads that decode do not all do it."""
+
     @property
     @abstractmethod
     def weights(self) -> Float:

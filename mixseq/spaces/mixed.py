@@ -105,6 +105,10 @@ class MixedSpace(ShapeSpace):
         """What puts decoded parts and joints together."""
         return projection_of(self.topology, self.decomposition, self.placement, self.shapes, self.reference)
 
+    def prepare(self) -> None:
+        """Implement `ShapeSpace.prepare`."""
+        self.projection.prepare()
+
     @cached_property
     def reference_angles(self) -> Float:
         """Hinge angles ``(H',)`` of the reference frame."""

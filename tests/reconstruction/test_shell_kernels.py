@@ -143,3 +143,16 @@ def test_nothing_free() -> None:
     none = np.zeros(0, dtype=np.int64)
     rows = Equations.of(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
     assert rows.pattern.count == 0 and rows.hinge_blocks.shape == (0, 6)
+
+
+@pytest.mark.parametrize("worst", [-1.0, 0.0, np.nan])
+def test_conjugate_gradients_refuse_what_is_not_definite(worst: float) -> None:
+    pattern = BlockPattern.of(2, np.array([[0, 1]]))
+    values = np.zeros(len(pattern.rows))
+    values[pattern.diagonal] = [1.0, 1.0, 1.0, 1.0, worst, 1.0]
+    out = np.empty(6)
+    args = (pattern.starts, pattern.rows, pattern.places)
+    assert conjugate_gradients(*args, values, np.ones(6), 0.1, 10, out) == -1
+    values[pattern.diagonal] = 1.0
+    values[pattern.places[2, 0]] = 5.0  # both blocks are definite, the matrix is not
+    assert conjugate_gradients(*args, values, np.arange(6.0), 1e-9, 100, out) == -1

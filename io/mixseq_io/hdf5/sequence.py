@@ -83,13 +83,15 @@ class _ModelReader(SequenceReader):
     """Decodes the frames of a model as they are asked for."""
 
     def __init__(self, path: Path) -> None:
+        from mixseq.signals.model import FRAMES
         from mixseq_io.hdf5.model import load  # models build on formats, not formats on models
 
         self._model = load(path)
+        self._most = FRAMES
         super().__init__(path, self._model.header)
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._model.blocks(self._model.times, size)
+        return self._model.blocks(self._model.times, min(size, self._most))
 
 
 class _H5Reader(SequenceReader):

@@ -124,6 +124,7 @@ def _read_shell(path: Path, file: h5py.File) -> ShellSettings:
     unknown = sorted(set(shell) - set(ShellSettings.__dataclass_fields__))
     if unknown:
         raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
+    shell.setdefault("accuracy", 0.0)  # older files were checked without it
     return ShellSettings(**shell)
 
 
