@@ -18,10 +18,10 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from itertools import cycle
+from itertools import cycle, islice
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -108,7 +108,8 @@ class Cluster:
             If the scheduler is gone.
         """
         ahead: deque[Any] = deque()
-        submit, many = self._prepare(function, shared)
+        submit = self._prepare(function, shared)
+        many = 2 * self._threads()
         try:
             for item in items:
                 ahead.append(submit(item))
@@ -117,58 +118,104 @@ class Cluster:
             while ahead:
                 yield _result(ahead.popleft())
         finally:
-            self._client.cancel(list(ahead))
+            self._cancel(ahead)
 
     def as_done(
         self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
     ) -> Iterator[tuple[Item, Callable[[], Result]]]:
-        """Yield every item when it is done, in any order, with a function that returns or raises its result."""
-        submit, many = self._prepare(function, shared)
+        """Yield every item when it is done, in any order, with a function that returns or raises its result.
+
+        For work that takes long and may kill its worker, with little that is shared. To dask whatever a worker that
+        dies has taken on is suspicious, so workers get no more than they work on. A neighbour may still be given up
+        with the one that kills; so what was given up is tried once more at the end, with nothing beside it.
+
+        Raises
+        ------
+        ClusterError
+            If the scheduler is gone; the function that comes with an item raises it too, and GivenUpError.
+        """
+        suspects = []
+        for item, future in self._as_done(function, shared, items, self._threads):
+            if _given_up(future):
+                suspects.append(item)
+            else:
+                yield item, partial(_result, future)
+        for item, future in self._as_done(function, shared, suspects, lambda: 1):
+            yield item, partial(_result, future)
+
+    def _as_done(
+        self,
+        function: Callable[[Shared, Item], Result],
+        shared: Shared,
+        items: Iterable[Item],
+        most: Callable[[], int],
+    ) -> Iterator[tuple[Item, Any]]:
+        """Yield items with their futures when they are done; never more than `most` are under way."""
+        dumps, name = _dask("distributed.protocol.pickle").dumps, _name(function)
         waiting = iter(items)
         ahead: dict[Any, Item] = {}
         done = _dask("distributed").as_completed(loop=self._client.loop)
-
-        def fill() -> None:
-            while len(ahead) <= many and (item := next(waiting, _NOTHING)) is not _NOTHING:
-                future = submit(item)
-                ahead[future] = item
-                done.add(future)
-
         try:
-            fill()
-            while ahead:
+            while True:
+                free = most() - len(ahead)  # asked again each time, as workers come and go
+                for item in islice(waiting, max(0, free)):
+                    with _connected():
+                        work = dumps((function, shared, item))
+                        future = self._client.submit(_apply_alone, work, key=f"{name}-{uuid4()}")
+                    ahead[future] = item
+                    done.add(future)
+                if not ahead:
+                    return
                 future = next(done)
-                yield ahead.pop(future), lambda future=future: _result(future)  # type: ignore[misc]
-                fill()
+                yield ahead.pop(future), future
         finally:
-            self._client.cancel(list(ahead))
+            self._cancel(ahead)
 
-    def _prepare(self, function: Callable[..., Any], shared: object) -> tuple[Callable[[Any], Any], int]:
-        """Return what submits an item, and how many should be under way."""
-        # Pickled here, so that dask does not look for tasks in what it carries. Named by the function: by their names
-        # dask knows tasks that take as long as each other.
-        dumps = _dask("distributed.protocol.pickle").dumps
-        name = f"mixseq-{getattr(function, '__name__', 'work')}"
-        call = self._client.submit(_call, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
-        try:
-            threads = self._client.nthreads()
-        except OSError:
-            raise ClusterError(_LOST) from None
+    def _threads(self) -> int:
+        """Return how many threads the workers have now, at least 1: there may be some again soon."""
+        with _connected():
+            threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def _cancel(self, futures: Iterable[Any]) -> None:
+        """Leave work undone; without a connection there is none, which is no reason to hide another error."""
+        with suppress(ClusterError), _connected():
+            self._client.cancel(list(futures))
+
+    def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
+        """Return what submits an item."""
+        # Pickled here, so that dask does not look for tasks in what it carries.
+        dumps, name = _dask("distributed.protocol.pickle").dumps, _name(function)
+        with _connected():
+            call = self._client.submit(_call, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
+            workers = sorted(self._client.nthreads())
         # In turn: left to itself dask keeps quick tasks where what is shared already is. Others help if one is gone.
-        turns = cycle(sorted(threads) or [None])
+        # If there are none just now, whichever comes does the work.
+        turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
 
         def submit(item: object) -> Any:
-            key = f"{name}-{uuid4()}"
-            return self._client.submit(
-                _apply, call, dumps(item), key=key, workers=next(turns), allow_other_workers=True
-            )
+            with _connected():
+                return self._client.submit(_apply, call, dumps(item), key=f"{name}-{uuid4()}", **next(turns))
 
-        return submit, 2 * max(1, sum(threads.values()))
+        return submit
 
-
-_NOTHING: Any = object()
 
 _LOST = "the connection to the scheduler of the cluster was lost; start again"
+
+
+@contextmanager
+def _connected() -> Iterator[None]:
+    """Turn what dask raises without a connection into an error of ours."""
+    closed = _dask("distributed.client").ClosedClientError, _dask("distributed.comm").CommClosedError
+    try:
+        yield
+    except (*closed, CancelledError, ConnectionError, TimeoutError):
+        raise ClusterError(_LOST) from None
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """Return how tasks are named: by their names dask knows those that take as long as each other."""
+    return f"mixseq-{getattr(function, '__name__', 'work')}"
 
 
 def _call(pickled: bytes) -> Callable[[Any], Any]:
@@ -183,14 +230,26 @@ def _apply(call: Callable[[Item], Result], item: bytes) -> Result:
         return call(pickle.loads(item))
 
 
+def _apply_alone(work: bytes) -> Any:
+    """Do work that brings everything that it needs, on a worker."""
+    function, shared, item = pickle.loads(work)
+    with one_blas_thread():
+        return function(shared, item)
+
+
+def _given_up(future: Any) -> bool:
+    return future.status == "error" and isinstance(future.exception(), _dask("distributed").KilledWorker)
+
+
 def _result(future: Any) -> Any:
+    distributed = _dask("distributed")
     try:
         return future.result()
-    except _dask("distributed").KilledWorker:
+    except distributed.KilledWorker:
         raise GivenUpError(
             "several workers died over the same piece of work, which was given up; they may have too little memory"
         ) from None
-    except CancelledError:
+    except (CancelledError, distributed.client.ClosedClientError, distributed.comm.CommClosedError):
         raise ClusterError(_LOST) from None
 
 

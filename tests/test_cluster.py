@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import mixseq.cluster
 from mixseq.cluster import Cluster, cluster
-from mixseq.errors import ClusterError, MissingExtraError, SettingsError
+from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, SettingsError
 from mixseq.mapping import serially
 from mixseq.signals import Model
 
+dask = pytest.importorskip("dask")
 pytest.importorskip("distributed")
 
 
@@ -125,6 +129,107 @@ def test_work_that_kills_workers_is_given_up() -> None:
         pytest.raises(ClusterError, match="several workers died over the same piece of work"),
     ):
         list(workers(lambda _, number: os.kill(os.getpid(), number), None, [signal.SIGKILL]))
+
+
+def killed_by(killer: str, item: str) -> str:
+    """Do a little work, or kill the worker."""
+    time.sleep(0.05)
+    if item == killer:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item.upper()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_only_what_kills_is_given_up(processes: int) -> None:
+    # Given up after the second death, not the fourth: that is quicker, and harder on the neighbours.
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        cluster(f"local:{processes}") as workers,
+    ):
+        results = dict(workers.as_done(killed_by, "c", "abcdef"))
+        assert set(results) == set("abcdef")
+        for item in "abdef":
+            assert results[item]() == item.upper()
+        with pytest.raises(GivenUpError, match="several workers died over the same piece of work"):
+            results["c"]()
+
+
+def test_what_was_given_up_with_another_is_tried_again_alone(
+    two: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suspected = []
+
+    def suspect_once(future: Any) -> bool:
+        suspected.append(future)
+        return len(suspected) == 1
+
+    monkeypatch.setattr(mixseq.cluster, "_given_up", suspect_once)
+    found = [(item, result()) for item, result in two.as_done(pow, 2, [1, 2, 3])]
+    assert len(suspected) == 3
+    assert sorted(found) == [(1, 2), (2, 4), (3, 8)]
+
+
+def test_work_that_takes_long_is_on_all_workers_and_no_more(two: Cluster) -> None:
+    taken = []
+
+    def items() -> Iterator[float]:
+        for _ in range(6):
+            taken.append(0.3)
+            yield 0.3
+
+    for done, (_, result) in enumerate(two.as_done(worker_after, None, items())):
+        assert len(taken) <= done + 2
+        result()
+    assert {result() for _, result in two.as_done(worker_after, None, [0.3] * 6)} == pids(two)
+
+
+def test_workers_that_come_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    with cluster("local:1") as workers:
+        monkeypatch.setattr(workers._client, "nthreads", dict)  # for the moment there are none
+        assert list(workers(pow, 2, range(3))) == [1, 2, 4]
+        assert dict(workers.as_done(pow, 2, [3]))[3]() == 8
+
+
+@pytest.fixture
+def scheduler() -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A scheduler with a worker, in processes of their own."""
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        address = next(found[1] for line in process.stderr if (found := re.search(r"(tcp://\S+)", line)))
+        worker = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            address,
+            "--no-nanny",
+            "--no-dashboard",
+        ]
+        with subprocess.Popen(worker, stderr=subprocess.DEVNULL) as helper:
+            try:
+                yield address, process
+            finally:
+                helper.kill()
+                process.kill()
+
+
+@pytest.mark.parametrize("way", ["in order", "as done"])
+def test_the_scheduler_dies(way: str, scheduler: tuple[str, subprocess.Popen[str]]) -> None:
+    address, process = scheduler
+    with (
+        pytest.raises(ClusterError, match="the connection to the scheduler of the cluster was lost"),
+        cluster(address) as workers,
+    ):
+        results = (
+            workers(slept, None, [0.1] * 100)
+            if way == "in order"
+            else workers.as_done(slept, None, [0.1] * 100)
+        )
+        for number, each in enumerate(results):
+            if callable(result := each[1] if isinstance(each, tuple) else None):
+                result()
+            if number == 2:
+                process.kill()
 
 
 def test_nothing_is_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

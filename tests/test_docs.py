@@ -97,6 +97,11 @@ def write_text(text: str, path: Path) -> None:
         model(model.times[0])
 
 
+def test_the_readme_leads_to_every_page() -> None:
+    linked = {target.partition("#")[0] for target in LINK.findall(page("README.md"))}
+    assert {f"docs/{file.name}" for file in (ROOT / "docs").glob("*.md")} <= linked
+
+
 def test_every_operation_is_explained() -> None:
     scripts = [tomllib.loads(text) for _, text in blocks("docs/editing.md", "toml")]
     assert {edit["operation"] for script in scripts for edit in script["edit"]} == set(OPERATIONS)

@@ -37,7 +37,7 @@ def _as_seconds(
         "mixseq decode walk.h5 walk48.usdc --fps 48",
         "mixseq decode walk.h5 still.obj --times 0.73",
         "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
-        "mixseq decode walk.h5 walk.usdc --cluster tcp://host:8786",
+        "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
     ),
 )
 @click.argument("source", metavar="MODEL", type=FILE)

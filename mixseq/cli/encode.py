@@ -13,7 +13,7 @@ import mixseq
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.files import Decoded, check_model_target
 from mixseq.cli.info import dimension_rows
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options, workers_options
+from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
 
 if TYPE_CHECKING:
     from mixseq.mapping import OrderedMap
@@ -30,19 +30,7 @@ if TYPE_CHECKING:
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
-@click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
-@click.option(
-    "--tolerance",
-    type=float,
-    metavar="X",
-    help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
-)
-@click.option(
-    "--rank",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Number of shape modes; parts stay in place exactly.",
-)
+@fit_options
 @click.option(
     "--knots",
     type=click.IntRange(min=0),
@@ -57,34 +45,6 @@ if TYPE_CHECKING:
     help="Key shapes: the mean and modes, or frames of the sequence.",
 )
 @click.option(
-    "--space",
-    type=click.Choice(["mixed", "vertex"]),
-    default="mixed",
-    show_default=True,
-    help="Shape space: parts and joints, or plain vertices.",
-)
-@click.option(
-    "--parts",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Number of parts; every connected component has at least one.  [default: automatic]",
-)
-@click.option(
-    "--joint-width",
-    type=click.IntRange(min=1),
-    default=3,
-    show_default=True,
-    metavar="N",
-    help="Largest width of joints, in strips of triangles on each side of a boundary.",
-)
-@click.option(
-    "--placement",
-    type=click.Choice(["anchored", "free"]),
-    default="anchored",
-    show_default=True,
-    help="How parts are placed: by a pose each, or by registration.",
-)
-@click.option(
     "--check/--no-check",
     default=False,
     show_default=True,
@@ -96,15 +56,9 @@ if TYPE_CHECKING:
 def command(
     source: Path,
     target: Path,
-    exact: bool,
-    tolerance: float | None,
-    rank: int | None,
+    fitting: dict[str, Any],
     knots: int | None,
     pose: Literal["modes", "keys"],
-    space: Literal["mixed", "vertex"],
-    parts: int | None,
-    joint_width: int,
-    placement: Literal["anchored", "free"],
     check: bool,
     workers: AbstractContextManager[OrderedMap],
     reading: dict[str, Any],
@@ -123,20 +77,7 @@ def command(
         progress_bar(quiet) as progress,
         mixseq.open_sequence(source, **reading) as reader,
     ):
-        model = mixseq.fit(
-            reader,
-            exact=exact,
-            tolerance=tolerance,
-            rank=rank,
-            knots=knots,
-            pose=pose,
-            space=space,
-            placement=placement,
-            parts=parts,
-            joint_width=joint_width,
-            progress=progress,
-            workers=work,
-        )
+        model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model)
         seconds = perf_counter() - start
         if check:

@@ -109,6 +109,61 @@ def writer_options(command: Command) -> Command:
     return with_options
 
 
+def fit_options(command: Command) -> Command:
+    """Add the options of fitting that a file and a batch share; the command gets all of them as ``fitting``."""
+
+    @click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
+    @click.option(
+        "--tolerance",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="X",
+        help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
+    )
+    @click.option(
+        "--rank",
+        type=click.IntRange(min=0),
+        metavar="N",
+        help="Number of shape modes; parts stay in place exactly.",
+    )
+    @click.option(
+        "--space",
+        type=click.Choice(["mixed", "vertex"]),
+        default="mixed",
+        show_default=True,
+        help="Shape space: parts and joints, or plain vertices.",
+    )
+    @click.option(
+        "--parts",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Number of parts; every connected component has at least one.  [default: automatic]",
+    )
+    @click.option(
+        "--joint-width",
+        type=click.IntRange(min=1),
+        default=3,
+        show_default=True,
+        metavar="N",
+        help="Largest width of joints, in strips of triangles on each side of a boundary.",
+    )
+    @click.option(
+        "--placement",
+        type=click.Choice(["anchored", "free"]),
+        default="anchored",
+        show_default=True,
+        help="How parts are placed: by a pose each, or by registration.",
+    )
+    @wraps(command)
+    def with_options(*args: Any, **settings: Any) -> None:
+        fitting = {name: settings.pop(name) for name in _FITTING}
+        command(*args, fitting=fitting, **settings)
+
+    return with_options
+
+
+_FITTING = ("exact", "tolerance", "rank", "space", "placement", "parts", "joint_width")
+
+
 def workers_options(command: Command) -> Command:
     """Add the options that say who works; the command gets ``workers``, a context that yields an `OrderedMap`."""
 

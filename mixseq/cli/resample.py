@@ -10,7 +10,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target, is_model, read_sequence, write_sequence
+from mixseq.cli.files import check_target, is_model, write_sequence
 from mixseq.cli.options import (
     FILE,
     examples,
@@ -123,7 +123,7 @@ def command(
 
     retiming = None if retime is None else read_retiming(retime, smooth=not linear)
     with workers as work, progress_bar(quiet) as progress:
-        model = _model(source, tolerance, reading, progress)
+        model = _model(source, tolerance, reading, progress, work)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))
@@ -136,11 +136,15 @@ def command(
     announce(target)
 
 
-def _model(source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress) -> Model:
-    """Load a model, or fit one to a sequence."""
+def _model(
+    source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress, workers: OrderedMap
+) -> Model:
+    """Load a model, or fit one to a sequence as it is read."""
     if not is_model(source):
-        sequence = read_sequence(source, reading, progress)
-        return mixseq.fit(sequence, exact=tolerance is None, tolerance=tolerance, progress=progress)
+        with mixseq.open_sequence(source, **reading) as reader:
+            return mixseq.fit(
+                reader, exact=tolerance is None, tolerance=tolerance, progress=progress, workers=workers
+            )
     if tolerance is not None or reading:
         given = "--tolerance" if tolerance is not None else "the options for reading sequences"
         raise SettingsError(f"{source} is a model already; leave out {given}")

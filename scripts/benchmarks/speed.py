@@ -21,7 +21,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from scripts.benchmarks.common.report import MARKDOWN, Results, last, save
+from scripts.benchmarks.common.report import MARKDOWN, Results, last, origin, save
 from scripts.benchmarks.common.section import Section
 
 LIMITS = {
@@ -73,7 +73,7 @@ def measured(name: str) -> dict[str, Any]:
     if "failure" in result:
         say(f"{name} FAILED: {result['failure']}")
     seconds, now = time.perf_counter() - start, time.strftime("%Y-%m-%d %H:%M")
-    return {**result, "seconds": seconds, "measured": now}
+    return {**result, "seconds": seconds, "measured": now, **origin()}
 
 
 def measure(name: str, file: Path) -> int:

@@ -14,10 +14,11 @@ from click.testing import CliRunner, Result
 
 import mixseq
 from mixseq.cli import main
-from mixseq.cli.batch.plan import find_sources, plan
+from mixseq.cli.batch.plan import Asset, find_sources, plan
 from mixseq.cli.batch.report import Entry, Report, read_report
 from mixseq.cli.batch.work import encode_asset, on_cluster, run
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, MixseqWarning, OutputError
+from mixseq.progress import silent
 from mixseq.sequence import MeshSequence
 
 SETTINGS = {"space": "vertex", "exact": True, "reading": {}}
@@ -161,6 +162,62 @@ def test_warnings_are_in_the_report(bent_bar: MeshSequence) -> None:
     assert "- four: a loss\n- one: a loss\n" in Path("models/report.md").read_text()
 
 
+def entry_of(name: str) -> Entry:
+    return read_report(Path("models")).entries[str(Path("shots", name).resolve())]
+
+
+@pytest.mark.usefixtures("shots")
+def test_a_failure_leaves_the_older_model_and_says_so() -> None:
+    batch()
+    before = Path("models/one.h5").read_bytes()
+    Path("shots/one.npz").write_text("no mesh any more")
+    assert batch().exit_code == 1
+    assert entry_of("one.npz").message.endswith("; an older model is left at one.h5")
+    assert "older" not in entry_of("three.npz").message
+    assert Path("models/one.h5").read_bytes() == before
+    assert entry_of("one.npz").state == "failed"
+
+
+@pytest.mark.usefixtures("shots")
+def test_sources_that_are_gone_are_no_longer_told() -> None:
+    batch()
+    Path("shots/three.npz").unlink()
+    Path("shots/one.npz").unlink()
+    result = batch()
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[-1].endswith("(1 done)")
+    assert states() == {"two.usdc": "done"}
+    assert Path("models/one.h5").exists()
+
+
+@pytest.mark.usefixtures("shots")
+def test_only_what_was_asked_for_counts() -> None:
+    batch()
+    arguments = ["batch", "shots/one.npz", "--out", "models", "--space", "vertex"]
+    result = CliRunner().invoke(main, arguments, catch_exceptions=False)
+    assert (result.exit_code, result.stdout.splitlines()[-1][-8:]) == (0, "(1 done)")
+    assert len(states()) == 3
+
+
+def test_any_of_the_numbered_files_may_change(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    files = touched(tmp_path, "walk_1.obj", "walk_2.obj", "walk_3.obj")
+    for number, file in enumerate(files):
+        os.utime(file, (1000, 1000 + number))
+
+    def signature() -> str:
+        (asset,) = plan([tmp_path / "walk_#.obj"], tmp_path / "out", {})
+        return asset.signature
+
+    before = signature()
+    assert signature() == before
+    os.utime(files[0], (1000, 999))  # neither the last change nor the size of all
+    assert signature() != before
+    os.utime(files[0], (1000, 1000))
+    assert signature() == before
+    files[1].rename(tmp_path / "walk_4.obj")
+    assert signature() != before
+
+
 # Sources and names ----------------------------------------------------------------------------------------
 
 
@@ -173,6 +230,13 @@ def test_what_is_found_in_a_folder(tmp_path: Path, bent_bar: MeshSequence) -> No
         (tmp_path / name).touch()
     (tmp_path / "deeper").mkdir()
     mixseq.write(tmp_path / "deeper" / "c.npz", bent_bar)
+    (tmp_path / "cloth.obj").touch()
+    (tmp_path / "cloth.pc2").touch()
+    expected = r"single meshes are no sequences and are left out: still\.obj, still01\.obj$"
+    with pytest.warns(MixseqWarning, match=expected):
+        cached = find_sources([tmp_path])
+    assert [path.name for path in cached] == ["a.npz", "b.h5", "cloth.pc2", "run7_##.ply", "walk_####.obj"]
+    (tmp_path / "cloth.pc2").unlink()
     found = find_sources([tmp_path, tmp_path / "a.npz", tmp_path / "deeper" / ".." / "b.h5"])
     assert [path.name for path in found] == ["a.npz", "b.h5", "run7_##.ply", "walk_####.obj"]
     assets = plan(found, tmp_path / "out", {})
@@ -246,7 +310,21 @@ def test_refusals(arguments: str, message: str) -> None:
     assert not list(Path("models").glob("*.h5"))
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"assets": [1]}', '{"assets": [{"source": "a"}]}'])
+ASSET = '"source": "a", "target": "b", "source_bytes": 1, "source_signature": "", "settings": {}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"assets": [1]}',
+        '{"assets": [{"source": "a"}]}',
+        '{"assets": [{' + ASSET + ', "state": "lost"}]}',
+        '{"assets": [{' + ASSET + ', "state": []}]}',
+        '{"assets": [{' + ASSET + ', "seconds": "many"}]}',
+    ],
+)
 def test_damaged_reports(text: str, tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text(text)
     with pytest.raises(FormatError, match=r"report\.json is damaged"):
@@ -282,6 +360,33 @@ def test_assets_on_a_cluster_of_which_a_worker_dies(tmp_path: Path, bent_bar: Me
     assert report.finished and report.count("done") == 6
     for one, other in zip(here, there, strict=True):
         assert one.target.read_bytes() == other.target.read_bytes()
+
+
+def encode_or_die(settings: Any, asset: Asset) -> Entry:
+    if asset.source.stem == "killer":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return encode_asset(settings, asset)
+
+
+def test_only_the_asset_that_kills_workers_fails(
+    tmp_path: Path, bent_bar: MeshSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")
+    from mixseq.cluster import cluster
+
+    for name in ("a", "killer", "x", "y"):
+        mixseq.write(tmp_path / f"{name}.npz", bent_bar)
+    (tmp_path / "models").mkdir()
+    assets = plan(find_sources([tmp_path]), tmp_path / "models", {})
+    monkeypatch.setattr("mixseq.cli.batch.work.encode_asset", encode_or_die)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 1}), cluster("local:2") as workers:
+        report = run(
+            assets, SETTINGS, Report({}), tmp_path / "models", on_cluster(workers, silent), force=False
+        )
+    found = {Path(entry.source).stem: entry.state for entry in report.entries.values()}
+    assert found == {"a": "done", "killer": "failed", "x": "done", "y": "done"}
+    assert report.finished
 
 
 def test_work_that_was_given_up_is_a_failure(tmp_path: Path, bent_bar: MeshSequence) -> None:

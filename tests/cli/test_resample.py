@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import Result
 
 import mixseq
+from mixseq.mapping import serially
 from mixseq.sequence import MeshSequence
 
 Run = Callable[..., Result]
@@ -54,6 +56,20 @@ def test_sequences_are_fitted_exactly(run: Run, name: str, bent_bar: MeshSequenc
     assert mixseq.compare(mixseq.read(name), new).max_error < 1e-12
     succeed(run("resample", name, "new.npz", "--exact", "--reverse"))
     np.testing.assert_allclose(mixseq.read("new.npz").points, new.points[::-1], atol=1e-9)
+
+
+def test_sequences_stream_and_are_fitted_by_those_who_work(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, given = mixseq.fit, []
+
+    def noting(frames: Any, *, workers: Any, **settings: Any) -> Any:
+        given.append((frames, workers))
+        return fit(frames, workers=workers, **settings)
+
+    monkeypatch.setattr(mixseq, "fit", noting)
+    succeed(run("resample", "bar.npz", "new.npz", "--threads", "1"))
+    ((frames, workers),) = given
+    assert not isinstance(frames, MeshSequence)
+    assert workers is serially
 
 
 def test_numbered_files(run: Run, folder: Path, bent_bar: MeshSequence) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mixseq.cli.console import print_table, progress_bar
 from mixseq.cli.files import options_of
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options, workers_options
+from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
@@ -28,47 +28,7 @@ if TYPE_CHECKING:
 @click.argument("caches", nargs=-1, required=True, type=FILE)
 @click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
 @click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
-@click.option("--exact", is_flag=True, help="Keep everything; frames come back up to rounding.")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="X",
-    help="Largest error of a vertex, in diagonals of the bounding box.  [default: 0.0005, lossless to the eye]",
-)
-@click.option(
-    "--rank",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Number of shape modes; parts stay in place exactly.",
-)
-@click.option(
-    "--space",
-    type=click.Choice(["mixed", "vertex"]),
-    default="mixed",
-    show_default=True,
-    help="Shape space: parts and joints, or plain vertices.",
-)
-@click.option(
-    "--parts",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Number of parts; every connected component has at least one.  [default: automatic]",
-)
-@click.option(
-    "--joint-width",
-    type=click.IntRange(min=1),
-    default=3,
-    show_default=True,
-    metavar="N",
-    help="Largest width of joints, in strips of triangles on each side of a boundary.",
-)
-@click.option(
-    "--placement",
-    type=click.Choice(["anchored", "free"]),
-    default="anchored",
-    show_default=True,
-    help="How parts are placed: by a pose each, or by registration.",
-)
+@fit_options
 @workers_options
 @reader_options
 @quiet_option
@@ -78,13 +38,7 @@ def command(
     caches: tuple[Path, ...],
     out: Path,
     force: bool,
-    exact: bool,
-    tolerance: float | None,
-    rank: int | None,
-    space: Literal["mixed", "vertex"],
-    parts: int | None,
-    joint_width: int,
-    placement: Literal["anchored", "free"],
+    fitting: dict[str, Any],
     workers: AbstractContextManager[OrderedMap],
     reading: dict[str, Any],
     quiet: bool,
@@ -96,7 +50,7 @@ def command(
 
     The same command goes on where it was interrupted, and does again only what failed or has changed.
     """
-    if exact + (tolerance is not None) + (rank is not None) > 1:
+    if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file; give the name of a folder")
@@ -105,20 +59,11 @@ def command(
     from mixseq.cli.batch.work import in_turn, on_cluster, run
     from mixseq.cluster import Cluster
 
-    settings = {
-        "exact": exact,
-        "tolerance": tolerance,
-        "rank": rank,
-        "space": space,
-        "placement": placement,
-        "parts": parts,
-        "joint_width": joint_width,
-        "reading": {
-            name: str(value.resolve()) if isinstance(value, Path) else value
-            for name, value in reading.items()
-        },
+    read_with = {
+        name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()
     }
-    earlier = read_report(out)
+    settings = {**fitting, "reading": read_with}
+    earlier = read_report(out).without_lost()
     names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
     assets = plan(find_sources(caches), out, names)
     for name in reading:
@@ -128,11 +73,11 @@ def command(
     with workers as mapped, progress_bar(quiet) as progress:
         work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)
         report = run(assets, settings, earlier, out.resolve(), work, force)
-    ours = [report.entries[str(asset.source)] for asset in assets]
+    ours = report.of(assets)
     if not quiet:
-        print_table(rows(ours), HEADING)
-    click.echo(f"wrote {click.format_filename(out / 'report.md')} ({report.summary()})")
-    if any(entry.state != "done" for entry in ours):
+        print_table(rows(ours.entries.values()), HEADING)
+    click.echo(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
+    if ours.count("done") < len(assets):
         context.exit(1)
 
 

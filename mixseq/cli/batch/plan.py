@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 from mixseq.cli.files import is_model
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, MixseqWarning, OutputError
 
 _LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
@@ -24,21 +26,29 @@ class Asset:
         Its file, or the pattern of its numbered files; absolute, as another process may have another folder.
     target : Path
         The model to write, absolute.
-    size, changed : int
-        Bytes of the source, and when it was changed last, in nanoseconds: by these it is known again.
+    size : int
+        Bytes of the source, all of its files together.
+    signature : str
+        By this it is known again: a hash of the names, sizes and times of change of its files.
     """
 
     source: Path
     target: Path
     size: int
-    changed: int
+    signature: str
 
 
 def find_sources(paths: Iterable[Path]) -> list[Path]:
     """Return the sequences that are meant, each once, absolute: files and patterns as they are, folders searched.
 
     In a folder every file of a format that holds sequences is one, and so are files with the same name but for their
-    numbers. Models are none, nor are single meshes, which belong to point caches. Folders in it are left alone.
+    numbers. Models are none, nor are single meshes: those of point caches belong to them, others are told in a
+    warning. Folders in it are left alone.
+
+    Warns
+    -----
+    MixseqWarning
+        If single meshes in a folder are left out.
 
     Raises
     ------
@@ -101,10 +111,14 @@ def plan(sources: Sequence[Path], out: Path, names: Mapping[str, str]) -> tuple[
         target = out.resolve() / name
         if target in sources:
             raise OutputError(f"{target} is a source itself and would be lost; give another --out")
-        states = [file.stat() for file in files_of(source)]
-        size, changed = sum(state.st_size for state in states), max(state.st_mtime_ns for state in states)
-        assets.append(Asset(source, target, size, changed))
+        assets.append(Asset(source, target, *_signed(files_of(source))))
     return tuple(assets)
+
+
+def _signed(files: Iterable[Path]) -> tuple[int, str]:
+    """Return the size of files, and a hash that changes with any of them."""
+    states = sorted((file.name, (state := file.stat()).st_size, state.st_mtime_ns) for file in files)
+    return sum(size for _, size, _ in states), sha256(repr(states).encode()).hexdigest()
 
 
 def stem_of(source: Path) -> str:
@@ -129,17 +143,34 @@ def _in_folder(folder: Path) -> Iterator[Path]:
 
     formats = {extension: each for each in FORMATS for extension in each.extensions}
     series: dict[str, list[str]] = defaultdict(list)
-    for file in folder.iterdir():
+    caches = set()
+    single = []
+    for file in sorted(folder.iterdir()):
         form = formats.get(file.suffix.lower())
         if form is None or file.name.startswith(".") or not file.is_file():
             continue
         if not form.numbered:
             if not is_model(file):
+                if "mesh" in form.read_options:
+                    caches.add(file.stem)
                 yield file
         elif number := _LAST_NUMBER.search(file.stem):
             around = file.stem[: number.start()], file.stem[number.end() :] + file.suffix
             series["\0".join(around)].append(number[1])
+        else:
+            single.append(file.name)
     for names, numbers in series.items():
         before, after = names.split("\0")
         if len(numbers) > 1:
             yield folder / f"{before}{'#' * min(map(len, numbers))}{after}"
+        else:
+            single.append(f"{before}{numbers[0]}{after}")
+    _tell_of_single(folder, [name for name in single if Path(name).stem not in caches])
+
+
+def _tell_of_single(folder: Path, names: list[str]) -> None:
+    if names:
+        shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+        warnings.warn(
+            f"{folder}: single meshes are no sequences and are left out: {shown}", MixseqWarning, stacklevel=2
+        )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from mixseq.cli.batch.plan import Asset
+from mixseq.cli.batch.plan import Asset, files_of
 from mixseq.cli.console import format_bytes
 from mixseq.cli.formats import as_markdown
 from mixseq.errors import FormatError
@@ -23,7 +23,7 @@ class Entry:
 
     Attributes
     ----------
-    source, target, source_bytes, source_changed
+    source, target, source_bytes, source_signature
         The asset, see `Asset`.
     settings : mapping
         How it was to be encoded.
@@ -50,7 +50,7 @@ class Entry:
     source: str
     target: str
     source_bytes: int
-    source_changed: int
+    source_signature: str
     settings: Mapping[str, Any]
     state: Literal["done", "failed", "left"] = "left"
     frames: int | None = None
@@ -66,12 +66,12 @@ class Entry:
     @classmethod
     def of(cls, asset: Asset, settings: Mapping[str, Any], **result: Any) -> Entry:
         """Make the entry of an asset."""
-        return cls(str(asset.source), str(asset.target), asset.size, asset.changed, settings, **result)
+        return cls(str(asset.source), str(asset.target), asset.size, asset.signature, settings, **result)
 
     def holds_for(self, asset: Asset, settings: Mapping[str, Any]) -> bool:
         """Whether the asset is done: by this source, with these settings, and the model is still there."""
         same = Entry.of(asset, settings)
-        told = ("source", "target", "source_bytes", "source_changed", "settings")
+        told = ("source", "target", "source_bytes", "source_signature", "settings")
         return (
             self.state == "done"
             and all(getattr(self, name) == getattr(same, name) for name in told)
@@ -89,7 +89,17 @@ class Report:
 
     def with_entry(self, entry: Entry) -> Report:
         """Return the report with another entry for its source."""
-        return Report({**self.entries, entry.source: entry}, self.finished)
+        return replace(self, entries={**self.entries, entry.source: entry})
+
+    def of(self, assets: Iterable[Asset]) -> Report:
+        """Return the report of some assets only, in their order."""
+        return replace(self, entries={key: self.entries[key] for key in (str(a.source) for a in assets)})
+
+    def without_lost(self) -> Report:
+        """Return the report without entries whose source is gone; their models stay where they are."""
+        return replace(
+            self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))}
+        )
 
     def count(self, state: str) -> int:
         """Return how many entries are in a state."""
@@ -120,6 +130,7 @@ def read_report(folder: Path) -> Report:
             Entry(**{key: value for key, value in asset.items() if key in known})
             for asset in stored["assets"]
         ]
+        rows(entries)  # whatever cannot be shown is no entry
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
     return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
@@ -142,7 +153,7 @@ def write_report(folder: Path, report: Report) -> None:
             temporary.write_text(text, encoding="utf-8")
 
 
-def rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+def rows(entries: Iterable[Entry]) -> list[tuple[str, ...]]:
     """Return the rows of the table under `HEADING`."""
     return [_row(entry) for entry in entries]
 

@@ -46,6 +46,7 @@ def run(
     ClusterError
         If the connection to a cluster is lost.
     """
+    assets = list(assets)
     left = []
     entries: dict[str, Entry] = {}
     for asset in assets:
@@ -62,16 +63,19 @@ def run(
             write_report(out, report)
     finally:
         shutil.rmtree(out / UNFINISHED, ignore_errors=True)
-    report = replace(report, finished=not report.count("left"))
+    report = replace(report, finished=not report.of(assets).count("left"))
     write_report(out, report)
     return report
 
 
 def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Entry:
     try:
-        return result()
+        entry = result()
     except GivenUpError as error:
-        return Entry.of(asset, settings, state="failed", message=str(error))
+        entry = Entry.of(asset, settings, state="failed", message=str(error))
+    if entry.state == "failed" and asset.target.exists():
+        return replace(entry, message=f"{entry.message}; an older model is left at {asset.target.name}")
+    return entry
 
 
 def in_turn(workers: OrderedMap, progress: Progress) -> Work:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +18,73 @@ Results = dict[str, dict[str, Any]]
 """A section as plain data, with the seconds it took and when that was, for each measurement."""
 
 
+UNKNOWN = "not known"
+
+HOW_OFTEN = (
+    "Seconds with a range are the median of several runs, with the fastest and the slowest of them: "
+    "`0.12 (0.11-0.15, 5 runs)`. So is the cost of a vertex in `scale`, and so are ratios and targets of such seconds. "
+    "All other seconds, and memory, are those of a single run, also where it is not marked `(1 run)`: `scale` by "
+    "frames, `cluster`, and the runs of `startup` that compile. Errors, iterations and hashes of mixseq are the same "
+    "in every run."
+)
+
+
+def origin() -> dict[str, Any]:
+    """Return the machine and the commit that a section was measured on, and whether files had changed since."""
+    return {"machine": machine(), "commit": _commit()}
+
+
+def _commit() -> str:
+    try:
+        found = [
+            subprocess.run(["git", *words], check=True, capture_output=True, text=True).stdout.strip()
+            for words in (
+                ("rev-parse", "--short=12", "HEAD"),
+                ("status", "--porcelain", "--untracked-files=no"),
+            )
+        ]
+    except (OSError, subprocess.CalledProcessError):
+        return UNKNOWN
+    return f"{found[0]} with changes" if found[1] else found[0]
+
+
+def _on(result: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in result.get("machine", {}).items()) or UNKNOWN
+
+
 def last() -> Results:
     """Return the results of the last run."""
     if not JSON.exists():
         return {}
-    results: Results = json.loads(JSON.read_text())["results"]
+    stored = json.loads(JSON.read_text())
+    results: Results = stored["results"]
+    if "machine" in stored:  # earlier reports named one for all
+        results = {name: {"machine": stored["machine"], **result} for name, result in results.items()}
     return results
 
 
 def save(results: Results) -> None:
-    """Write all three files."""
+    """Write all three files; every section tells its own `origin`, as a run may replace only some."""
     OUT.mkdir(exist_ok=True)
-    here = machine()
     sections = [Section.from_dict(result) for result in results.values()]
-    JSON.write_text(json.dumps({"machine": here, "results": results}, indent=1))
-    times = [(name, result["measured"], f"{result['seconds']:.0f}") for name, result in results.items()]
+    JSON.write_text(json.dumps({"results": results}, indent=1))
+    machines = list(dict.fromkeys(_on(result) for result in results.values()))
+    origins = [
+        (
+            name,
+            result["measured"],
+            f"{result['seconds']:.0f}",
+            str(result.get("commit", UNKNOWN)),
+            str(1 + machines.index(_on(result))),
+        )
+        for name, result in results.items()
+    ]
     chapters = [
-        "Machine: " + ", ".join(f"{key} {value}" for key, value in here.items()) + ".",
         *(section.markdown() for section in sections),
-        "### Time of the measurements",
-        markdown_table(("measurement", "when", "s"), times),
+        "### Where the figures come from",
+        HOW_OFTEN,
+        markdown_table(("measurement", "when", "s", "commit", "machine"), origins),
+        *(f"Machine {number}: {each}." for number, each in enumerate(machines, start=1)),
     ]
     MARKDOWN.write_text("\n\n".join(chapters) + "\n")
     draw(sections, PLOT)

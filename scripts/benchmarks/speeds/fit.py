@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import mixseq
 from scripts.benchmarks.common.animations import animation
-from scripts.benchmarks.common.child import run_module
+from scripts.benchmarks.common.child import ChildError, run, run_module
 from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
 from scripts.benchmarks.common.timing import Timing, repeated
 
@@ -22,7 +23,14 @@ INSTALL = f"pip install --no-deps --target {PEERS} py-dem-bones==0.13.1"
 
 
 def measure(say: Say) -> Section:
-    """Measure all animations."""
+    """Measure all animations.
+
+    Raises
+    ------
+    ChildError
+        If py-dem-bones is not installed.
+    """
+    _check_installed()
     columns = ("sequence", "method", "parts or bones", "s", "KG %", "max error/diag", "py-dem-bones / this")
     rows: list[tuple[str, ...]] = []
     section = Section("Fitting", [Table("", columns, rows)])
@@ -47,7 +55,7 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
     say(f"{name}: py-dem-bones, {bones} bones")
     theirs = _dem_bones(name, bones)
     for which, (timing, error) in fits.items():
-        ratio = None if theirs is None else Timing(tuple(theirs["seconds"])).median / timing.median
+        ratio = Timing(tuple(theirs["seconds"])).median / timing.median
         rows.append(
             (
                 name,
@@ -56,13 +64,13 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
                 timing.text(),
                 f"{error.kg_percent:.3g}",
                 f"{error.max_error:.2g}",
-                "-" if ratio is None else f"{ratio:.3g}",
+                f"{ratio:.3g}",
             )
         )
         section.figures.append(
             {"sequence": name, "method": which, "seconds": timing.runs, "kg_percent": error.kg_percent}
         )
-        if target is not None and theirs is not None and ratio is not None:
+        if target is not None:
             section.targets.extend(
                 [
                     at_least(f"{name}, fit {which}: times faster than py-dem-bones", ratio, target),
@@ -75,9 +83,6 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
                 ]
             )
             section.bars.append(Bar(f"{name}, fit {which}", ratio, target))
-    if theirs is None:
-        rows.append((name, f"not installed: `{INSTALL}`", *["-"] * 5))
-        return
     rows.append(
         (
             name,
@@ -92,9 +97,21 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
     section.figures.append({"sequence": name, "method": "py-dem-bones", **theirs})
 
 
-def _dem_bones(name: str, bones: int) -> dict[str, Any] | None:
-    """What py-dem-bones does in a process of its own; None if it is not installed."""
-    path = os.pathsep.join([str(PEERS), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)
-    output = run_module("common.dembones", name, bones, environment={"PYTHONPATH": path}).output
-    found: dict[str, Any] | None = json.loads(output.strip().splitlines()[-1])
+def _dem_bones(name: str, bones: int) -> dict[str, Any]:
+    """What py-dem-bones does in a process of its own."""
+    output = run_module("common.dembones", name, bones, environment=_peers()).output
+    found: dict[str, Any] = json.loads(output.strip().splitlines()[-1])
     return found
+
+
+def _check_installed() -> None:
+    """Without what we are compared with, nothing is measured: the section fails, before it takes its time."""
+    try:
+        run(sys.executable, "-c", "import py_dem_bones", environment=_peers())
+    except ChildError as error:
+        raise ChildError(f"py-dem-bones is not installed: {INSTALL}") from error
+
+
+def _peers() -> dict[str, str]:
+    """Return the environment in which py-dem-bones is found."""
+    return {"PYTHONPATH": os.pathsep.join([str(PEERS), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)}
