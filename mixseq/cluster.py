@@ -15,6 +15,8 @@ import asyncio
 import logging
 import pickle
 import re
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -281,19 +283,42 @@ def _local(processes: int) -> Iterator[Any]:
     with (
         TemporaryDirectory(prefix="mixseq-", ignore_cleanup_errors=True) as folder,
         _dask("dask.config").set({"temporary-directory": folder}),
-        _dask("distributed").LocalCluster(
-            n_workers=processes,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",  # the scheduler insists on a port
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,
-            memory_limit=None,  # a worker is not killed for using the memory that there is
-            local_directory=folder,
-            env=_ONE_THREAD,
-        ) as started,
+        _local_cluster(processes, folder) as started,
     ):
         yield started
+
+
+def _local_cluster(processes: int, folder: str) -> Any:
+    with _ignoring_interrupts():
+        try:
+            return _dask("distributed").LocalCluster(
+                n_workers=processes,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",  # the scheduler insists on a port
+                scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.CRITICAL,
+                memory_limit=None,  # a worker is not killed for using the memory that there is
+                local_directory=folder,
+                env=_ONE_THREAD,
+            )
+        except RuntimeError as error:
+            raise ClusterError(
+                f"no processes could be started ({error}); scripts need `if __name__ == '__main__':` around their work"
+            ) from error
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Start processes that Ctrl-C on the terminal does not reach: they are told to end by the one that it does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _check_scheduler(address: str) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
+from mixseq.errors import SettingsError
 from mixseq.threads import one_blas_thread
 
 Shared = TypeVar("Shared")
@@ -75,8 +76,16 @@ def on_threads(count: int | None = None) -> OrderedMap:
 
 
 def thread_count() -> int:
-    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores."""
-    wanted = os.environ.get("MIXSEQ_THREADS", "")
-    if wanted.isdigit() and int(wanted) > 0:
+    """Return how many threads to use: ``MIXSEQ_THREADS``, else as many as this process has cores.
+
+    Raises
+    ------
+    SettingsError
+        If the variable is no positive number.
+    """
+    wanted = os.environ.get("MIXSEQ_THREADS")
+    if wanted:
+        if not (wanted.isdigit() and int(wanted) > 0):
+            raise SettingsError(f"MIXSEQ_THREADS is {wanted!r}; a whole number from 1 on is expected")
         return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

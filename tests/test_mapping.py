@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.creature import walk_cycle
+from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially, thread_count
 from mixseq.signals import fit
 
@@ -57,9 +58,12 @@ def test_an_error_ends_the_work(threads: int) -> None:
 def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIXSEQ_THREADS", "3")
     assert thread_count() == 3
-    for nonsense in ("", "0", "many", "-1"):
+    monkeypatch.setenv("MIXSEQ_THREADS", "")
+    assert thread_count() >= 1
+    for nonsense in ("0", "many", "-1", "1.5"):
         monkeypatch.setenv("MIXSEQ_THREADS", nonsense)
-        assert thread_count() >= 1
+        with pytest.raises(SettingsError, match=f"MIXSEQ_THREADS is '{nonsense}'"):
+            thread_count()
     monkeypatch.setenv("MIXSEQ_THREADS", "1")
     assert on_threads() is serially
 

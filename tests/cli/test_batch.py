@@ -16,8 +16,9 @@ import mixseq
 from mixseq.cli import main
 from mixseq.cli.batch.plan import Asset, find_sources, plan
 from mixseq.cli.batch.report import Entry, Report, read_report
-from mixseq.cli.batch.work import encode_asset, on_cluster, run
+from mixseq.cli.batch.work import encode_asset, in_turn, on_cluster, run
 from mixseq.errors import FormatError, MixseqWarning, OutputError
+from mixseq.mapping import serially
 from mixseq.progress import silent
 from mixseq.sequence import MeshSequence
 
@@ -410,3 +411,17 @@ def test_silence(shots: Path) -> None:
     result = batch("--quiet")
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.splitlines() == [f"wrote {Path('models/report.md')} (2 done)"]
+
+
+def test_two_batches_do_not_write_to_one_folder(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    mixseq.write(tmp_path / "walk.npz", bent_bar)
+    assets = plan(find_sources([tmp_path / "walk.npz"]), tmp_path, {})
+
+    def meanwhile(settings: object, assets: Any) -> Any:
+        with pytest.raises(OutputError, match="another batch is writing here"):
+            run(list(assets), SETTINGS, Report({}), tmp_path, in_turn(serially, silent), force=False)
+        return iter(())
+
+    run(assets, SETTINGS, Report({}), tmp_path, meanwhile, force=False)
+    report = run(assets, SETTINGS, Report({}), tmp_path, in_turn(serially, silent), force=False)
+    assert report.count("done") == 1  # the lock is lifted

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +17,7 @@ import mixseq
 from mixseq.cli.batch.plan import Asset
 from mixseq.cli.batch.report import Entry, Report, write_report
 from mixseq.cli.files import Decoded, options_of
-from mixseq.errors import GivenUpError, MixseqError, MixseqWarning
+from mixseq.errors import GivenUpError, MixseqError, MixseqWarning, OutputError
 from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -42,11 +44,40 @@ def run(
     Raises
     ------
     OutputError
-        If the report cannot be written.
+        If the report cannot be written, or another batch is writing to the folder.
     ClusterError
         If the connection to a cluster is lost.
     """
     assets = list(assets)
+    with _alone(out):
+        return _run(assets, settings, earlier, out, work, force)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Hold the folder for as long as a batch writes there, by a lock that the system lifts if the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # Windows has no such locks
+        yield
+        return
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(folder)
+        raise OutputError(
+            f"{out}: another batch is writing here; wait for it, or give another --out"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(folder)
+
+
+def _run(
+    assets: list[Asset], settings: Settings, earlier: Report, out: Path, work: Work, force: bool
+) -> Report:
     left = []
     entries: dict[str, Entry] = {}
     for asset in assets:
