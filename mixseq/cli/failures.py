@@ -13,6 +13,7 @@ Anything else is a bug in mixseq, and those do come with a traceback.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -24,6 +25,8 @@ from typing import NoReturn, TextIO
 import click
 
 from mixseq.errors import MixseqError, MixseqWarning
+
+_LATER = 0.2  # seconds
 
 
 def exit_code(run: Callable[[], object]) -> int:
@@ -91,15 +94,25 @@ def _unwinding_when_terminated() -> Iterator[None]:
     def leave(number: int, frame: object) -> NoReturn:
         raise SystemExit(128 + number)
 
-    def silence(ignored: sys.UnraisableHookArgs) -> None:
-        # Libraries that call Python from C print what they cannot pass on, though the process ends as it should.
+    again: list[threading.Timer] = []
+
+    def swallowed(ignored: sys.UnraisableHookArgs) -> None:
+        # What is raised while a library in C calls Python is printed and lost, and the work goes on. So it is raised
+        # once more, a little later, unless the library gave up and the process is ending anyway.
         if not issubclass(ignored.exc_type, SystemExit | KeyboardInterrupt):
             usual(ignored)
+            return
+        number = signal.SIGTERM if issubclass(ignored.exc_type, SystemExit) else signal.SIGINT
+        again.append(threading.Timer(_LATER, os.kill, (os.getpid(), number)))
+        again[-1].daemon = True
+        again[-1].start()
 
     before, usual = signal.signal(signal.SIGTERM, leave), sys.unraisablehook
-    sys.unraisablehook = silence
+    sys.unraisablehook = swallowed
     try:
         yield
     finally:
+        for timer in again:
+            timer.cancel()
         sys.unraisablehook = usual
         signal.signal(signal.SIGTERM, before)

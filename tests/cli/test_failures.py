@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 import pytest
@@ -230,3 +232,23 @@ def test_other_warnings_are_left_alone() -> None:
     with pytest.warns(DeprecationWarning, match="old") as caught:
         assert exit_code(lambda: warnings.warn("old", DeprecationWarning, stacklevel=2)) == 0
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (lambda: SystemExit(143), 143)])
+def test_an_interrupt_that_a_library_swallows_comes_again(error: Any, code: int) -> None:
+    """As llvmlite and HDF5 do, which call Python from C."""
+
+    def callback() -> None:
+        raise error()
+
+    called_from_c = ctypes.CFUNCTYPE(None)(callback)
+
+    def work() -> None:
+        called_from_c()
+        for _ in range(200):
+            time.sleep(0.01)
+
+    try:
+        assert exit_code(work) == code
+    except SystemExit as leaving:
+        assert leaving.code == code
