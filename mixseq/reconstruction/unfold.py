@@ -89,11 +89,11 @@ def _frames(patch: Patch, local: Float, angles: Float, positions: Float) -> Floa
     counts = np.bincount(patch.hinge_faces.reshape(-1), minlength=len(patch.faces))
     values[pattern.diagonal] = np.repeat(counts[unknown].astype(np.float64), 3)
     inner = ~is_known[i] & ~is_known[j]
-    low, high = number[i[inner]], number[j[inner]]
+    first, second = number[i[inner]], number[j[inner]]
     # -T^T couples row block j to column block i; below the diagonal is the higher number's row.
     turned = turns[inner]
-    blocks = -np.where((high > low)[:, None, None], np.swapaxes(turned, 1, 2), turned)
-    places = pattern.places[pattern.block(low, high)][:, None, :] + np.arange(3)[:, None]
+    blocks = -np.where((second > first)[:, None, None], np.swapaxes(turned, 1, 2), turned)
+    places = pattern.places[pattern.block(first, second)][:, None, :] + np.arange(3)[:, None]
     np.add.at(values, places, blocks)
     solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
     known[unknown] = nearest_rotations(np.swapaxes(solution, 1, 2))
