@@ -156,7 +156,7 @@ class MixedSpace(ShapeSpace):
     @cached_property
     def radii(self) -> Float:
         """Radii of gyration ``(p,)`` of the parts, a small number for a part that has none."""
-        return radii_of_gyration(self.shapes, self.decomposition)
+        return radii_of_gyration(self.shapes, self.decomposition.parts)
 
     @property
     def weights(self) -> Float:
@@ -201,7 +201,7 @@ class MixedSpace(ShapeSpace):
         posed = self.projection.posed
         for vector, frame in zip(vectors, points, strict=True):
             x = frame.astype(np.float64) / self.scale
-            aligned, turned, centres = registered(self.shapes, self.decomposition, x)
+            aligned, turned, centres = registered(self.shapes, self.decomposition.parts, x)
             poses = complete(self.links, shortest(turned[None, posed]), centres[None, posed])
             lengths, angles = edge_lengths(x, edges), dihedral_angles(x, hinges)
             blocks = lengths, angles, aligned, *poses

@@ -104,7 +104,7 @@ def mixed_space(
     taught = replace(space, reference_lengths=lengths)
     if rows is not None:
         turned = without_jumps(np.stack(rotations))
-        radii = radii_of_gyration(space.shapes, decomposition)
+        radii = radii_of_gyration(space.shapes, decomposition.parts)
         links = make_links(boundaries.parts, np.stack(middles), turned, np.stack(centres), radii)
         trust = _trust(rows, lengths, stretch.mean(), away.mean()) if rows.joints else np.zeros(0)
         taught = replace(taught, links=links, trust=trust)
@@ -162,7 +162,7 @@ def _look(shared: tuple[MixedSpace, Boundaries], points: FloatArray) -> list[_Se
     block = []
     for frame in points:
         x = frame.astype(np.float64) / space.scale
-        _, turned, centres = registered(space.shapes, space.decomposition, x)
+        _, turned, centres = registered(space.shapes, space.decomposition.parts, x)
         offsets = np.zeros((0, 3))
         if isinstance(projection, AnchoredPlacement):
             offsets = projection.offsets(turned, centres, x)

@@ -1,0 +1,138 @@
+"""Shape spaces that know nothing of where a mesh is: their vectors end with the poses of its pieces.
+
+A vector is ``[shape | rotation vectors | centres]``: numbers that a rigid motion does not change, and six numbers
+for every hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\\mathbb{R}^6`,
+Section 2.2). The paper orients a mesh by its first face; all vertices of a piece together are less easily misled.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.geometry.rotations import matrices, vectors, without_jumps
+from mixseq.progress import Progress, silent
+from mixseq.sequence import FloatArray
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.pieces import Pieces
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSpace(ShapeSpace):
+    """A space whose shapes are up to a rigid motion of every piece.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    scale : float
+        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
+    reference : (V, 3) float64
+        The first frame, in the space's unit: rotations are from it, angles of the first encoded frame stay near it.
+    """
+
+    topology: Topology
+    scale: float
+    reference: Float
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """The pieces of the mesh."""
+        return Pieces.of(self.topology, self.reference)
+
+    @property
+    @abstractmethod
+    def shape_dim(self) -> int:
+        """Length S of the shape in a vector."""
+
+    @property
+    @abstractmethod
+    def shape_metric(self) -> Float:
+        """Weights ``(S,)`` of the shape, as in `weights`."""
+
+    @abstractmethod
+    def shape_of(self, x: Float) -> Float:
+        """Return the shape ``(S,)`` of a frame ``(V, 3)`` in diagonals; rigid motions do not change it."""
+
+    @abstractmethod
+    def rebuilt(self, shape: Float) -> Float:
+        """Return the rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each piece anywhere; see `Pieces`."""
+
+    def shapes_without_jumps(self, shapes: Float, previous: Float | None) -> Float:
+        """Let shapes ``(T, S)`` go on from frame to frame; without the one before, from the reference."""
+        return shapes
+
+    @property
+    def dim(self) -> int:
+        """Length D of a vector."""
+        return self.shape_dim + self.placement_dim
+
+    @property
+    def placement_dim(self) -> int:
+        """Six numbers for every piece."""
+        return 6 * len(self.pieces)
+
+    @property
+    def weights(self) -> Float:
+        """The metric ``(D,)``: a rotation vector moves vertices by the radius of gyration of its piece."""
+        rotations = np.repeat(self.pieces.radii, 3)
+        return np.concatenate([self.shape_metric, rotations, np.ones(len(rotations))])
+
+    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.encode`."""
+        return self.without_jumps(self.encode_apart(points), previous)
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`."""
+        result = np.empty((len(points), self.dim))
+        for vector, frame in zip(result, points, strict=True):
+            x = frame.astype(np.float64) / self.scale
+            rotations, centres = self.pieces.poses(x)
+            blocks = self.shape_of(x), vectors(rotations).reshape(-1), centres.reshape(-1)
+            np.concatenate(blocks, out=vector)
+        return result
+
+    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.without_jumps`."""
+        shapes, turns, centres = self.split(vectors)
+        before = None if previous is None else self.split(previous[None])
+        shapes = self.shapes_without_jumps(shapes, None if before is None else before[0][0])
+        turns = without_jumps(turns, None if before is None else before[1][0])
+        count = len(vectors)
+        return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)
+
+    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
+        points = np.empty((len(shapes), self.topology.vertex_count, 3))
+        with one_blas_thread():
+            for number, shape in enumerate(shapes):
+                points[number] = self.placed(self.rebuilt(shape), turns[number], centres[number])
+                progress(number + 1, len(shapes), "decoding frames")
+        return points
+
+    def placed(self, rows: Float, turns: Float, centres: Float) -> Float:
+        """Put pieces ``(N, 3)`` in diagonals where poses say; the result ``(V, 3)`` is in units of the sequence."""
+        return self.pieces.place(rows, matrices(turns), centres) * self.scale
+
+    def split(self, vectors: Float) -> tuple[Float, Float, Float]:
+        """Return shapes ``(T, S)``, rotation vectors ``(T, p, 3)`` and centres ``(T, p, 3)`` of vectors ``(T, D)``.
+
+        Raises
+        ------
+        SettingsError
+            If the vectors are not of this space.
+        """
+        if vectors.ndim != 2 or vectors.shape[1] != self.dim:
+            raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
+        poses = vectors[:, self.shape_dim :].reshape(len(vectors), 2, len(self.pieces), 3)
+        return vectors[:, : self.shape_dim], poses[:, 0], poses[:, 1]
