@@ -62,8 +62,7 @@ def rebuild(
     start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where a pull
     tells which fold is meant.
     """
-    # A curve that swings past its keys can ask for lengths of zero or less.
-    lengths = np.maximum(lengths, SHORTEST / weights)
+    lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
     if guess is None:
         return fit_shell(problem, _unfolded(problem, positions), settings)
@@ -72,6 +71,12 @@ def rebuild(
     if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
         start = min(_unfolded(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
+
+
+def sound_lengths(lengths: Float, weights: Float) -> Float:
+    """Raise lengths that are too short: a curve that swings past its keys can ask for zero or less."""
+    shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
+    return np.maximum(lengths, shortest)
 
 
 def _unfolded(problem: ShellProblem, positions: Float) -> Float:

@@ -44,10 +44,14 @@ def unfold(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Flo
     (n, 3) float64
         Positions of all vertices.
     """
+    return integrate(patch, turned_sides(patch, lengths, angles, positions), positions)
+
+
+def turned_sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
+    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames: `unfold` before its second step."""
     local = _flat_triangles(lengths[patch.face_edges])
     frames = _frames(patch, local, angles, positions)
-    sides = np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local)
-    return _integrate(patch, sides, positions)
+    return np.asarray(np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local))
 
 
 def _flat_triangles(lengths: Float) -> Float:
@@ -135,7 +139,7 @@ def _about_x(angle: Float) -> Float:
     return np.stack([one, zero, zero, zero, c, -s, zero, s, c], axis=1).reshape(-1, 3, 3)
 
 
-def _integrate(patch: Patch, sides: Float, positions: Float) -> Float:
+def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
     """Find the vertices whose sides ``x_b - x_a`` are closest to ``(m, 3, 3)`` given ones."""
     count = len(patch.fixed)
     right = np.zeros((count, 3))

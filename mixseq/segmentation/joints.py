@@ -8,6 +8,8 @@ a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 - the faces with a vertex of depth >= 1 are a joint's,
 - vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
 
+Where parts bend by themselves (`mixseq.segmentation.softness`) joints go on: there, vertices have a depth as well.
+
 The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
 (their largest relative rotation between any two frames), and `joint_width` is the limit. And it follows the mesh:
 on a coarse mesh full strips would eat whole parts and all joints would run into one, so a part's own limit is the
@@ -29,6 +31,7 @@ from scipy.sparse import csgraph
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
+from mixseq.segmentation.softness import Softening
 from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, face_patches, spread, vertices_of
 
@@ -107,7 +110,11 @@ class Decomposition:
 
 
 def decompose(
-    topology: Topology, part_of_face: Index, joint_width: int = 3, points: FloatArray | Observed | None = None
+    topology: Topology,
+    part_of_face: Index,
+    joint_width: int = 3,
+    points: FloatArray | Observed | None = None,
+    softening: Softening | None = None,
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation.
 
@@ -123,6 +130,8 @@ def decompose(
         The sequence, or what was seen of its frames: joints are as wide as it bends, and faces must have area in
         every frame. Without it all joints have full width, and faces that collapse in some frame cannot be kept
         out of them.
+    softening : Softening, optional
+        Where parts bend by themselves joints go on; by default they are at boundaries only.
 
     Returns
     -------
@@ -155,6 +164,10 @@ def decompose(
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
     touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
     in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))]
+    if softening is not None:
+        free = softening.depth(topology, kept)
+        kept = [inside & (free <= 1) for inside in kept]
+        in_joint |= np.logical_or.reduce(_at_corners(topology, free >= 1))
     if seen is not None:
         in_joint &= ~seen.flat
 
