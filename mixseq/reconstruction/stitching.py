@@ -40,12 +40,15 @@ class Seams:
         Its global number.
     vertex_count : int
         Number of vertices of the mesh.
+    weights : (S,) float64, optional
+        How much the edges of the pieces count; without them all count alike, as in the paper.
     """
 
     vertex: Index
     rows: Index
     edge: Index
     vertex_count: int
+    weights: Float | None = None
 
     @classmethod
     def of(cls, topology: Topology, vertices: list[Index]) -> Seams:
@@ -73,8 +76,11 @@ class Seams:
 
     @cached_property
     def normal(self) -> sparse.csr_array:
-        """``M^T M`` ``(V, V)``."""
-        return sparse.csr_array(self.incidence.T @ self.incidence)
+        """``M^T M`` ``(V, V)``; with weights W ``M^T W M``."""
+        weighted = self.incidence
+        if self.weights is not None:
+            weighted = sparse.csr_array(sparse.diags_array(self.weights) @ weighted)
+        return sparse.csr_array(self.incidence.T @ weighted)
 
     @cached_property
     def component(self) -> Index:
@@ -114,6 +120,8 @@ def stitch(seams: Seams, points: Float, lengths: Float) -> Float:
     own = np.linalg.norm(sides, axis=1)
     wanted = np.where(np.isnan(lengths[seams.edge]), own, lengths[seams.edge])
     sides *= (wanted / np.where(own > 0, own, 1.0))[:, None]
+    if seams.weights is not None:
+        sides *= seams.weights[:, None]
 
     result = np.zeros((seams.vertex_count, 3))
     if seams.solved.size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,13 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+THIN = 1e-3
+"""A piece is a line if it is less than this part of its length across; the value is ours."""
+
+WIDTH = 0.1
+"""Width of what stands for a line, relative to its length; the value is ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +67,23 @@ class Pieces:
         return np.concatenate(self.vertices)
 
     @cached_property
+    def owner(self) -> Index:
+        """The piece ``(N,)`` of every row."""
+        return np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
+
+    def rows_of(self, pieces: Index, vertices: Index) -> Index:
+        """Return the rows of vertices in the pieces that hold them; arrays of any shapes that broadcast."""
+        count = int(self.row_vertices.max(initial=-1)) + 1
+        # Rows ascend by piece, then by vertex.
+        rows = np.searchsorted(self.owner * count + self.row_vertices, pieces * count + vertices)
+        return np.asarray(rows, dtype=np.int64)
+
+    def face_rows(self, topology: Topology) -> Index:
+        """Return the rows ``(F, 3)`` of the corners of all faces, each in its own piece."""
+        owner = topology.component_of_face.astype(np.int64)
+        return self.rows_of(owner[:, None], topology.faces.astype(np.int64))
+
+    @cached_property
     def slices(self) -> list[slice]:
         """The rows of every piece."""
         ends = np.cumsum([len(each) for each in self.vertices])
@@ -69,9 +94,17 @@ class Pieces:
         """Radii of gyration ``(p,)`` in the reference, small numbers for pieces without one."""
         return radii_of_gyration(self.shapes, self.vertices)
 
+    @cached_property
+    def steady(self) -> Float:
+        """What frames are registered to ``(N, 3)``: the shapes, but those of lines and points with some width.
+
+        Nothing would tell how a piece is turned about a line, in frames where it is none.
+        """
+        return np.concatenate([_with_width(self.shapes[each]) for each in self.slices])
+
     def poses(self, x: FloatArray) -> tuple[Float, Float]:
         """Return rotations ``(p, 3, 3)`` from the reference, and centres ``(p, 3)``, of the pieces of a frame."""
-        _, rotations, centres = registered(self.shapes, self.vertices, x)
+        _, rotations, centres = self._registered(self.vertices, x)
         return rotations, centres
 
     def place(self, rows: Float, rotations: Float, centres: Float) -> Float:
@@ -89,10 +122,54 @@ class Pieces:
         (V, 3) float64
             Vertices; those of several pieces are the mean of these.
         """
-        own = [np.arange(each.start, each.stop) for each in self.slices]
-        upright, _, _ = registered(self.shapes, own, rows)
-        owner = np.repeat(np.arange(len(self)), [len(each) for each in self.vertices])
-        placed = np.einsum("nij,nj->ni", rotations[owner], upright) + centres[owner]
+        upright, _, _ = self._registered(self._own_rows, rows)
+        return self.merged(np.einsum("nij,nj->ni", rotations[self.owner], upright) + centres[self.owner])
+
+    def centred(self, rows: Float, centres: Float) -> Float:
+        """Move pieces, rows ``(N, 3)``, to centres ``(p, 3)`` without turning them; the result is ``(V, 3)``."""
+        return self.merged(rows + (centres - self._means(rows))[self.owner])
+
+    def centres(self, x: Float) -> Float:
+        """Return the centres ``(p, 3)`` of the pieces of a frame ``(V, 3)``."""
+        return self._means(x[self.row_vertices])
+
+    def merged(self, rows: Float) -> Float:
+        """Return vertices ``(V, 3)`` from the rows ``(N, 3)`` of pieces in place; the mean where several share one."""
         counts = np.bincount(self.row_vertices)
-        sums = [np.bincount(self.row_vertices, column) for column in placed.T]
+        sums = [np.bincount(self.row_vertices, column) for column in rows.T]
         return np.stack(sums, axis=1) / counts[:, None]
+
+    @cached_property
+    def _own_rows(self) -> list[Index]:
+        return [np.arange(each.start, each.stop) for each in self.slices]
+
+    def _registered(self, vertices: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
+        """Register pieces twice: what is a line in a frame comes out near the identity first, then exactly."""
+        upright, rotations, centres = registered(self.steady, vertices, x)
+        upright, further, _ = registered(self.steady, self._own_rows, upright)
+        return upright, rotations @ further, centres
+
+    def _means(self, rows: Float) -> Float:
+        sizes = np.array([len(each) for each in self.vertices])
+        sums = np.add.reduceat(rows, np.cumsum([0, *sizes[:-1]]), axis=0)
+        return np.asarray(sums / sizes[:, None])
+
+
+def _with_width(shape: Float) -> Float:
+    """Give width to a centred shape ``(n, 3)`` that is a line or a point; others stay as they are.
+
+    Offsets have neither a mean nor a moment along the line, so that a line that moves rigidly has just that pose.
+    """
+    _, sizes, axes = np.linalg.svd(shape, full_matrices=False)
+    if len(shape) < 3 or sizes[1] > THIN * sizes[0]:
+        return shape
+    number = np.arange(len(shape), dtype=np.float64)
+    if sizes[0] == 0:  # any shape: this is a helix
+        helix = np.stack([np.cos(number), np.sin(number), number / len(shape)], axis=1)
+        return np.asarray(helix - helix.mean(axis=0))
+    along = shape @ axes[0]
+    offsets = np.cos(number) - np.cos(number).mean()
+    offsets -= along * (along @ offsets) / (along @ along)
+    side = np.eye(3)[np.abs(axes[0]).argmin()]
+    side -= axes[0] * (axes[0] @ side)
+    return np.asarray(shape + WIDTH * sizes[0] * np.outer(offsets, side) / np.linalg.norm(offsets))

@@ -1,7 +1,7 @@
-"""Shape spaces that know nothing of where a mesh is: their vectors end with the poses of its pieces.
+r"""Shape spaces that know nothing of where a mesh is: their vectors end with the poses of its pieces.
 
 A vector is ``[shape | rotation vectors | centres]``: numbers that a rigid motion does not change, and six numbers
-for every hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\\mathbb{R}^6`,
+for every hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`,
 Section 2.2). The paper orients a mesh by its first face; all vertices of a piece together are less easily misled.
 """
 

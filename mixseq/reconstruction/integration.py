@@ -1,0 +1,93 @@
+r"""Vertices from their differences: the sparse Poisson systems at the end of linear reconstructions.
+
+Given what the sides ``ij`` of a mesh should be, the vertices are those that come closest,
+
+.. math:: \min_x \sum_{ij} w_{ij} \, | x_j - x_i - s_{ij} |^2 ,
+
+which is ``L x = B^T W s`` with the incidence matrix B of the sides and the Laplacian ``L = B^T W B``. The first vertex
+of every connected component is the origin. L depends on connectivity and weights only: it is factored once.
+
+Sides of triangles weighted by half the cotangent of the angle opposite to each make this the Poisson equation
+:math:`\min_x \sum_f A_f | \nabla x - J_f |^2` of face gradients J with areas A (Botsch et al. 2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.errors import SettingsError
+from mixseq.reconstruction.solvers import Factor, factorise
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Integration:
+    """The sides whose differences are known.
+
+    Attributes
+    ----------
+    sides : (S, 2) int64
+        Pairs i, j of vertices; a pair may be there more than once, or name one vertex twice.
+    weights : (S,) float64
+        Weights w. Single ones may be negative, if L is positive semidefinite all the same (obtuse triangles).
+    count : int
+        Number n of vertices.
+    """
+
+    sides: Index
+    weights: Float
+    count: int
+
+    @cached_property
+    def incidence(self) -> sparse.csr_array:
+        """The matrix B ``(S, n)``: -1 at a side's first vertex, +1 at its second."""
+        number = len(self.sides)
+        value = np.tile([-1.0, 1.0], number)
+        places = (np.repeat(np.arange(number), 2), self.sides.reshape(-1))
+        return sparse.coo_array((value, places), shape=(number, self.count)).tocsr()
+
+    @cached_property
+    def weighted(self) -> sparse.csr_array:
+        """The matrix ``B^T W`` ``(n, S)``."""
+        return sparse.csr_array(self.incidence.T @ sparse.diags_array(self.weights))
+
+    @cached_property
+    def solved(self) -> Index:
+        """Vertices that are solved for: all but the first of every component."""
+        i, j = self.sides.T
+        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
+        component = csgraph.connected_components(graph, directed=False)[1]
+        return np.setdiff1d(np.arange(self.count), np.unique(component, return_index=True)[1])
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Factor of the Laplacian of the vertices that are solved for."""
+        laplacian = sparse.csr_array(self.weighted @ self.incidence)
+        return factorise(laplacian[self.solved][:, self.solved])
+
+    def vertices(self, differences: Float) -> Float:
+        """Find the vertices ``(n, 3)`` whose sides ``x_j - x_i`` are closest to differences ``(S, 3)``.
+
+        Raises
+        ------
+        SettingsError
+            If there is not one difference for every side.
+        ReconstructionError
+            If the weights leave vertices free.
+        """
+        if differences.shape != (len(self.sides), 3):
+            raise SettingsError(
+                f"differences have shape {differences.shape}; one for each side is expected, ({len(self.sides)}, 3)"
+            )
+        result = np.zeros((self.count, 3))
+        if self.solved.size:
+            result[self.solved] = self.factor.solve((self.weighted @ differences)[self.solved])
+        return result

@@ -1,0 +1,214 @@
+r"""The space of deformation gradients S_f (Sumner and Popović 2004, with their linear reconstruction P_f).
+
+The deformation gradient of a face is the matrix that takes its reference triangle to the frame's. Both are completed
+by a fourth vertex along the normal, so with the columns ``D = [e_1, e_2, n / sqrt |n|]`` of a triangle with sides
+``e_1, e_2`` and ``n = e_1 x e_2``
+
+.. math:: J_f = D_f \, \bar D_f^{-1} .
+
+1. A linear blend of the matrices J is a linear blend of vertices, no more: sides are linear in J, and P_f is linear.
+   What interpolation in S_f means (the paper's Figure 1; Kircher and Garland 2008) is the polar decomposition
+   ``J = R S`` (Sumner et al. 2005, Section 3), of which the rotation is stored as a rotation vector, the shortest one
+   in the first frame and without jumps along a sequence, and the symmetric stretch S as its six numbers.
+2. P_f: the vertices whose gradients are closest, :math:`\min_x \sum_f \bar A_f |\nabla x - J_f|^2`, weighted by the
+   areas of the reference (Botsch et al. 2006; Sumner and Popović do not weigh). That is a Poisson system, constant and
+   factored once. Gradients tell nothing of where a piece is: the centre of each is stored beside them.
+
+A vector is ``[rotation vectors (F, 3) | stretches (F, 6) | centres]``. The normal makes ``det J >= 0``: reflections
+are rotations of the surface. Every frame comes back, so affine maps do. Their blends are blends of matrices where the
+normal is stretched as the matrix would: uniform scales on any mesh, and stretches along the axes of a box's faces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import matrices, vectors, without_jumps
+from mixseq.progress import Progress, silent
+from mixseq.reconstruction.integration import Integration
+from mixseq.sequence import FloatArray
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.pieces import Pieces
+from mixseq.spaces.triangles import completed, with_area
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+"""Rows and columns of the six numbers of a symmetric matrix: its diagonal first."""
+
+FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+"""Which of the six an entry of the matrix is."""
+
+
+class Gradients(NamedTuple):
+    """The blocks of T vectors of S_f.
+
+    Attributes
+    ----------
+    turns : (T, F, 3)
+        Rotation vectors from the reference, face by face.
+    stretches : (T, F, 6)
+        Stretches: xx, yy, zz, xy, xz, yz.
+    centres : (T, p, 3)
+        Centres of the pieces, in diagonals.
+    """
+
+    turns: Float
+    stretches: Float
+    centres: Float
+
+
+@dataclass(frozen=True, eq=False)
+class GradientSpace(ShapeSpace):
+    """Deformation gradients of all faces from a reference.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    scale : float
+        Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
+    reference : (V, 3) float64
+        The first frame, in the space's unit: gradients are from it. For faces without area, which nothing can be
+        a gradient from, triangles with one stand in.
+    """
+
+    topology: Topology
+    scale: float
+    reference: Float
+    name = "gradient"
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """The pieces of the mesh."""
+        return Pieces.of(self.topology, self.reference)
+
+    @cached_property
+    def faces(self) -> Index:
+        """Rows ``(F, 3)`` of the faces' corners; pieces share none."""
+        return self.pieces.face_rows(self.topology)
+
+    @cached_property
+    def edges(self) -> Index:
+        """Rows ``(3F, 2)`` of the sides 01, 12, 20 of all faces."""
+        return np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2)
+
+    @cached_property
+    def triangles(self) -> Float:
+        """The reference triangles ``(F, 3, 3)``: two sides and the fourth vertex, in columns."""
+        return with_area(self.completed(self.reference))
+
+    @cached_property
+    def inverses(self) -> Float:
+        """Their inverses ``(F, 3, 3)``."""
+        return np.asarray(np.linalg.inv(self.triangles))
+
+    @cached_property
+    def sides(self) -> Float:
+        """Sides 01, 12, 20 of the reference triangles ``(F, 3, 3)``, in columns."""
+        first, second = self.triangles[:, :, 0], self.triangles[:, :, 1]
+        return np.stack([first, second - first, -second], axis=2)
+
+    @cached_property
+    def integration(self) -> Integration:
+        """The Poisson system of the reference triangles."""
+        following, before = np.roll(self.sides, -1, axis=2), np.roll(self.sides, 1, axis=2)
+        # The angle opposite to a side is that between the other two, of which one is turned around.
+        cosines = -np.sum(following * before, axis=1)
+        areas = np.linalg.norm(np.cross(self.sides[:, :, 0], self.sides[:, :, 1]), axis=1)
+        cotangents = cosines / areas[:, None]
+        return Integration(self.edges, 0.5 * cotangents.reshape(-1), len(self.pieces.row_vertices))
+
+    def prepare(self) -> None:
+        """Implement `ShapeSpace.prepare`."""
+        if self.integration.solved.size:
+            _ = self.integration.factor
+
+    @property
+    def dim(self) -> int:
+        """Length D of a vector: nine numbers for every face, three for every piece."""
+        return 9 * len(self.topology.faces) + self.placement_dim
+
+    @property
+    def placement_dim(self) -> int:
+        """Three numbers for every piece: its centre."""
+        return 3 * len(self.pieces)
+
+    @property
+    def weights(self) -> Float:
+        """The metric ``(D,)``: what turns or stretches a face moves its corners by its size.
+
+        The size is the root mean square of its sides. A number off the diagonal of a stretch is there twice.
+        """
+        sizes = np.sqrt(np.square(self.sides).sum(axis=1).mean(axis=1))
+        stretches = np.outer(sizes, [1.0, 1.0, 1.0, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
+        return np.concatenate([np.repeat(sizes, 3), stretches.reshape(-1), np.ones(self.placement_dim)])
+
+    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.encode`."""
+        return self.without_jumps(self.encode_apart(points), previous)
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`."""
+        result = np.empty((len(points), self.dim))
+        for vector, frame in zip(result, points, strict=True):
+            x = frame.astype(np.float64) / self.scale
+            gradients = self.completed(x) @ self.inverses
+            rotations = nearest_rotations(gradients)
+            stretches = np.swapaxes(rotations, 1, 2) @ gradients
+            blocks = vectors(rotations), stretches[:, *UPPER], self.pieces.centres(x)
+            np.concatenate([block.reshape(-1) for block in blocks], out=vector)
+        return result
+
+    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.without_jumps`."""
+        before = None if previous is None else self.split(previous[None]).turns[0]
+        blocks = self.split(vectors)
+        return self.join(blocks._replace(turns=without_jumps(blocks.turns, before)))
+
+    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        points = np.empty((len(blocks.turns), self.topology.vertex_count, 3))
+        with one_blas_thread():
+            for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):
+                gradients = matrices(turns) @ stretches[:, FULL]
+                sides = np.swapaxes(gradients @ self.sides, 1, 2).reshape(-1, 3)
+                rows = self.integration.vertices(sides)
+                points[number] = self.pieces.centred(rows, centres) * self.scale
+                progress(number + 1, len(points), "decoding frames")
+        return points
+
+    def completed(self, x: Float) -> Float:
+        """Return the matrices D ``(F, 3, 3)`` of the faces of a frame ``(V, 3)`` in diagonals."""
+        return completed(x[self.pieces.row_vertices], self.faces, self.edges)
+
+    def split(self, vectors: Float) -> Gradients:
+        """Return the blocks of vectors ``(T, D)``.
+
+        Raises
+        ------
+        SettingsError
+            If the vectors are not of this space.
+        """
+        if vectors.ndim != 2 or vectors.shape[1] != self.dim:
+            raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
+        count, faces = len(vectors), len(self.topology.faces)
+        turns, stretches, centres = np.split(vectors, [3 * faces, 9 * faces], axis=1)
+        return Gradients(
+            turns.reshape(count, -1, 3), stretches.reshape(count, -1, 6), centres.reshape(count, -1, 3)
+        )
+
+    def join(self, blocks: Gradients) -> Float:
+        """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
+        return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)

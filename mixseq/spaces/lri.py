@@ -1,0 +1,215 @@
+r"""Linear rotation-invariant coordinates (Lipman, Sorkine, Levin and Cohen-Or 2005).
+
+Every vertex i has an orthonormal frame ``F_i``, whose columns are the direction of one of its edges within the tangent
+plane, the direction across it, and the normal. What does not change under rigid motions is how the frames at the two
+ends of an edge differ, and where each sees the other end,
+
+.. math:: M_{ij} = F_i^T F_j, \qquad u_{ij} = F_i^T (x_j - x_i), \qquad u_{ji} = F_j^T (x_i - x_j) .
+
+The paper writes the same as coefficients: the discrete second form and the connection are the entries of M, the first
+form and the normal offsets those of u. Numbers blend linearly, as there; a blended M need not be a rotation.
+
+A mesh is rebuilt by two sparse linear least-squares problems:
+
+1. frames: :math:`\min_F \sum_{ij} \|F_j - F_i M_{ij}\|^2 + \|F_i - F_j M_{ij}^T\|^2`, one frame of every piece fixed.
+   Each is then projected to a rotation, which is ours: frames that disagree would be too short, and shrink the mesh;
+2. vertices: :math:`\min_x \sum_{ij} |x_j - x_i - F_i u_{ij}|^2 + |x_i - x_j - F_j u_{ji}|^2`, one vertex fixed.
+
+Where the coordinates belong to a real mesh the result is that mesh, exactly. A vector is ``[M (E, 3, 3) |
+u (E, 2, 3) | poses]``, the poses of the pieces as in `PosedSpace`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.reconstruction.block_pattern import BlockPattern
+from mixseq.reconstruction.integration import Integration
+from mixseq.spaces.normals import FLAT, across, unit, vertex_normals
+from mixseq.spaces.posed import PosedSpace
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+PER_EDGE = 15
+"""Numbers of an edge: nine of the connection, three from either end."""
+
+
+@dataclass(frozen=True, eq=False)
+class LRISpace(PosedSpace):
+    """Differences of vertex frames along edges, and edges as the frames see them; for attributes see `PosedSpace`."""
+
+    name = "lri"
+
+    @cached_property
+    def faces(self) -> Index:
+        """Rows ``(F, 3)`` of the faces' corners; pieces share none."""
+        return self.pieces.face_rows(self.topology)
+
+    @cached_property
+    def edges(self) -> Index:
+        """Edges ``(E, 2)`` as pairs of rows i < j, without those that triangles with repeated corners have."""
+        piece = np.empty(len(self.topology.edges), dtype=np.int64)
+        piece[self.topology.face_edges] = self.topology.component_of_face[:, None]
+        rows = self.pieces.rows_of(piece[:, None], self.topology.edges)
+        return rows[rows[:, 0] < rows[:, 1]]
+
+    @cached_property
+    def towards(self) -> Index:
+        """The half-edge ``(N,)`` that gives a vertex its first direction: the longest in the reference's tangent plane.
+
+        Half-edge e goes along edge e, half-edge E + e back. Vertices without an edge have -1.
+        """
+        rows = self.pieces.shapes
+        starts, lengths, _ = self._tangents(rows, vertex_normals(rows, self.faces, self.edges))
+        order = np.lexsort((-lengths, starts))
+        return self._first(order, starts[order])
+
+    @cached_property
+    def integration(self) -> Integration:
+        """The system of the vertices."""
+        return Integration(self.edges, np.ones(len(self.edges)), len(self.pieces.row_vertices))
+
+    @cached_property
+    def number(self) -> Index:
+        """Place ``(N,)`` of every frame among those that are solved for, -1 of those that are fixed."""
+        number = np.full(len(self.pieces.row_vertices), -1, dtype=np.int64)
+        number[self.integration.solved] = np.arange(len(self.integration.solved))
+        return number
+
+    @cached_property
+    def pattern(self) -> BlockPattern:
+        """Which frames are coupled by edges."""
+        return BlockPattern.of(len(self.integration.solved), self.number[self.edges])
+
+    def prepare(self) -> None:
+        """Implement `ShapeSpace.prepare`."""
+        if self.integration.solved.size:
+            _ = self.integration.factor, self.pattern.analysis
+
+    @property
+    def shape_dim(self) -> int:
+        """Fifteen numbers for every edge."""
+        return PER_EDGE * len(self.edges)
+
+    @property
+    def shape_metric(self) -> Float:
+        """The metric ``(S,)``: turning a frame moves the other end of an edge by its length.
+
+        A turn by one radian changes M by the square root of two; an edge is there twice.
+        """
+        i, j = self.edges.T
+        lengths = np.linalg.norm(self.pieces.shapes[j] - self.pieces.shapes[i], axis=1)
+        return np.concatenate([np.repeat(lengths, 9), np.ones(6 * len(lengths))]) * float(np.sqrt(0.5))
+
+    def frames(self, rows: Float) -> Float:
+        """Return the frames ``(N, 3, 3)`` of vertices ``(N, 3)``, piece after piece; axes are the columns.
+
+        Where the direction that the reference chose has no length, the first of those at least half as long as the
+        longest takes its place. What then is left open is chosen from the axes of the world.
+        """
+        normals = vertex_normals(rows, self.faces, self.edges)
+        starts, lengths, tangents = self._tangents(rows, normals)
+        longest = np.zeros(len(rows))
+        np.maximum.at(longest, starts, lengths)
+        half = np.flatnonzero(lengths >= 0.5 * longest[starts])
+        order = half[np.argsort(starts[half], kind="stable")]
+        other = self._first(order, starts[order])
+
+        chosen = other
+        if len(starts):
+            chosen = np.where(lengths[self.towards] > FLAT * longest, self.towards, other)
+        first = np.zeros((len(rows), 3))
+        first[chosen >= 0] = unit(tangents[chosen[chosen >= 0]])
+        bare = ~first.any(axis=1)
+        first[bare] = across(normals[bare])
+        bare = ~normals.any(axis=1)
+        normals[bare] = across(first[bare])
+        second = np.cross(normals, first)
+        return np.stack([first, second, normals], axis=2)
+
+    def shape_of(self, x: Float) -> Float:
+        """Implement `PosedSpace.shape_of`."""
+        rows = x[self.pieces.row_vertices]
+        frames = self.frames(rows)
+        i, j = self.edges.T
+        edges = rows[j] - rows[i]
+        connections = np.swapaxes(frames[i], 1, 2) @ frames[j]
+        ends = np.stack([_seen(frames[i], edges), _seen(frames[j], -edges)], axis=1)
+        return np.concatenate([connections.reshape(-1), ends.reshape(-1)])
+
+    def rebuilt(self, shape: Float) -> Float:
+        """Implement `PosedSpace.rebuilt`."""
+        count = len(self.edges)
+        connections, ends = shape[: 9 * count].reshape(-1, 3, 3), shape[9 * count :].reshape(-1, 2, 3)
+        frames = self._solved_frames(connections)
+        i, j = self.edges.T
+        ahead, back = (np.einsum("eab,eb->ea", frames[k], ends[:, side]) for side, k in enumerate((i, j)))
+        # Both want the same edge, and least squares ask for no more than their mean.
+        return self.integration.vertices((ahead - back) / 2)
+
+    def _solved_frames(self, connections: Float) -> Float:
+        """Find the frames ``(N, 3, 3)`` that differ by connections ``(E, 3, 3)`` as well as possible."""
+        result = np.tile(np.eye(3), (len(self.number), 1, 1))
+        solved = self.integration.solved
+        if not solved.size:
+            return result
+        # Rows of F (one per coordinate of the world) are independent: F_j - F_i M = 0 reads f_j - M^T f_i = 0.
+        i, j = self.number[self.edges].T
+        there, back = np.swapaxes(connections, 1, 2), connections
+        diagonal = np.tile(np.zeros((3, 3)), (len(solved), 1, 1))
+        right = np.zeros_like(diagonal)  # (frame, column of F, coordinate of the world)
+        for target, source, into in ((j, i, there), (i, j, back)):
+            free = target >= 0
+            blocks = np.eye(3) + into @ np.swapaxes(into, 1, 2)
+            # f_target - into f_source, and f_source - into^T f_target.
+            _add(diagonal, target[free], blocks[free])
+            border = free & (source < 0)
+            _add(right, target[border], 2.0 * into[border])
+
+        pattern = self.pattern
+        values = np.zeros(len(pattern.rows))
+        for column in range(3):
+            for row in range(column, 3):
+                values[pattern.places[: len(solved), column] + row] = diagonal[:, row, column]
+        inner = (i >= 0) & (j >= 0)
+        places = pattern.places[pattern.block(i[inner], j[inner])]
+        for column in range(3):  # j is the greater one, and its rows are below the diagonal
+            for row in range(3):
+                values[places[:, column] + row] = -2.0 * there[inner, row, column]
+        solution = pattern.analysis.factor(values).solve(right.reshape(-1, 3)).reshape(-1, 3, 3)
+        result[solved] = nearest_rotations(np.swapaxes(solution, 1, 2))
+        return result
+
+    def _tangents(self, rows: Float, normals: Float) -> tuple[Index, Float, Float]:
+        """Return where half-edges start ``(2E,)``; their lengths ``(2E,)`` and themselves within the tangent plane."""
+        starts, ends = np.concatenate([self.edges, self.edges[:, ::-1]]).T
+        edges = rows[ends] - rows[starts]
+        normal = normals[starts]
+        tangents = edges - normal * np.sum(edges * normal, axis=1, keepdims=True)
+        return starts, np.linalg.norm(tangents, axis=1), tangents
+
+    def _first(self, half_edges: Index, starts: Index) -> Index:
+        """Return the first half-edge ``(N,)`` of every vertex, -1 without one; `starts` ascend."""
+        result = np.full(len(self.pieces.row_vertices), -1, dtype=np.int64)
+        vertices, first = np.unique(starts, return_index=True)
+        result[vertices] = half_edges[first]
+        return result
+
+
+def _seen(frames: Float, vectors: Float) -> Float:
+    """Return vectors ``(n, 3)`` in the axes of frames ``(n, 3, 3)``."""
+    return np.asarray(np.einsum("nba,nb->na", frames, vectors))
+
+
+def _add(sums: Float, places: Index, blocks: Float) -> None:
+    """Add blocks ``(m, 3, 3)`` to sums ``(n, 3, 3)`` at their places ``(m,)``."""
+    count = len(sums)
+    for row in range(3):
+        for column in range(3):
+            sums[:, row, column] += np.bincount(places, blocks[:, row, column], minlength=count)

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.mapping import on_threads, serially
+from mixseq.sequence import MeshSequence
+from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSpace, SpaceName, SpaceSettings, make_space
+from tests.meshes import bar, bending, tube
+
+LONG = bar(sides=4, rings=9, frames=19)
+"""More frames than a block has."""
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_frames_come_back(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    assert space.name == name
+    assert space.scale == LONG.diagonal
+    np.testing.assert_allclose(space.decode(space.encode(LONG.points[:4])), LONG.points[:4], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_spaces_do_not_depend_on_who_works(name: SpaceName) -> None:
+    one, two = (make_space(LONG, name, workers=workers) for workers in (serially, on_threads(3)))
+    np.testing.assert_array_equal(one.encode(LONG.points), two.encode(LONG.points))
+    np.testing.assert_array_equal(one.weights, two.weights)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_spaces_can_be_sent(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    vectors = space.encode(LONG.points[:3])
+    space.prepare()
+    sent = pickle.loads(pickle.dumps(space))
+    np.testing.assert_array_equal(sent.encode(LONG.points[:3]), vectors)
+    np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_a_mesh_without_extent_has_a_unit(name: SpaceName) -> None:
+    mesh = tube(4, 3)
+    points = np.zeros((2, len(mesh[0]), 3))
+    assert make_space(MeshSequence.from_arrays(points, mesh[1]), name).scale == 1.0
+
+
+def test_reference_lengths_are_means_over_all_frames() -> None:
+    """A tube that is twice as large in one of four frames: lengths are 1.25 times those of the first."""
+    points, faces = tube(4, 5)
+    sequence = MeshSequence.from_arrays(np.stack([points, points, 2 * points, points]), faces)
+    space = make_space(sequence, "edge", SpaceSettings(edge=EdgeSettings(volume=0.25)))
+    assert isinstance(space, EdgeSpace)
+    ends = points[space.topology.edges]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / sequence.diagonal
+    np.testing.assert_allclose(space.reference_lengths, 1.25 * lengths, rtol=1e-12)
+    assert space.settings.volume == 0.25
+
+
+@pytest.mark.parametrize(
+    ("settings", "check"),
+    [
+        (SpaceSettings(parts=3), lambda space: len(space.decomposition.parts) == 3),
+        (SpaceSettings(placement="free"), lambda space: space.placement == "free"),
+        (SpaceSettings(joint_width=1), lambda space: space.decomposition.widths.max() == 1),
+    ],
+)
+def test_settings_of_the_mixed_space_are_used(settings: SpaceSettings, check: Any) -> None:
+    space = make_space(LONG, "mixed", settings)
+    assert isinstance(space, MixedSpace)
+    assert check(space)
+
+
+@pytest.mark.parametrize(("name", "said"), [("mixed", 3), ("vertex", 0), ("edge", 1)])
+def test_progress_counts_up(name: SpaceName, said: int) -> None:
+    told: list[tuple[int, int, str]] = []
+    make_space(LONG, name, progress=lambda *step: told.append(step))
+    assert len({what for _, _, what in told}) == said
+    assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+    assert not told or told[-1][0] == told[-1][1]
+
+
+def test_the_first_frame_is_the_unit_in_every_space() -> None:
+    """Also where it is float32, as files have it."""
+    points = bending(tube(4, 5), frames=3).astype(np.float32)
+    sequence = MeshSequence.from_arrays(points, tube(4, 5)[1])
+    assert {make_space(sequence, name).scale for name in SPACES} == {sequence.diagonal}
