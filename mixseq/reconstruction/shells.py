@@ -16,7 +16,7 @@ damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,16 @@ class Pull(NamedTuple):
     weights: Float
 
 
+class DenseTerm(Protocol):
+    """One more residual, in which all vertices take part: a volume, say."""
+
+    def residual(self, points: Float) -> float:
+        """Return the weighted residual at points ``(n, 3)``."""
+
+    def gradient(self, points: Float) -> Float:
+        """Return its derivatives ``(n, 3)``."""
+
+
 NO_PULL = Pull(np.zeros((0, 3)), np.zeros(0))
 
 
@@ -106,7 +116,8 @@ NO_PULL = Pull(np.zeros((0, 3)), np.zeros(0))
 class ShellProblem:
     """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both.
 
-    A *pull* is optional: places for the free vertices, which add the residuals ``weight * (x - place)``.
+    A *pull* is optional: places for the free vertices, which add the residuals ``weight * (x - place)``. So is a
+    *dense* term, one residual more, the last.
     """
 
     patch: Patch
@@ -115,6 +126,7 @@ class ShellProblem:
     length_weights: Float
     bending: float
     pull: Pull = NO_PULL
+    dense: DenseTerm | None = None
 
     @property
     def edges(self) -> NDArray[np.int64]:
@@ -127,7 +139,7 @@ class ShellProblem:
         return self.patch.equations.hinges
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``; with a pull ``3 free`` more."""
+        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``; with a pull ``3 free`` more, then the dense one."""
         return self._residuals(points)[0]
 
     def energy(self, points: Float) -> float:
@@ -150,10 +162,16 @@ class ShellProblem:
             self.pull.weights,
             residuals,
         )
+        if self.dense is not None:
+            last = self.dense.residual(points)
+            return np.append(residuals, last), float(energy) + last**2
         return residuals, float(energy)
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
-        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and the gradient ``J^T r`` ``(3 free,)``."""
+        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and the gradient ``J^T r`` ``(3 free,)``.
+
+        Neither knows of the dense term, whose row of J is `dense_row`.
+        """
         rows = self.patch.equations
         values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free))
         shell_equations(
@@ -173,8 +191,14 @@ class ShellProblem:
         )
         return values, gradient
 
+    def dense_row(self, points: Float) -> Float | None:
+        """Derivatives ``(3 free,)`` of the dense residual, if there is one."""
+        if self.dense is None:
+            return None
+        return self.dense.gradient(points)[self.patch.free].reshape(-1)
+
     def jacobian(self, points: Float) -> sparse.csr_array:
-        """Derivatives ``(residuals, 3 free)`` of the residuals by the free vertices."""
+        """Derivatives of all residuals but the dense one by the free vertices, ``(residuals, 3 free)``."""
         length = length_gradients(points, self.edges) * self.length_weights[:, None]
         stretch = np.stack([-length, length], axis=1)
         bend = self.bending * dihedral_gradients(points, self.hinges)
@@ -232,10 +256,16 @@ def fit_shell(
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
         values, gradient = problem.normal_equations(points, residuals)
+        row = problem.dense_row(points)
+        if row is not None:
+            gradient += residuals[-1] * row
         diagonal = values[pattern.diagonal]
         while True:
             values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max()
-            step, held = _step(pattern, values, gradient, held)
+            if row is None:
+                step, held = _step(pattern, values, gradient, held)
+            else:
+                step = _dense_step(pattern, values, gradient, row)
             promised = -float(gradient @ step)  # what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= HELD)
@@ -270,3 +300,10 @@ def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> 
         if steps >= 0:
             return step, True
     return -pattern.analysis.factor(values).solve(gradient), False
+
+
+def _dense_step(pattern: BlockPattern, values: Float, gradient: Float, row: Float) -> Float:
+    """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
+    both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
+    step, along = both.T
+    return np.asarray(step - along * (row @ step) / (1.0 + row @ along))
