@@ -62,6 +62,11 @@ class ShapeSpace(Remade, ABC):
         """How many of them, the first ones, are independent."""
         return self.placement_dim
 
+    @property
+    def placement_rotations(self) -> int:
+        """How many of those, the first ones, belong to rotation vectors; the others to translations."""
+        return self.stored_placement_dim // 2
+
     def complete_placement(self, own: Float) -> Float:
         """Return whole placements ``(N, placement_dim)`` of consecutive frames from their independent numbers."""
         return own

@@ -145,6 +145,11 @@ class GradientSpace(ShapeSpace):
         return 3 * len(self.pieces)
 
     @property
+    def placement_rotations(self) -> int:
+        """None: gradients tell how pieces are turned."""
+        return 0
+
+    @property
     def weights(self) -> Float:
         """The metric ``(D,)``: what turns or stretches a face moves its corners by its size.
 

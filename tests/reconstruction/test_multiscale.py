@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def test_odd_topologies(name: str) -> None:
         rows, _ = this.rebuild(*this.measure(frame))
         assert rows.shape == (sum(map(len, this.pieces.vertices)), 3)
         # Across faces without area angles say nothing: how the mesh bends there is lost.
-        limit = 0.5 if name in ("zero area", "repeated corners") else 1e-9
+        limit = 0.02 if name in ("zero area", "repeated corners") else 1e-9
         assert this.distance(rows, frame) < limit
     rows, reports = this.rebuild(*this.half_way(points[0], points[-1]))
     assert np.isfinite(rows).all()
@@ -137,6 +138,7 @@ BEND = 1.2
 """Radians by which the bar bends; at a right angle it folds onto itself."""
 
 
+@cache
 def half_bent(**numbers: int) -> tuple[Rebuilder, Float, Float]:
     points, faces = meshes.tube(12, 40)
     this = Rebuilder(points, faces, **numbers)
@@ -144,17 +146,24 @@ def half_bent(**numbers: int) -> tuple[Rebuilder, Float, Float]:
 
 
 def test_half_way_to_a_bent_bar() -> None:
-    """No mesh has the lengths and angles half-way; what is found has nearly these, and bends half as far."""
+    """No mesh has the lengths and angles half-way; what is found is nearly what Gauss-Newton on all of it finds."""
     this, lengths, angles = half_bent(**SMALL)
     rows, reports = this.rebuild(lengths, angles)
     assert len(reports) > 10
     stretch, turn = this.errors(rows, lengths, angles)
     assert stretch.max() < 0.05
     assert turn.max() < 8
-    axes = [rows[12 * k : 12 * k + 12].mean(axis=0) for k in (0, 5, 34, 39)]
-    lower, upper = axes[1] - axes[0], axes[3] - axes[2]
-    cosine = lower @ upper / np.linalg.norm(lower) / np.linalg.norm(upper)
-    assert np.degrees(np.arccos(cosine)) == pytest.approx(np.degrees(BEND / 2), abs=2)
+    whole, *_ = half_bent(leaf=10_000)
+    one_leaf, reports = whole.rebuild(lengths, angles)
+    assert len(reports) == 1
+    assert bend(rows) == pytest.approx(bend(one_leaf), abs=2)
+
+
+def bend(bar: Float) -> float:
+    """Angle in degrees between the ends of the bar's axis."""
+    low, lower, upper, high = (bar[12 * k : 12 * k + 12].mean(axis=0) for k in (0, 5, 34, 39))
+    one, other = lower - low, high - upper
+    return float(np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other))))
 
 
 def test_rigid_motions_do_not_matter() -> None:
@@ -169,14 +178,8 @@ def test_rigid_motions_do_not_matter() -> None:
 
 
 def test_same_again() -> None:
-    (one, *targets), (two, *_) = half_bent(**SMALL), half_bent(**SMALL)
+    (one, *targets), (two, *_) = half_bent(**SMALL), half_bent.__wrapped__(**SMALL)
     assert np.array_equal(one.rebuild(*targets)[0], two.rebuild(*targets)[0])
-
-
-def test_small_meshes_are_one_leaf() -> None:
-    this, lengths, angles = half_bent(leaf=10_000)
-    _, reports = this.rebuild(lengths, angles)
-    assert len(reports) == 1
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
