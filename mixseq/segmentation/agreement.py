@@ -1,0 +1,76 @@
+r"""How far two segmentations of one mesh agree: the adjusted Rand index (Hubert and Arabie 1985).
+
+With :math:`n_{ij}` the weight that is in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`,
+:math:`b_j = \sum_i n_{ij}`, N their sum, and the sums of squares
+
+.. math:: S = \sum_{ij} n_{ij}^2, \quad A = \sum_i a_i^2, \quad B = \sum_j b_j^2, \quad Q = \sum_f w_f^2,
+
+of which Q is what pairs of a face with itself contribute, the index is
+
+.. math:: \mathrm{ARI} = \frac{(S - Q) - E}{\frac{1}{2} (A + B) - Q - E}, \qquad
+          E = \frac{(A - Q)(B - Q)}{N^2 - Q} .
+
+For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SegmentationError
+
+
+def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Compare two labelings of the same faces.
+
+    Parameters
+    ----------
+    first, second : (F,) int array_like
+        Label of every face. Which numbers stand for the parts does not matter.
+    weights : (F,) float array_like, optional
+        Weight of every face, such as its area; 1 if not given.
+
+    Returns
+    -------
+    float
+        1 where both are the same partition, about 0 where they agree as much as by chance; it can be negative.
+
+    Raises
+    ------
+    SegmentationError
+        If the labels are not of the same faces, or weights are not one non-negative number each.
+
+    Examples
+    --------
+    >>> adjusted_rand_index([0, 0, 1, 1], [5, 5, 3, 3])
+    1.0
+    >>> round(adjusted_rand_index([0, 0, 1, 1], [0, 1, 0, 1]), 9)
+    -0.5
+    """
+    a, b = np.asarray(first), np.asarray(second)
+    if a.ndim != 1 or a.shape != b.shape:
+        raise SegmentationError(
+            f"labels have shapes {a.shape} and {b.shape}; one for each face of the same mesh are expected"
+        )
+    w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != a.shape or not (np.isfinite(w).all() and (w >= 0).all()):
+        raise SegmentationError(
+            f"weights have shape {w.shape}; for each of the {len(a)} faces one number of at least 0 is expected"
+        )
+    rows, i = np.unique(a, return_inverse=True)
+    columns, j = np.unique(b, return_inverse=True)
+    both = np.bincount(i * len(columns) + j, w, len(rows) * len(columns)).astype(np.float64)
+    both = both.reshape(len(rows), len(columns))
+    alone = float(w @ w)
+    together, of_first, of_second = (_squares(x) - alone for x in (both, both.sum(axis=1), both.sum(axis=0)))
+    pairs = float(w.sum()) ** 2 - alone
+    expected = of_first * of_second / pairs if pairs > 0 else 0.0
+    possible = (of_first + of_second) / 2.0 - expected
+    return (
+        (together - expected) / possible if possible > 0 else 1.0
+    )  # one part each, or all faces alone: the same
+
+
+def _squares(values: NDArray[np.float64]) -> float:
+    return float(np.sum(values * values))

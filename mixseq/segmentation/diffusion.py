@@ -1,0 +1,142 @@
+r"""Diffusion on a surface: smoothing, and the distance that it defines.
+
+With the cotangent Laplacian L and the vertex areas M of a mesh, heat spreads as :math:`M \dot u = -L u`. One implicit
+step of time :math:`r^2`,
+
+.. math:: (M + r^2 L)\, u = M u_0,
+
+smooths values over about the distance r. The eigenvectors :math:`L \phi_i = \lambda_i M \phi_i`,
+:math:`\phi_i^T M \phi_j = \delta_{ij}`, embed the surface so that Euclidean distances are *diffusion distances*
+(Coifman et al. 2005; Bronstein and Bronstein 2011), which see how well two vertices are connected, not just how near
+they are:
+
+.. math:: d_t(v, w)^2 = \sum_{i \ge 1} e^{-2 t \lambda_i} \bigl(\phi_i(v) - \phi_i(w)\bigr)^2 .
+
+Neither the signs of eigenvectors nor the choice of a basis where eigenvalues coincide change distances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.sequence import FloatArray
+from mixseq.topology import Topology
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_LEAST, _MOST = 1e-2, 1e2
+"""Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""
+
+_DENSE = 400
+"""Components with fewer vertices are decomposed as dense matrices."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diffusion:
+    """Diffusion on one frame of a mesh.
+
+    Parameters
+    ----------
+    points : (V, 3) float
+        The frame; times are squares of its unit.
+    topology : Topology
+        Connectivity.
+    """
+
+    points: FloatArray
+    topology: Topology
+
+    @cached_property
+    def areas(self) -> Float:
+        """Area ``(V,)`` of every vertex: a third of its faces'; vertices without any get a tiny one."""
+        corners = self.points[self.topology.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        thirds = np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3)
+        areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
+        return np.asarray(np.maximum(areas, 1e-6 * max(float(areas.mean()), np.finfo(np.float64).tiny)))
+
+    @cached_property
+    def laplacian(self) -> sparse.csc_array:
+        """The positive semidefinite Laplacian ``(V, V)`` of cotangent weights."""
+        start, end, opposite = self.topology.corners[:, :3].T
+        u, v = self.points[start] - self.points[opposite], self.points[end] - self.points[opposite]
+        height = np.linalg.norm(np.cross(u, v), axis=1)
+        cotangents = np.einsum("ci,ci->c", u, v) / np.maximum(height, 1e-12)
+        weights = np.zeros(len(self.topology.edges))
+        np.add.at(weights, self.topology.face_edges.T.reshape(-1), 0.5 * cotangents)
+        weights = np.clip(weights, _LEAST, _MOST)
+        i, j = self.topology.edges.T
+        count = self.topology.vertex_count
+        half = sparse.coo_array((weights, (i, j)), shape=(count, count))
+        adjacency = half + half.T
+        return sparse.csc_array(sparse.diags_array(adjacency.sum(axis=0)) - adjacency)
+
+    def smoothed(self, values: Float, radius: float) -> Float:
+        """Average values ``(V,)`` of vertices over about a radius; their mean over the surface stays."""
+        if radius == 0.0:
+            return values.copy()
+        system = sparse.diags_array(self.areas) + radius**2 * self.laplacian
+        return np.asarray(_factored(system).solve(self.areas * values), dtype=np.float64)
+
+    def embedding(self, time: float, count: int) -> Float:
+        """Coordinates ``(V, count)`` whose distances are diffusion distances.
+
+        Every connected component is embedded on its own, by its lowest eigenvectors: distances mean something within
+        a component only. Components with few vertices have fewer coordinates, filled up with zeros.
+
+        Parameters
+        ----------
+        time : float
+            Time t of diffusion, in squared units of the points: details below about its root vanish.
+        count : int
+            Number of eigenvectors.
+        """
+        result = np.zeros((self.topology.vertex_count, count))
+        roots = 1.0 / np.sqrt(self.areas)
+        scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
+        for component in np.split(*_sorted_by(self.topology.component_of_vertex)):
+            values, vectors = _lowest(scaled[component][:, component], min(count, len(component) - 1))
+            result[component, : len(values)] = vectors * roots[component, None] * np.exp(-time * values)
+        return result
+
+
+def _sorted_by(number: NDArray[np.integer]) -> tuple[Index, Index]:
+    """Return what splits into the sets of equal numbers: their members, and where they end."""
+    return np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1]
+
+
+def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:
+    """Return the lowest eigenvalues ``(count,)`` but the first, which is zero, and their eigenvectors."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    size = matrix.shape[0]
+    if size < _DENSE or count >= size // 4:
+        values, vectors = np.linalg.eigh(matrix.toarray())
+        return values[1 : count + 1], vectors[:, 1 : count + 1]
+    # The shift makes the matrix definite. It is small against the eigenvalues wanted, of which the mean is about
+    # that of all divided by the number of vertices.
+    shift = 1e-3 * float(matrix.diagonal().mean()) / size
+    factor = _factored(matrix + shift * sparse.eye_array(size))
+    inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
+    start = np.cos(np.arange(size, dtype=np.float64))  # any, but always the same
+    values, vectors = eigsh(matrix, count + 1, sigma=-shift, OPinv=inverse, v0=start, tol=1e-8)
+    order = np.argsort(values, kind="stable")[1:]
+    return values[order], vectors[:, order]
+
+
+def _factored(matrix: sparse.sparray) -> SuperLU:
+    """Factor a symmetric positive definite matrix."""
+    from scipy.sparse.linalg import splu
+
+    options = {"SymmetricMode": True}
+    return splu(sparse.csc_matrix(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)

@@ -1,0 +1,113 @@
+r"""Growing regions over a landscape, and the passes where they meet.
+
+Every hinge has a height. Rising water connects faces across hinges in the order of height, which is Kruskal's
+algorithm for the minimum spanning tree of the dual graph: its nodes are faces, its edges hinges. Where a hinge joins
+two lakes, it is the *pass* between them. A pass is known by
+
+- its *area*: that of the smaller lake when they meet,
+- its *depth*: its height above the bottom of the shallower lake (the persistence of that lake).
+
+Cutting the tree at some passes leaves regions, in every connected component one more than passes. Where all passes
+that are cut have at least some area, so have all regions; where they have at least some depth, every region has one
+bottom, its *seed*, that is as deep below the passes that surround it. Regions are connected across hinges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.errors import SettingsError
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """The minimum spanning tree of the dual graph, from its lowest hinge to its highest.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    face_areas : (F,) float64
+        Areas of the faces.
+    hinges : (n,) int64
+        Hinges of the tree; n is the number of faces less that of components.
+    areas, depths : (n,) float64
+        Areas and depths of these passes.
+    """
+
+    topology: Topology
+    face_areas: Float
+    hinges: Index
+    areas: Float
+    depths: Float
+
+    def cut(self, where: Index) -> Index:
+        """Cut the tree at some of its n hinges; number the regions ``(F,)`` that are left by decreasing area."""
+        count = len(self.face_areas)
+        i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
+        graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
+        region = csgraph.connected_components(graph, directed=False)[1]
+        order = np.argsort(-np.bincount(region, self.face_areas), kind="stable")
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        return np.asarray(rank[region], dtype=np.int64)
+
+    def deepest(self, parts: int, least_area: float) -> Index:
+        """Choose the deepest passes with at least some area, as many as leave `parts` regions.
+
+        Where there are too few of that area, it is halved until there are enough.
+        """
+        components = len(self.face_areas) - len(self.hinges)
+        count = min(max(parts - components, 0), len(self.hinges))
+        while np.count_nonzero(self.areas >= least_area) < count:
+            least_area /= 2.0
+        large = np.flatnonzero(self.areas >= least_area)
+        return np.asarray(large[np.argsort(-self.depths[large], kind="stable")[:count]], dtype=np.int64)
+
+    def deeper(self, than: float, least_area: float) -> Index:
+        """Choose all passes that are deeper than something, with at least some area."""
+        return np.flatnonzero((self.depths > than) & (self.areas >= least_area))
+
+
+def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> Passes:
+    """Find the passes of a landscape.
+
+    Parameters
+    ----------
+    topology : Topology
+        Connectivity.
+    heights : (H,) float64
+        Height of every hinge. Of hinges that are equally high the first counts as the lower one.
+    bottoms : (F,) float64
+        Height of every face, at most that of its hinges.
+    areas : (F,) float64
+        Area of every face, positive.
+    """
+    from mixseq.segmentation.growing_kernels import kruskal
+
+    order = np.argsort(heights, kind="stable")
+    tree, area, depth = kruskal(topology.hinge_faces[order], heights[order], bottoms.copy(), areas.copy())
+    return Passes(topology, areas, order[tree], area, depth)
+
+
+def check_parts(parts: int | None, topology: Topology) -> None:
+    """Refuse a number of parts that no segmentation has.
+
+    Raises
+    ------
+    SettingsError
+        If it is below one or above the number of faces.
+    """
+    if parts is not None and not 1 <= parts <= len(topology.faces):
+        raise SettingsError(
+            f"parts is {parts}; a number from 1 to {len(topology.faces)} (the faces) is expected"
+        )

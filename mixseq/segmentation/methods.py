@@ -1,0 +1,83 @@
+"""Segmentations by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.segmentation.motion import MotionSettings, segment_by_motion
+from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
+from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
+from mixseq.sequence import FloatArray
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+Labels = NDArray[np.int64]
+
+MethodName = Literal["motion", "silhouettes", "spanning-tree"]
+MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
+
+
+class Method(NamedTuple):
+    """A way to find parts: a function of points, topology, number of parts and settings, and their type."""
+
+    segment: Callable[[FloatArray, Topology, int | None, Any], Labels]
+    settings: type[MethodSettings]
+
+
+METHODS: dict[MethodName, Method] = {
+    "motion": Method(segment_by_motion, MotionSettings),
+    "silhouettes": Method(segment_by_silhouettes, SilhouetteSettings),
+    "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
+}
+"""The methods that need nothing but the moving mesh."""
+
+
+def segment(
+    points: FloatArray,
+    topology: Topology,
+    method: MethodName = "motion",
+    parts: int | None = None,
+    settings: MethodSettings | None = None,
+) -> Labels:
+    """Find the near-rigid parts of a moving mesh.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float
+        The sequence; any unit.
+    topology : Topology
+        Its connectivity.
+    method : {"motion", "silhouettes", "spanning-tree"}
+        How: by rigid motion (ours, the default), by augmented silhouettes (Marras et al. 2012, the paper's choice), or
+        by cutting a spanning tree (Wuhrer and Brunton 2010).
+    parts : int, optional
+        Number of parts; found automatically if not given. Every connected component has at least one. Where little
+        moves, the motion method may find fewer than asked for.
+    settings : MotionSettings, SilhouetteSettings or SpanningTreeSettings, optional
+        Details of the method.
+
+    Returns
+    -------
+    (F,) int64
+        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such method, the settings are another method's, or `parts` is below one or above the number of
+        faces.
+    """
+    if method not in METHODS:
+        raise SettingsError(f"there is no segmentation method {method!r}; there are: {', '.join(METHODS)}")
+    found = METHODS[method]
+    if settings is not None and not isinstance(settings, found.settings):
+        raise SettingsError(
+            f"settings are {type(settings).__name__}; method {method!r} takes {found.settings.__name__}"
+        )
+    with one_blas_thread():
+        return found.segment(points, topology, parts, settings)

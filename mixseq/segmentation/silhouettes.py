@@ -1,0 +1,214 @@
+r"""Segmentation by augmented silhouettes, after Marras, Bronstein, Hormann, Scateni and Scopigno (2012).
+
+As the paper tells it (Section 2.1, Figure 3):
+
+1. *Look.* The N poses are seen from K viewpoints. The perceptually relevant edges of a view are those between a visible
+   and a hidden face, occlusion left aside; they are its augmented silhouette. Only K' of all K N silhouettes are
+   looked at, chosen at random.
+2. *Mark.* On every silhouette the vertices are marked whose surrounding triangles deform most, by the largest
+   variation over the poses of the angles and lengths of their edges. Vertices marked often are *significant*.
+3. *Seed.* Every vertex is as high as its diffusion distance from the nearest significant one. Tops are seeds.
+4. *Grow.* Regions grow from the seeds downwards, until they meet where the mesh deforms.
+
+The paper gives no numbers, and leaves open what follows, which is ours:
+
+- Views are orthographic, and directions are spread over a half sphere, since a mesh has the same silhouette from
+  behind.
+- A vertex deforms by :math:`\Delta\theta_v + \epsilon_v` (`mixseq.segmentation.deformation`), smoothed over a small
+  radius; on every silhouette the share of its vertices that deform most is marked; those marked on at least half of
+  the silhouettes that they are on are significant.
+- A significant vertex lies as far below zero as it is from the nearest one that is not. So regions meet in the middle
+  of what deforms.
+- A seed stands for a part if it is high enough above the pass to a higher one (its persistence, see
+  `mixseq.segmentation.growing`), and if its region is large enough. Every connected component is at least one part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.segmentation.deformation import some_frames, vertex_bending, vertex_strain
+from mixseq.segmentation.diffusion import Diffusion
+from mixseq.segmentation.elements import face_areas
+from mixseq.segmentation.growing import check_parts, flood
+from mixseq.sequence import FloatArray
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Labels = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SilhouetteSettings:
+    """Settings of `segment_by_silhouettes`. The quantities N, K and K' are the paper's, all values are ours.
+
+    Attributes
+    ----------
+    frames : int
+        Poses looked at (N), evenly spread over the sequence.
+    viewpoints : int
+        Directions from which every pose is seen (K).
+    silhouettes : int
+        How many of all views are looked at (K').
+    seed : int
+        Of the random choice of views.
+    radius : float
+        Deformations are smoothed over about this distance, in diagonals; 0 takes them as they are.
+    share : float
+        Fraction of the vertices on a silhouette that are marked: those that deform most.
+    still : float
+        Vertices that deform less are never marked; radians of bending plus strain.
+    eigenvectors : int
+        How many span the diffusion distance.
+    time : float
+        Time of diffusion, in squared diagonals. Details below about its root do not count for distances.
+    contrast : float
+        Without a number of parts, a seed makes one if it is higher than the pass to a higher seed by this fraction of
+        the mean distance.
+    crumb : float
+        Parts have at least this fraction of the area, unless more parts are asked for than that allows.
+    """
+
+    frames: int = 24
+    viewpoints: int = 20
+    silhouettes: int = 100
+    seed: int = 0
+    radius: float = 0.015
+    share: float = 0.3
+    still: float = 0.005
+    eigenvectors: int = 40
+    time: float = 0.01
+    contrast: float = 0.08
+    crumb: float = 0.005
+
+    def __post_init__(self) -> None:
+        counts = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
+        sizes = min(self.seed, self.radius, self.still, self.time, self.contrast)
+        if counts < 1 or sizes < 0 or not 0 < self.share <= 1 or not 0 <= self.crumb < 1:
+            raise SettingsError(
+                f"{self}: frames, viewpoints, silhouettes and eigenvectors of at least 1, seed, radius, still, time "
+                f"and contrast of at least 0, a share from above 0 to 1 and a crumb from 0 to below 1 are expected"
+            )
+
+
+def segment_by_silhouettes(
+    points: FloatArray,
+    topology: Topology,
+    parts: int | None = None,
+    settings: SilhouetteSettings | None = None,
+) -> Labels:
+    """Find the parts of a moving mesh between the places where its silhouettes deform.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float
+        The sequence; any unit.
+    topology : Topology
+        Its connectivity.
+    parts : int, optional
+        Number of parts. Every hinge-connected component has at least one, whatever is asked for. Found
+        automatically if not given.
+    settings : SilhouetteSettings, optional
+        Details.
+
+    Returns
+    -------
+    (F,) int64
+        Part of every face, numbered 0, 1, ... by decreasing area. Parts are connected across edges.
+
+    Raises
+    ------
+    SettingsError
+        If `parts` is below one or above the number of faces.
+    """
+    settings = settings or SilhouetteSettings()
+    check_parts(parts, topology)
+    x = some_frames(points, settings.frames)
+    surface = Diffusion(x[0], topology)
+    deformation = surface.smoothed(vertex_bending(x, topology) + vertex_strain(x, topology), settings.radius)
+    significant = significant_vertices(x, topology, deformation, settings)
+    distance = _signed_distance(surface, significant, settings)
+    bottoms = -distance[topology.faces].mean(axis=1)  # water runs down: seeds, which are tops, turned over
+    passes = flood(topology, bottoms[topology.hinge_faces].max(axis=1), bottoms, face_areas(x[0], topology))
+    least_area = settings.crumb * float(passes.face_areas.sum())
+    if parts is not None:
+        return passes.cut(passes.deepest(parts, least_area))
+    deep = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))
+    return passes.cut(passes.deeper(deep, least_area))
+
+
+def viewpoints(count: int) -> Float:
+    """Return directions ``(count, 3)``, evenly spread over the upper half sphere: a Fibonacci spiral."""
+    number = np.arange(count) + 0.5
+    height = 1.0 - number / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * number
+    radius = np.sqrt(1.0 - height**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
+
+
+def silhouette(points: FloatArray, topology: Topology, direction: Float) -> Mask:
+    """Mark the hinges ``(H,)`` between a face that looks along a direction ``(3,)`` and one that does not."""
+    corners = points[topology.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    visible = (normals @ direction > 0.0)[topology.hinge_faces]
+    return np.asarray(visible[:, 0] != visible[:, 1])
+
+
+def significant_vertices(
+    points: FloatArray, topology: Topology, deformation: Float, settings: SilhouetteSettings
+) -> Mask:
+    """Mark the vertices ``(V,)`` that deform most on most of the silhouettes that they are on.
+
+    Parameters
+    ----------
+    points : (N, V, 3) float
+        The poses.
+    topology : Topology
+        Connectivity.
+    deformation : (V,) float64
+        How much every vertex deforms.
+    settings : SilhouetteSettings
+        How many silhouettes are looked at, and which share of them is marked.
+    """
+    directions = viewpoints(settings.viewpoints)
+    views = len(points) * len(directions)
+    chosen = np.random.default_rng(settings.seed).choice(
+        views, min(settings.silhouettes, views), replace=False
+    )
+    seen, marked = np.zeros((2, topology.vertex_count), dtype=np.int64)
+    for pose, direction in zip(*np.divmod(np.sort(chosen), len(directions)), strict=True):
+        edges = topology.hinge_edges[silhouette(points[pose], topology, directions[direction])]
+        vertices = np.unique(topology.edges[edges])
+        if not vertices.size:
+            continue
+        least = np.quantile(deformation[vertices], 1.0 - settings.share)
+        seen[vertices] += 1
+        marked[vertices[deformation[vertices] >= max(least, settings.still)]] += 1
+    return (marked > 0) & (2 * marked >= seen)
+
+
+def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
+    """Diffusion distance ``(V,)`` from the nearest significant vertex; of those to the nearest other, negative.
+
+    Only vertices on the rim are looked at, with a neighbour of the other kind: nearest ones are there. It is zero on
+    components where no vertex is significant, or all are.
+    """
+    from scipy.spatial import cKDTree
+
+    places = surface.embedding(settings.time, settings.eigenvectors)
+    component = surface.topology.component_of_vertex
+    edges = surface.topology.edges
+    rim = np.zeros(len(places), dtype=bool)
+    rim[edges[significant[edges[:, 0]] != significant[edges[:, 1]]]] = True
+    result = np.zeros(len(places))
+    for number in np.unique(component[rim]):
+        here = component == number
+        for side, sign in ((significant, -1.0), (~significant, 1.0)):
+            across = cKDTree(places[here & rim & ~side])
+            result[here & side] = sign * across.query(places[here & side])[0]
+    return result

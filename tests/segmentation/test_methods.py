@@ -1,0 +1,206 @@
+"""What all segmentations have in common, whatever their method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.errors import SettingsError
+from mixseq.segmentation import (
+    METHODS,
+    MethodName,
+    MethodSettings,
+    MotionSettings,
+    SilhouetteSettings,
+    SpanningTreeSettings,
+    adjusted_rand_index,
+    segment,
+    segment_by_motion,
+)
+from mixseq.segmentation.elements import face_areas
+from mixseq.topology import Topology, face_patches
+from tests.meshes import SEQUENCES, bar, rotation
+from tests.segmentation.bones import three_bones
+
+methods = pytest.mark.parametrize("method", METHODS)
+
+
+def assert_sound(topology: Topology, labels: np.ndarray) -> None:
+    assert labels.shape == (len(topology.faces),)
+    assert labels.dtype == np.int64
+    np.testing.assert_array_equal(np.unique(labels), np.arange(labels.max() + 1))
+    for part in range(labels.max() + 1):
+        assert face_patches(topology, labels == part).max() == 0, "a part is connected across edges"
+
+
+@methods
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_awkward_meshes_have_sound_parts(name: str, method: MethodName) -> None:
+    sequence = SEQUENCES[name]()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    assert_sound(topology, segment(sequence.points, topology, method))
+    labels = segment(sequence.points, topology, method, 4)
+    assert_sound(topology, labels)
+    wanted = max(4, len(np.unique(topology.component_of_face)))
+    assert labels.max() + 1 == wanted or (method == "motion" and labels.max() + 1 < wanted)
+
+
+@methods
+def test_three_bones_are_found(method: MethodName) -> None:
+    sequence, bones = three_bones()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    for parts in (None, 3):
+        labels = segment(sequence.points, topology, method, parts)
+        assert labels.max() == 2
+        assert adjusted_rand_index(labels, bones) > 0.85
+
+
+@methods
+@pytest.mark.parametrize("parts", [1, 2, 5, 9])
+def test_as_many_parts_as_asked_for(method: MethodName, parts: int) -> None:
+    sequence = bar()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    labels = segment(sequence.points, topology, method, parts)
+    assert_sound(topology, labels)
+    assert labels.max() + 1 == parts
+    area = np.bincount(labels, face_areas(sequence.points[0], topology))
+    assert (np.diff(area) <= 0).all(), "numbered by decreasing area"
+
+
+@methods
+def test_a_part_for_every_component_of_what_does_not_deform(method: MethodName) -> None:
+    sequence = SEQUENCES["several components"]()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    still = np.stack([sequence.points[0], sequence.points[0] @ rotation((1, 2, 0.3)).T + 5.0])
+    labels = segment(still, topology, method)
+    assert adjusted_rand_index(labels, topology.component_of_face) == 1.0
+
+
+@methods
+def test_units_and_place_do_not_matter(method: MethodName) -> None:
+    sequence, _ = three_bones()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    moved = 0.01 * sequence.points @ rotation((0, 0, 0.2)).T + 3.0
+    one, other = segment(sequence.points, topology, method), segment(moved, topology, method)
+    assert adjusted_rand_index(one, other) > 0.9  # views are other ones
+
+
+@methods
+def test_again_the_same(method: MethodName) -> None:
+    sequence = bar(10, 31)
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    np.testing.assert_array_equal(
+        segment(sequence.points, topology, method), segment(sequence.points, topology, method)
+    )
+
+
+def test_motion_is_the_default() -> None:
+    sequence = bar()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    np.testing.assert_array_equal(mixseq.segment(sequence), segment_by_motion(sequence.points, topology))
+
+
+@methods
+def test_of_a_sequence(method: MethodName) -> None:
+    sequence = bar()
+    settings = METHODS[method].settings(crumb=0.02)
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    np.testing.assert_array_equal(
+        mixseq.segment(sequence, method, parts=3, settings=settings),
+        segment(sequence.points, topology, method, 3, settings),
+    )
+
+
+def test_fit_takes_them() -> None:
+    sequence = bar(frames=3)
+    labels = mixseq.segment(sequence, "spanning-tree", 3)
+    model = mixseq.fit(sequence, exact=True, parts=labels)
+    np.testing.assert_array_equal(model.decomposition.part_of_face, labels)
+    np.testing.assert_allclose(model.sample().points, sequence.points, atol=1e-7)
+
+
+@methods
+@pytest.mark.parametrize("parts", [0, 10_000])
+def test_impossible_numbers_of_parts(method: MethodName, parts: int) -> None:
+    with pytest.raises(SettingsError, match=f"parts is {parts}; a number from 1 to"):
+        mixseq.segment(bar(), method, parts)
+
+
+def test_unknown_methods() -> None:
+    with pytest.raises(SettingsError, match="'magic'; there are: motion, silhouettes, spanning-tree"):
+        mixseq.segment(bar(), "magic")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("method", "settings", "message"),
+    [
+        ("motion", SilhouetteSettings(), "SilhouetteSettings; method 'motion' takes MotionSettings"),
+        ("silhouettes", MotionSettings(), "MotionSettings; method 'silhouettes' takes SilhouetteSettings"),
+        ("spanning-tree", MotionSettings(), "method 'spanning-tree' takes SpanningTreeSettings"),
+    ],
+)
+def test_settings_of_another_method(method: MethodName, settings: MethodSettings, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        mixseq.segment(bar(), method, settings=settings)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"frames": 0}, {"radius": -0.1}, {"contrast": -1}, {"crumb": 1.0}, {"still": -1}]
+)
+@pytest.mark.parametrize("kind", [SilhouetteSettings, SpanningTreeSettings])
+def test_settings_outside_their_range(
+    kind: type[SilhouetteSettings] | type[SpanningTreeSettings], settings: dict[str, float]
+) -> None:
+    with pytest.raises(SettingsError, match=f"{next(iter(settings))}=.*expected"):
+        kind(**settings)  # type: ignore[arg-type]
+
+
+# Real animations ------------------------------------------------------------------------------------------
+
+ARTICULATED = (
+    "abc_dembones_bone",
+    "camel_poses",
+    "cat_poses",
+    "cheburashka",
+    "cow",
+    "elephant_gallop",
+    "fox_run",
+    "fox_survey",
+    "horse_gallop",
+    "horse_poses",
+    "lion_poses",
+    "q_alpaca_gallop",
+    "q_fox_gallopjump",
+    "q_horse_eating",
+    "q_horse_gallop",
+    "q_man_run",
+    "q_man_swordslash",
+    "q_trex_run",
+    "q_wolf_attack",
+    "q_wolf_gallop",
+    "q_woman_run",
+    "robotexpressive_dance",
+)
+
+SMALLEST = 0.005
+"""Parts have at least this share of the area, unless they are whole components."""
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("method", ["silhouettes", "spanning-tree"])
+@pytest.mark.parametrize("name", ARTICULATED)
+def test_parts_of_real_animations(data: Path, name: str, method: MethodName) -> None:
+    sequence = mixseq.read(data / "npz" / f"{name}.npz")
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    labels = mixseq.segment(sequence, method)
+    assert_sound(topology, labels)
+    component = topology.component_of_face
+    components, parts = int(component.max()) + 1, int(labels.max()) + 1
+    assert max(2, components) <= parts <= components + 40
+    share = np.bincount(labels, face_areas(sequence.points[0] / sequence.diagonal, topology))
+    share = share / share.sum()
+    faces_of_component = np.bincount(component)[component[np.unique(labels, return_index=True)[1]]]
+    assert ((share >= SMALLEST) | (np.bincount(labels) == faces_of_component)).all()
