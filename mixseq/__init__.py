@@ -23,6 +23,8 @@ from mixseq.version import __version__
 if TYPE_CHECKING:
     from mixseq import operations
     from mixseq.metrics import Comparison, compare
+    from mixseq.operations.interpolation import interpolate
+    from mixseq.operations.segmenting import segment
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
@@ -40,10 +42,12 @@ _HOME = {
     "Topology": "mixseq.topology",
     "compare": "mixseq.metrics",
     "fit": "mixseq.signals",
+    "interpolate": "mixseq.operations.interpolation",
     "load": "mixseq_io.hdf5.model",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "save": "mixseq_io.hdf5.model",
+    "segment": "mixseq.operations.segmenting",
     "write": "mixseq_io",
     "write_blocks": "mixseq_io",
 }
@@ -60,11 +64,13 @@ __all__ = [
     "__version__",
     "compare",
     "fit",
+    "interpolate",
     "load",
     "open_sequence",
     "operations",
     "read",
     "save",
+    "segment",
     "write",
     "write_blocks",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
@@ -10,3 +11,32 @@ Progress = Callable[[int, int, str], None]
 
 def silent(done: int, total: int, what: str) -> None:
     """Tell nobody."""
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Progress of several stages as one.
+
+    Attributes
+    ----------
+    progress : callable
+        Told about all of them.
+    count : int
+        Number of stages.
+    frames : int
+        Steps of every stage.
+    """
+
+    progress: Progress
+    count: int
+    frames: int
+
+    def at(self, first: int, stages: int = 1) -> Progress:
+        """Return what tells how far one stage is, or several of them."""
+
+        def tell(done: int, total: int, what: str) -> None:
+            self.progress(
+                first * self.frames + stages * self.frames * done // total, self.count * self.frames, what
+            )
+
+        return tell

@@ -27,10 +27,11 @@ from mixseq.operations.script import OPERATIONS, read_script
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings
 from mixseq.signals.placement import stated_placement, whole_placement
-from mixseq.spaces import MixedSpace
+from mixseq.spaces import EdgeSettings, MixedSpace
 from mixseq_io import FORMATS
 from mixseq_io.formats import capabilities, motions
 from mixseq_io.surface_arrays import SURFACE_ARRAYS
+from tests.meshes import bar
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
@@ -214,7 +215,7 @@ def test_defaults_are_those_of_the_code(name: str, settings: MotionSettings | Sh
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a sequence and models in both placements and both spaces."""
+    """A folder with a sequence and models in both placements and all spaces."""
     path = tmp_path_factory.mktemp("docs")
     walk = walk_cycle(frames=3)
     moving = mixseq.MeshSequence.from_header(walk.header, walk.points, np.zeros_like(walk.points))
@@ -225,10 +226,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "stated.h5", replace(model, placement=stated))
     mixseq.save(path / "free.h5", mixseq.fit(walk, placement="free"))
     mixseq.save(path / "vertex.h5", mixseq.fit(walk, space="vertex"))
+    small, edge = bar(sides=5, rings=13, frames=3), EdgeSettings(volume=1.0, coarse=20)
+    mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
+    mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
+    mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", edge=edge))
     return path
 
 
-@pytest.mark.parametrize("name", ["sequence.h5", "walk.h5", "stated.h5", "free.h5", "vertex.h5"])
+MODELS = ("walk.h5", "stated.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5")
+
+
+@pytest.mark.parametrize("name", ["sequence.h5", *MODELS])
 def test_specification_has_every_dataset_and_attribute(name: str, folder: Path) -> None:
     table = {row[0].strip("`"): row for row in rows("docs/file-format.md") if row[0].startswith("`")}
     with h5py.File(folder / name) as file:
@@ -260,7 +268,7 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
 
 def test_specification_has_nothing_else(folder: Path) -> None:
     known: set[str] = {"mixseq-sequence", "mixseq-model", *(f"surface/{name}" for name in SURFACE_ARRAYS)}
-    for name in ("sequence.h5", "stated.h5", "vertex.h5"):
+    for name in ("sequence.h5", *MODELS):
         with h5py.File(folder / name) as file:
             for each in contents(file):
                 known |= set(each)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from typing import Literal
 
 import numpy as np
 import pytest
 
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
+from mixseq.spaces.making import SPACES, SpaceName
+from mixseq.spaces.mixed import PlacementName
 from mixseq.topology import Topology
 from tests.meshes import tetrahedron, topology_of
 
@@ -29,10 +30,12 @@ def test_what_was_computed_stays_behind() -> None:
     assert copy.vertex_count == 4
 
 
-@pytest.mark.parametrize("placement", ["anchored", "free"])
-@pytest.mark.parametrize("space", ["mixed", "vertex"])
+@pytest.mark.parametrize(
+    ("space", "placement"),
+    [("mixed", "anchored"), ("mixed", "free"), *((name, "anchored") for name in SPACES if name != "mixed")],
+)
 def test_models_decode_to_the_same_bits(
-    bent_bar: MeshSequence, space: Literal["mixed", "vertex"], placement: Literal["anchored", "free"]
+    bent_bar: MeshSequence, space: SpaceName, placement: PlacementName
 ) -> None:
     model = fit(bent_bar, space=space, placement=placement)
     times = np.linspace(model.start, model.end, 5)

@@ -52,9 +52,7 @@ def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> N
 def test_half_way_between_two_lions(data: Path) -> None:
     """The paper's Figure 9: the free placement finds a whole lion between two poses."""
     whole = mixseq.read(data / "npz" / "lion_poses.npz")
-    pair = MeshSequence.from_header(whole.header.with_times([0.0, 1.0]), whole.points[[2, 5]])
-    model = mixseq.fit(pair, exact=True, placement="free")
-    points, (reports,) = model.mixed.decode_with_reports(model.curve([0.5]))
+    points, reports = Blend.of(whole, among=[2, 5]).at_with_reports([0.5, 0.5])
     assert np.isfinite(points).all()
     assert reports
     assert all(report.converged for report in reports)

@@ -18,7 +18,19 @@ MeshSequence('mesh': 2 frames, 3 vertices, 1 faces, 24 fps)
 
 from mixseq_io.blocks import in_step
 from mixseq_io.formats import FORMATS
+from mixseq_io.labels.faces import Labels
+from mixseq_io.labels.reading import read_labels
 from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import open_sequence, read, write, write_blocks
 
-__all__ = ["FORMATS", "SequenceReader", "in_step", "open_sequence", "read", "write", "write_blocks"]
+__all__ = [
+    "FORMATS",
+    "Labels",
+    "SequenceReader",
+    "in_step",
+    "open_sequence",
+    "read",
+    "read_labels",
+    "write",
+    "write_blocks",
+]

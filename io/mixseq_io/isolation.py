@@ -28,6 +28,7 @@ from typing import Any
 from mixseq.errors import FormatError
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq_io.blocks import warn
+from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader
 
 _MOST_IDLE = 2
@@ -71,6 +72,11 @@ class _IsolatedReader(SequenceReader):
         super().__init__(path, header, resources, moving)
         self._worker = worker
         self._numbers = count()
+
+    def markings(self) -> Markings:
+        """Return what tells parts of the mesh apart."""
+        found: Markings = self._worker.ask(self.path, "markings")
+        return found
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         return self._read("points", size)

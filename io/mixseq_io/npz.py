@@ -48,8 +48,7 @@ from mixseq_io.blocks import checked, warn
 from mixseq_io.reader import SequenceReader, naming, reading
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
 
-# What zipfile, zlib and numpy raise at damaged input.
-_DAMAGE = (
+DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
     LZMAError,
@@ -63,6 +62,7 @@ _DAMAGE = (
     OverflowError,
     struct.error,
 )
+"""What zipfile, zlib and numpy raise at damaged input."""
 
 _MOST_IN_MEMORY = 1 << 26
 _COPIED_AT_ONCE = 1 << 20
@@ -78,7 +78,7 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
     fps : float, optional
         Frames per second if the file tells neither fps nor times.
     """
-    with ExitStack() as resources, reading(path, "an npz file", *_DAMAGE):
+    with ExitStack() as resources, reading(path, "an npz file", *DAMAGE):
         archive = resources.enter_context(zipfile.ZipFile(path))
         members = {name.removesuffix(".npy") for name in archive.namelist()}
         if "points" not in members or not ("faces" in members or {"face_counts", "face_indices"} <= members):
@@ -113,7 +113,7 @@ class _NpzReader(SequenceReader):
 
     def _read(self, name: str, size: int) -> Iterator[FloatArray]:
         member = f"{name}.npy"
-        with reading(self.path, "an npz file", *_DAMAGE), self._archive.open(member) as stream:
+        with reading(self.path, "an npz file", *DAMAGE), self._archive.open(member) as stream:
             shape, fortran, dtype = _read_array_header(
                 self.path, stream, self._archive.getinfo(member).file_size, name
             )

@@ -12,6 +12,7 @@ from typing import Self
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, SettingsError
 from mixseq.sequence import FloatArray, SequenceHeader, check_block
 from mixseq_io.blocks import check_velocities
+from mixseq_io.labels.markings import Markings, sets_of
 
 
 class SequenceReader(ABC):
@@ -91,6 +92,10 @@ class SequenceReader(ABC):
         if not self.has_velocities:
             return None
         return self._checked(self._read_velocities(size), check_velocities, "velocities")
+
+    def markings(self) -> Markings:
+        """Return what tells parts of the mesh apart: sets of polygons, and colours and joints where they are read."""
+        return Markings(sets=sets_of(self.header))
 
     def close(self) -> None:
         """Close the file. Blocks that were read stay valid."""

@@ -1,9 +1,10 @@
 """The other side of `mixseq_io.isolation`: a process that opens one file at a time and answers questions about it.
 
 Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder)`` gives the header
-and whether there are velocities, ``("iterate", number, what, size)`` starts an iteration over points or velocities,
-``("next", number)`` gives its next block or None, ``("close",)`` ends with the file. An answer is a triple of the
-value, the exception that was raised or None, and the warnings. The process ends when stdin does.
+and whether there are velocities, ``("markings",)`` what tells parts of the mesh apart, ``("iterate", number, what,
+size)`` starts an iteration over points or velocities, ``("next", number)`` gives its next block or None,
+``("close",)`` ends with the file. An answer is a triple of the value, the exception that was raised or None, and the
+warnings. The process ends when stdin does.
 """
 
 from __future__ import annotations
@@ -46,6 +47,10 @@ class Worker:
         module, function = reader.split(":")
         self._reader = getattr(import_module(module), function)(Path(path), **options)
         return self._reader.header, self._reader.has_velocities
+
+    def _markings(self) -> Any:
+        assert self._reader is not None
+        return self._reader.markings()
 
     def _iterate(self, number: int, what: str, size: int) -> None:
         assert self._reader is not None

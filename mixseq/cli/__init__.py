@@ -24,6 +24,8 @@ from mixseq.cli.options import examples
         "decode",
         "resample",
         "edit",
+        "interpolate",
+        "segment",
         "compare",
         "plot",
         "formats",

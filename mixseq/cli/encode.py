@@ -13,7 +13,17 @@ import mixseq
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.files import Decoded, check_model_target
 from mixseq.cli.info import dimension_rows
-from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
+from mixseq.cli.labelled import parts_given
+from mixseq.cli.options import (
+    FILE,
+    as_settings,
+    examples,
+    fit_options,
+    labels_options,
+    quiet_option,
+    reader_options,
+    workers_options,
+)
 
 if TYPE_CHECKING:
     from mixseq.mapping import OrderedMap
@@ -26,11 +36,13 @@ if TYPE_CHECKING:
         "mixseq encode walk.usdc walk.h5 --check",
         "mixseq encode walk.usdc walk.h5 --exact",
         "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
+        "mixseq encode man.glb man.h5 --source skeleton",
     ),
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @fit_options
+@labels_options
 @click.option(
     "--knots",
     type=click.IntRange(min=0),
@@ -57,6 +69,8 @@ def command(
     source: Path,
     target: Path,
     fitting: dict[str, Any],
+    labels: Path | None,
+    label_source: str | None,
     knots: int | None,
     pose: Literal["modes", "keys"],
     check: bool,
@@ -77,7 +91,13 @@ def command(
         progress_bar(quiet) as progress,
         mixseq.open_sequence(source, **reading) as reader,
     ):
-        model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
+        if labels is not None or label_source is not None:
+            fitting = fitting | {
+                "parts": parts_given(reader, fitting["parts"], labels, label_source, reading)
+            }
+        model = mixseq.fit(
+            reader, **as_settings(fitting), knots=knots, pose=pose, progress=progress, workers=work
+        )
         mixseq.save(target, model)
         seconds = perf_counter() - start
         if check:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from functools import wraps
 from pathlib import Path
@@ -125,43 +125,119 @@ def fit_options(command: Command) -> Command:
         metavar="N",
         help="Number of shape modes; parts stay in place exactly.",
     )
-    @click.option(
-        "--space",
-        type=click.Choice(["mixed", "vertex"]),
-        default="mixed",
-        show_default=True,
-        help="Shape space: parts and joints, or plain vertices.",
-    )
-    @click.option(
-        "--parts",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Number of parts; every connected component has at least one.  [default: automatic]",
-    )
-    @click.option(
-        "--joint-width",
-        type=click.IntRange(min=1),
-        default=3,
-        show_default=True,
-        metavar="N",
-        help="Largest width of joints, in strips of triangles on each side of a boundary.",
-    )
-    @click.option(
-        "--placement",
-        type=click.Choice(["anchored", "free"]),
-        default="anchored",
-        show_default=True,
-        help="How parts are placed: by a pose each, or by registration.",
-    )
+    @space_options(placement="anchored", shrink=None)
     @wraps(command)
-    def with_options(*args: Any, **settings: Any) -> None:
-        fitting = {name: settings.pop(name) for name in _FITTING}
-        command(*args, fitting=fitting, **settings)
+    def with_options(*args: Any, making: dict[str, Any], **settings: Any) -> None:
+        detail = {name: settings.pop(name) for name in ("exact", "tolerance", "rank")}
+        command(*args, fitting=detail | making, **settings)
 
     return with_options
 
 
-_FITTING = ("exact", "tolerance", "rank", "space", "placement", "parts", "joint_width")
+def space_options(placement: str, shrink: float | None) -> Callable[[Command], Command]:
+    """Return what adds the options of shape spaces; the command gets all of them as ``making``, plain values.
+
+    Parameters
+    ----------
+    placement : str
+        The default of ``--placement``.
+    shrink : float, optional
+        The default of ``--shrink``.
+    """
+
+    def add(command: Command) -> Command:
+        @click.option(
+            "--space",
+            type=click.Choice(["mixed", "vertex", "gradient", "lri", "edge"]),
+            default="mixed",
+            show_default=True,
+            help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
+        )
+        @click.option(
+            "--parts",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="Number of parts; every connected component has at least one.  [default: automatic]",
+        )
+        @click.option(
+            "--joint-width",
+            type=click.IntRange(min=1),
+            default=3,
+            show_default=True,
+            metavar="N",
+            help="Largest width of joints, in strips of triangles on each side of a boundary.",
+        )
+        @click.option(
+            "--placement",
+            type=click.Choice(["anchored", "free"]),
+            default=placement,
+            show_default=True,
+            help="How parts are placed: by a pose each, or by registration.",
+        )
+        @click.option(
+            "--shrink",
+            type=click.FloatRange(min=0, min_open=True),
+            default=shrink,
+            show_default=shrink is not None,
+            metavar="X",
+            help="Let joints go on inside parts where blending shortens edges by more than this share.",
+        )
+        @click.option(
+            "--projection",
+            type=click.Choice(["dso", "msgi"]),
+            help="How the edge space finds meshes: all at once, or patch by patch.  [default: dso]",
+        )
+        @click.option(
+            "--volume",
+            type=click.FloatRange(min=0),
+            metavar="W",
+            help="Weight of the volume in the edge space.  [default: 0]",
+        )
+        @click.option(
+            "--coarse",
+            type=click.IntRange(min=4),
+            metavar="N",
+            help="Solve the edge space on a mesh of N vertices first.  [default: at full resolution only]",
+        )
+        @wraps(command)
+        def with_options(*args: Any, **settings: Any) -> None:
+            making = {name: settings.pop(name) for name in _MAKING}
+            edge = _those_given({name: settings.pop(name) for name in ("projection", "volume", "coarse")})
+            command(*args, making=making | ({"edge": edge} if edge else {}), **settings)
+
+        return with_options
+
+    return add
+
+
+_MAKING = ("space", "parts", "joint_width", "placement", "shrink")
+
+
+def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `mixseq.fit` takes of the plain values that `fit_options` or `space_options` collected."""
+    if "edge" not in options:
+        return dict(options)
+    from mixseq.spaces.edge import EdgeSettings
+
+    return {**options, "edge": EdgeSettings(**options["edge"])}
+
+
+def labels_options(command: Command) -> Command:
+    """Add the options of labels made elsewhere; the command gets ``labels`` and ``label_source``."""
+    from_file = click.option(
+        "--labels",
+        type=FILE,
+        metavar="FILE",
+        help="Parts from labels of the faces made elsewhere: npz, or the same mesh in USD, OBJ, PLY, glTF, ...",
+    )
+    by = click.option(
+        "--source",
+        "label_source",
+        metavar="NAME",
+        help="Which labels in that file, or else in the sequence's own: labels, groups, materials, colours, skeleton, "
+        "or a family of USD subsets.  [default: the only ones]",
+    )
+    return from_file(by(command))
 
 
 def workers_options(command: Command) -> Command:

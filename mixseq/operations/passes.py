@@ -99,17 +99,16 @@ def frames_of(passes: Sequence[Pass]) -> Float:
 def rotation_columns(space: ShapeSpace) -> Index:
     """Return which numbers ``(m, 3)`` of a whole placement are rotation vectors.
 
-    Numbers of a placement are rotation vectors, then as many others: the independent ones, and again the dependent.
+    Numbers of a placement are rotation vectors, then others: the independent ones, and again the dependent.
     """
     own, whole = space.stored_placement_dim, space.placement_dim
-    first = np.concatenate([np.arange(own // 2), np.arange(own, own + (whole - own) // 2)])
+    first = np.concatenate([np.arange(space.placement_rotations), np.arange(own, own + (whole - own) // 2)])
     return first.reshape(-1, 3)
 
 
 def translation_columns(space: ShapeSpace) -> Index:
     """Return which numbers ``(g, 3)`` of a placement are the translations of parts."""
-    own = space.stored_placement_dim
-    return np.arange(own // 2, own).reshape(-1, 3)
+    return np.arange(space.placement_rotations, space.stored_placement_dim).reshape(-1, 3)
 
 
 def continued(space: ShapeSpace, piece: Piece, reference: Float, frames: Float) -> Curve:

@@ -7,6 +7,7 @@ from mixseq.segmentation.methods import METHODS, MethodName, MethodSettings, seg
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, gather, observe
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
+from mixseq.segmentation.softness import Softening
 from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "MotionSettings",
     "Observed",
     "SilhouetteSettings",
+    "Softening",
     "SpanningTreeSettings",
     "Watched",
     "adjusted_rand_index",

@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
-from mixseq.progress import Progress, silent
+from mixseq.progress import Progress, Stages, silent
 from mixseq.reconstruction.shells import ShellSettings
-from mixseq.segmentation import (
-    MotionSettings,
-    Observed,
-    Watched,
-    decompose,
-    frames_to_look_at,
-    gather,
-    observe,
-    segment_by_labels,
-    segment_by_motion,
-)
-from mixseq.sequence import Frames, bounding_diagonal
+from mixseq.segmentation import MotionSettings
+from mixseq.sequence import Frames
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
-from mixseq.spaces import ShapeSpace, VertexSpace, mixed_space
+from mixseq.spaces.edge import EdgeSettings
+from mixseq.spaces.making import MAKING, SPACES, SpaceName, SpaceSettings, check_space, make_space
 from mixseq.spaces.mixed import PlacementName
-from mixseq.stored import Stored, blocks_of, stored
+from mixseq.stored import stored
 from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
 
-SpaceName = Literal["mixed", "vertex"]
-SPACES: tuple[SpaceName, ...] = ("mixed", "vertex")
+__all__ = ["SPACES", "SpaceName", "fit"]
 
-_STAGES = "reading frames", "finding parts", "growing joints", "registering parts", "encoding frames"
-
+STAGES = 2 + MAKING
+"""Of the work but for the search of a tolerance: reading frames, making the space, encoding frames."""
 
 _MARGIN = 10.0
 """Joints are solved so much more accurately than the frames have to be."""
@@ -57,7 +44,9 @@ def fit(
     knots: int | ArrayLike | None = None,
     pose: PoseForm = "modes",
     motion: MotionSettings | None = None,
+    shrink: float | None = None,
     shell: ShellSettings | None = None,
+    edge: EdgeSettings | None = None,
     progress: Progress = silent,
     workers: OrderedMap | None = None,
 ) -> Model:
@@ -89,15 +78,21 @@ def fit(
         Number of parts, or the part of every triangle; found from the motion if not given.
     joint_width : int
         Largest width of joints, in strips of triangles on each side of a boundary.
-    space : {"mixed", "vertex"}
-        The shape space: S_m, or vertex positions, which have no use for `placement`, `parts`, `joint_width`.
+    space : {"mixed", "vertex", "gradient", "lri", "edge"}
+        The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
+        angles. Only S_m has a use for `placement`, `parts`, `joint_width` and `motion`.
     knots : int or (n,) array_like, optional
         Inner knots of all curves: how many, evenly spread, or their times in seconds. By default one at (almost)
         every frame, or as few as `tolerance` allows.
     pose : {"modes", "keys"}
         What key shapes are: mean and modes, or frames of the sequence; see `mixseq.signals.pose`.
+    shrink : float, optional
+        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
+        `mixseq.segmentation.softness`; by default they are at boundaries only.
     motion, shell : optional
-        Details of the segmentation and of the joint solves.
+        Details of the segmentation and of the fits to lengths and angles (mixed and edge space).
+    edge : EdgeSettings, optional
+        Details of the edge space: its projection, and what else it keeps.
     progress : callable, optional
         Told about every stage.
     workers : OrderedMap, optional
@@ -110,7 +105,7 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, or two contradict each other.
+        If a setting is out of range, two contradict each other, or the space has no use for one.
     SegmentationError
         If given parts do not fit the mesh.
     FormatError, InvalidSequenceError
@@ -128,38 +123,21 @@ def fit(
     >>> mixseq.compare(walk, mixseq.fit(walk, exact=True).sample()).max_error < 1e-12
     True
     """
-    _check(exact, tolerance, rank, knots, pose, space)
+    _check(exact, tolerance, rank, knots, pose)
+    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
+    check_space(space, settings, usual=SpaceSettings())
     direct = exact or rank is not None or knots is not None
-    stages = _Stages(progress, len(_STAGES) + (0 if direct else ROUNDS), sequence.header.frame_count)
+    stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
     work = workers or on_threads()
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-    shell = shell or ShellSettings(accuracy=wanted / _MARGIN)
+    settings = replace(settings, shell=shell or ShellSettings(accuracy=wanted / _MARGIN))
     with one_blas_thread():
         frames = stored(sequence, stages.at(0))
-        shape_space = _make_space(frames, space, placement, parts, joint_width, motion, shell, work, stages)
-        encoded = encode(frames, shape_space, pose, work, stages.at(4))
+        shape_space = make_space(frames, space, settings, work, stages.at(1, MAKING))
+        encoded = encode(frames, shape_space, pose, work, stages.at(1 + MAKING))
         if direct:
             return build(encoded, Detail(rank=rank, knots=knots))
-        return within(encoded, frames, wanted, stages.at(len(_STAGES), ROUNDS), work)
-
-
-@dataclass(frozen=True)
-class _Stages:
-    """Progress of several stages as one; every stage counts as much as all frames."""
-
-    progress: Progress
-    count: int
-    frames: int
-
-    def at(self, first: int, stages: int = 1) -> Progress:
-        """Return what tells how far one stage is, or several of them."""
-
-        def tell(done: int, total: int, what: str) -> None:
-            self.progress(
-                first * self.frames + stages * self.frames * done // total, self.count * self.frames, what
-            )
-
-        return tell
+        return within(encoded, frames, wanted, stages.at(STAGES, ROUNDS), work)
 
 
 def _check(
@@ -168,7 +146,6 @@ def _check(
     rank: int | None,
     knots: int | ArrayLike | None,
     pose: PoseForm,
-    space: SpaceName,
 ) -> None:
     if exact and not (tolerance is None and rank is None and knots is None):
         raise SettingsError("exact models keep everything; leave out tolerance, rank and knots, or exact")
@@ -180,42 +157,3 @@ def _check(
         raise SettingsError(f"rank is {rank}; zero or more shape modes are expected")
     if pose not in ("modes", "keys"):
         raise SettingsError(f"pose is {pose!r}; 'modes' or 'keys' is expected")
-    if space not in SPACES:
-        raise SettingsError(f"space is {space!r}; {' or '.join(map(repr, SPACES))} is expected")
-
-
-def _make_space(
-    frames: Stored,
-    space: SpaceName,
-    placement: PlacementName,
-    parts: int | ArrayLike | None,
-    joint_width: int,
-    motion: MotionSettings | None,
-    shell: ShellSettings,
-    workers: OrderedMap,
-    stages: _Stages,
-) -> ShapeSpace:
-    header, points = frames.header, frames.points
-    if space == "vertex":
-        return VertexSpace(header.vertex_count, bounding_diagonal(points[:1][0]) or 1.0)
-    stages.at(1)(0, 1, _STAGES[1])
-    topology = Topology(header.faces, header.vertex_count)
-    settings = motion or MotionSettings()
-    some = points[frames_to_look_at(len(points), settings.frames)]
-    if parts is None or isinstance(parts, int | np.integer):
-        count = None if parts is None else int(parts)
-        labels = segment_by_motion(some, topology, count, settings)
-    else:
-        labels = segment_by_labels(parts, topology)
-    watched = Watched.of(topology, labels, points[frames_to_look_at(len(points))])
-    observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(2)))
-    decomposition = decompose(topology, labels, joint_width, observed)
-    return mixed_space(points, topology, decomposition, placement, shell, workers, stages.at(3))
-
-
-def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
-    done = 0
-    for block in blocks:
-        yield block
-        done += len(block.rotations)
-        progress(done, frames, _STAGES[2])

@@ -1,8 +1,25 @@
 """Shape spaces: encode vertex positions as vectors that combine linearly, decode vectors to positions."""
 
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.gradient import GradientSpace
+from mixseq.spaces.lri import LRISpace
+from mixseq.spaces.making import SPACES, SpaceName, SpaceSettings, make_space
 from mixseq.spaces.mixed import MixedSpace
 from mixseq.spaces.of_sequence import mixed_space
 from mixseq.spaces.vertex import VertexSpace
 
-__all__ = ["MixedSpace", "ShapeSpace", "VertexSpace", "mixed_space"]
+__all__ = [
+    "SPACES",
+    "EdgeSettings",
+    "EdgeSpace",
+    "GradientSpace",
+    "LRISpace",
+    "MixedSpace",
+    "ShapeSpace",
+    "SpaceName",
+    "SpaceSettings",
+    "VertexSpace",
+    "make_space",
+    "mixed_space",
+]

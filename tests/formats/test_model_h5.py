@@ -26,7 +26,7 @@ from mixseq.reconstruction.shells import ShellSettings
 from mixseq.sequence import MeshSequence, Polygons
 from mixseq.signals import Curve, Model
 from mixseq.signals.placement import StatedPlacement, stated_placement, whole_placement
-from mixseq.spaces import MixedSpace, VertexSpace
+from mixseq.spaces import EdgeSettings, EdgeSpace, GradientSpace, LRISpace, MixedSpace, VertexSpace
 from mixseq.spaces.mixed import PLACEMENTS
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq_io.surface_arrays import surface_arrays
@@ -45,6 +45,14 @@ COMMON = {
     "signals/placement/times",
     "signals/placement/rotations",
     "signals/placement/translations",
+}
+
+EDGE = COMMON | {
+    "space/reference",
+    "space/reference_lengths",
+    "signals/shape/lengths",
+    "signals/shape/angles",
+    "signals/shape/volumes",
 }
 
 DATASETS = {
@@ -71,9 +79,32 @@ DATASETS = {
         "signals/shape/offsets",
     },
     "vertex": COMMON | {"signals/shape/positions"},
+    "gradient": COMMON | {"space/reference", "signals/shape/turns", "signals/shape/stretches"},
+    "lri": COMMON | {"space/reference", "signals/shape/connections", "signals/shape/ends"},
+    "edge": EDGE,
+    "coarse": EDGE
+    | {
+        "space/coarse/vertices",
+        "space/coarse/faces",
+        "signals/shape/coarse_lengths",
+        "signals/shape/coarse_angles",
+        "signals/shape/coarse_volumes",
+    },
 }
+"""By the names of `models`."""
+
+SETTINGS = {"mixed": {"shell"}, "edge": {"shell", "edge"}, "coarse": {"shell", "edge"}}
 
 EACH_DATASET = [(space, name) for space, names in DATASETS.items() for name in sorted(names)]
+
+SHAPES = {
+    "vertex": ["positions"],
+    "gradient": ["turns", "stretches"],
+    "lri": ["connections", "ends"],
+    "edge": ["lengths", "angles", "volumes"],
+    "coarse": ["lengths", "angles", "volumes", "coarse_lengths", "coarse_angles", "coarse_volumes"],
+}
+"""Key shapes of the spaces without parts: datasets in the order of the vector."""
 
 ATTRIBUTES = {
     "format",
@@ -91,12 +122,17 @@ ATTRIBUTES = {
 
 @pytest.fixture(scope="module")
 def models() -> dict[str, Model]:
-    """Models of seven frames with three key shapes and five knots, in both spaces."""
+    """Models of seven frames with three key shapes and five knots, in all spaces."""
     sequence = bar(sides=5, rings=13, frames=7)
     shell = ShellSettings(bending=0.4, iterations=77)
+    coarse = EdgeSettings(volume=0.5, coarse=20, steps=2)
     return {
         "mixed": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3, shell=shell),
         "vertex": mixseq.fit(sequence, rank=2, knots=1, space="vertex", pose="keys"),
+        "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),
+        "lri": mixseq.fit(sequence, rank=2, knots=1, space="lri"),
+        "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=EdgeSettings("msgi")),
+        "coarse": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=coarse),
     }
 
 
@@ -147,10 +183,19 @@ def assert_equal(first: Model, second: Model) -> None:
     if isinstance(first.placement, StatedPlacement):
         assert isinstance(second.placement, StatedPlacement)
         np.testing.assert_array_equal(first.placement.dependent.values, second.placement.dependent.values)
+    assert type(first.space) is type(second.space)
     if isinstance(first.space, VertexSpace):
         assert first.space == second.space
-    else:
+    elif isinstance(first.space, MixedSpace):
         assert_equal_spaces(first.space, second.space)
+    else:
+        assert_equal_fields(first.space, second.space)
+
+
+def assert_equal_fields(first: Any, second: Any) -> None:
+    for field in fields(first):
+        if field.name != "topology":
+            np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
 
 
 def assert_equal_spaces(first: Any, second: Any) -> None:
@@ -193,6 +238,14 @@ def test_nothing_is_lost(name: str, placement: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["unused vertices", "still", "one frame", "float32"])
 def test_nothing_is_lost_in_the_vertex_space(name: str, tmp_path: Path) -> None:
     assert_kept(mixseq.fit(SEQUENCES[name](), space="vertex"), tmp_path / "model.h5")
+
+
+@pytest.mark.parametrize("space", ["gradient", "lri", "edge"])
+@pytest.mark.parametrize(
+    "name", ["rigid component", "several components", "unused vertices", "one frame", "float32"]
+)
+def test_nothing_is_lost_in_other_spaces(name: str, space: Any, tmp_path: Path) -> None:
+    assert_kept(mixseq.fit(SEQUENCES[name](), space=space, exact=True), tmp_path / "model.h5")
 
 
 @pytest.mark.parametrize(
@@ -288,10 +341,11 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
         assert set(file.attrs) == ATTRIBUTES
         assert set(file["space"].attrs) == {"scale"} | ({"placement"} if space == "mixed" else set())
         assert file.attrs["format"] == "mixseq-model"
-        assert file.attrs["version"] == 2
-        assert file.attrs["space"] == space
+        assert file.attrs["version"] == (2 if space in ("mixed", "vertex") else 3)
+        assert file.attrs["space"] == models[space].space.name
         settings = json.loads(file.attrs["settings"])
-        assert settings["shell"]["bending"] == 0.4 if space == "mixed" else settings == {}
+        assert settings.keys() == SETTINGS.get(space, set())
+        assert "shell" not in settings or settings["shell"]["bending"] == 0.4
         for item in (file[name] for name in DATASETS[space]):
             assert item.fletcher32 or not item.size, item.name
     assert set(found) == DATASETS[space]
@@ -310,11 +364,13 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
         blocks = model.space.split(model.curve(model.placement.times))
         np.testing.assert_array_equal(poses[0], blocks.rotations)
         np.testing.assert_array_equal(poses[1], blocks.translations)
-    else:
-        np.testing.assert_array_equal(
-            found["signals/shape/positions"] * scale(model), model.space.decode(model.shapes)
-        )
-        assert found["signals/placement/rotations"].shape == (5, 0, 3)
+        return
+    rows = [found[f"signals/shape/{name}"].reshape(3, -1) for name in SHAPES[space]]
+    np.testing.assert_array_equal(np.concatenate(rows, axis=1), model.shapes)
+    poses = found["signals/placement/rotations"], found["signals/placement/translations"]
+    assert [pose.shape[1] for pose in poses] == {"vertex": [0, 0], "gradient": [0, 1]}.get(space, [1, 1])
+    values = np.concatenate([pose.reshape(5, -1) for pose in poses], axis=1)
+    np.testing.assert_array_equal(values, model.placement.values)
 
 
 def test_a_failed_save_leaves_the_old_file(model: Model, copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,7 +407,7 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
     curve = Curve(given.times, np.zeros((2, 0)))
     pose = mixseq.signals.PoseMap(np.ones(1), np.zeros((0, 1)))
     model = Model(given.header, Volumes(), curve, pose, np.ones((1, 3)), curve)
-    with pytest.raises(OutputError, match="mixed and the vertex space, not in Volumes"):
+    with pytest.raises(OutputError, match="the spaces mixed, vertex, gradient, lri, edge, not in Volumes"):
         mixseq.save(tmp_path / "model.h5", model)
     assert not list(tmp_path.iterdir())
 
@@ -555,8 +611,8 @@ def test_bad_attributes_are_refused(copy: Path, where: str, name: str, value: An
 
 def test_a_newer_version_asks_for_an_upgrade(copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
-        file.attrs["version"] = 3
-    with pytest.raises(FormatError, match=r"has version 3, .* reads up to 2; .*upgrade"):
+        file.attrs["version"] = 4
+    with pytest.raises(FormatError, match=r"has version 4, .* reads up to 3; .*upgrade"):
         mixseq.load(copy)
 
 
@@ -817,6 +873,37 @@ def test_links_and_trust_that_do_not_fit_are_refused(
         mixseq.load(copy)
 
 
+@pytest.mark.parametrize(
+    ("space", "change", "message"),
+    [
+        ("edge", {"edge": {"projection": "glue"}}, "projection is 'glue'"),
+        ("edge", {"edge": {"projection": "dso", "glue": 1}}, "does not know the setting 'glue'; upgrade"),
+        ("edge", {"shell": {"glue": 1}}, "does not know the setting 'glue'; upgrade"),
+        ("edge", {"edge": {"projection": "dso", "volume": 1.0}}, r"signals/shape/volumes .*shape \(3, 1\)"),
+        (
+            "coarse",
+            {"edge": {"coarse": 16}},
+            "space/coarse/vertices is not the coarse mesh .*encode it again",
+        ),
+    ],
+)
+def test_settings_of_edge_spaces_are_checked(
+    files: Path, tmp_path: Path, space: str, change: dict[str, Any], message: str
+) -> None:
+    copy = shutil.copy(files / f"{space}.h5", tmp_path / "bar.h5")
+    with h5py.File(copy, "r+") as file:
+        file.attrs["settings"] = json.dumps(json.loads(file.attrs["settings"]) | change)
+    with pytest.raises(FormatError, match=rf"bar\.h5: .*{message}"):
+        mixseq.load(copy)
+
+
+def test_lengths_below_zero_are_refused(files: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(files / "edge.h5", tmp_path / "bar.h5"))
+    replace(copy, "space/reference_lengths", scaled(-1.0))
+    with pytest.raises(FormatError, match=r"bar\.h5: space/reference_lengths has lengths below zero"):
+        mixseq.load(copy)
+
+
 def test_free_parts_have_no_links(copy: Path) -> None:
     mixseq.save(copy, mixseq.fit(bar(sides=5, rings=13, frames=4), placement="free"))
     replace(copy, "space/links/parts", lambda _: np.array([[0, 1]]))
@@ -887,7 +974,10 @@ def test_damaged_files_of_version_1_are_refused(old: Path, name: str, change: Ca
 # Golden files ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["model-v1", "model-v2", "model-v2-vertex"])
+@pytest.mark.parametrize(
+    "name",
+    ["model-v1", "model-v2", "model-v2-vertex", "model-v3-gradient", "model-v3-lri", "model-v3-edge"],
+)
 def test_golden_files_still_decode_to_the_same_points(name: str) -> None:
     with np.load(GOLDEN / f"{name}.npz") as expected:
         points, times = expected["points"], expected["times"]
@@ -895,8 +985,10 @@ def test_golden_files_still_decode_to_the_same_points(name: str) -> None:
     model = mixseq.load(GOLDEN / f"{name}.h5")
     np.testing.assert_array_equal(model.times, times)
     np.testing.assert_allclose(model.sample().points, points, atol=1e-9)
-    # Between frames Gauss-Newton may stop a little earlier or later in other versions; the bar is 4 units long.
-    np.testing.assert_allclose(model.sample(between_times).points, between, atol=1e-3)
+    # Between frames Gauss-Newton may stop a little earlier or later in other versions; the bar is 4 units long. And
+    # the first version did not settle: parts and joints in free placement moved by 0.002 when that came.
+    atol = 5e-3 if name == "model-v1" else 1e-3
+    np.testing.assert_allclose(model.sample(between_times).points, between, atol=atol)
 
 
 def test_golden_files_hold_what_they_should() -> None:
@@ -912,3 +1004,10 @@ def test_golden_files_hold_what_they_should() -> None:
     assert anchored.space.offset_dim > 0
     assert isinstance(vertex.space, VertexSpace)
     assert (len(vertex.times), len(vertex.shapes), len(vertex.time.times)) == (7, 3, 5)
+    for name, kind in (("gradient", GradientSpace), ("lri", LRISpace), ("edge", EdgeSpace)):
+        model = mixseq.load(GOLDEN / f"model-v3-{name}.h5")
+        assert isinstance(model.space, kind)
+        assert (len(model.times), len(model.shapes), len(model.time.times)) == (5, 5, 5)
+        assert model.space.placement_dim == (6 if name == "gradient" else 12)  # a bar and a rigid part
+    assert isinstance(model.space, EdgeSpace)
+    assert (model.space.settings.projection, model.space.settings.volume) == ("dso", 0.5)

@@ -10,6 +10,7 @@ from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings, segment_by_labels
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
+from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, SpaceName
 from mixseq.topology import Topology
 from tests.meshes import bar
 
@@ -29,7 +30,14 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"tolerance": np.nan}, r"tolerance is nan; a positive number"),
         ({"rank": -1}, r"rank is -1; zero or more"),
         ({"pose": "frames"}, r"pose is 'frames'; 'modes' or 'keys'"),
-        ({"space": "gradient"}, r"space is 'gradient'; 'mixed' or 'vertex'"),
+        ({"space": "polar"}, r"space is 'polar'; one of mixed, vertex, gradient, lri, edge is expected"),
+        ({"space": "vertex", "parts": 2}, r"the vertex space has no use for parts; .* space='mixed'"),
+        ({"space": "lri", "parts": np.zeros(150, dtype=int)}, r"the lri space has no use for parts"),
+        ({"space": "edge", "placement": "free"}, r"the edge space has no use for placement"),
+        ({"space": "gradient", "joint_width": 2}, r"the gradient space has no use for joint_width"),
+        ({"space": "edge", "motion": MotionSettings()}, r"the edge space has no use for motion"),
+        ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='mixed' or space='edge'"),
+        ({"edge": EdgeSettings()}, r"the mixed space has no use for edge; .* space='edge'"),
         ({"knots": 1}, r"knots is 1; 3 frames can tell of 0 to 0 inner knots"),
     ],
 )
@@ -78,3 +86,45 @@ def test_progress_is_told() -> None:
     assert told[-1][0] == told[-1][1]
     assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
     assert "finding parts" in {what for _, _, what in told}
+
+
+LONGER: MeshSequence = bar(sides=4, rings=9, frames=8)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize(
+    "settings",
+    [{"exact": True}, {"exact": True, "pose": "keys"}, {"rank": 7, "knots": 4}, {"tolerance": 1e-2}, {}],
+    ids=str,
+)
+def test_all_spaces_keep_what_they_promise(space: SpaceName, settings: dict[str, Any]) -> None:
+    model = fit(LONGER, space=space, **settings)
+    assert model.space.name == space
+    error = np.linalg.norm(model.sample().points - LONGER.points, axis=2).max() / LONGER.diagonal
+    exact = "tolerance" not in settings and settings
+    assert error < (1e-9 if exact else settings.get("tolerance", 5e-4))
+    assert exact or len(model.shapes) < 8
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_all_spaces_move(space: SpaceName) -> None:
+    """Velocities are the derivative of the points, whatever the space."""
+    model, step, time = fit(LONGER, exact=True, space=space), 1e-4, 0.23
+    ahead, behind = model(time + step), model(time - step)
+    ((_, velocities),) = model.moving_blocks([time])
+    np.testing.assert_allclose(velocities[0], (ahead - behind) / (2 * step), atol=0.02)
+
+
+def test_settings_of_the_edge_space_are_used() -> None:
+    shell, edge = ShellSettings(bending=0.7), EdgeSettings("msgi")
+    space = fit(SMALL, exact=True, space="edge", shell=shell, edge=edge).space
+    assert isinstance(space, EdgeSpace)
+    assert (space.shell, space.settings) == (shell, edge)
+
+
+@pytest.mark.parametrize("space", ["vertex", "gradient", "lri", "edge"])
+def test_other_spaces_have_no_parts(space: SpaceName) -> None:
+    with pytest.raises(
+        SettingsError, match=f"the {space} space has no parts; fit a model with space='mixed'"
+    ):
+        _ = fit(SMALL, rank=1, space=space).decomposition

@@ -12,6 +12,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +26,14 @@ from mixseq_io.choosing import common_name
 from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.markings import colours_of, skinning_of
 from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
 from mixseq_io.gltf.primitives import primitives_of
 from mixseq_io.gltf.scene import Matrices, Pose, Scene, read_scene
 from mixseq_io.gltf.skinning import Shape, bearers, read_shape
 from mixseq_io.gltf.timing import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
+from mixseq_io.labels.markings import Markings
 from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.times import on_grid
@@ -197,6 +200,12 @@ class _GltfReader(SequenceReader):
         super().__init__(path, header)
         self._shapes, self._mirrored, self._channels = shapes, mirrored, channels
         self._times = times  # as the keys have them
+
+    def markings(self) -> Markings:
+        """Return what tells parts of the meshes apart."""
+        return replace(
+            super().markings(), colours=colours_of(self._shapes), skinning=skinning_of(self._shapes)
+        )
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):

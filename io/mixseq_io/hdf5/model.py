@@ -2,17 +2,18 @@
 
 ::
 
-    /                          format = "mixseq-model", version = 2, created_by, settings (JSON), space,
+    /                          format = "mixseq-model", version = 2 or 3, created_by, settings (JSON), space,
                                name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
     /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; placement, shapes, reference_lengths, reference (mixed space)
+    /space/                    scale; placement, shapes, trust (mixed space); reference (all but vertex space);
+                               reference_lengths (mixed and edge space)
     /space/links/              parts, pivots, rests, own_weights, weights   (mixed space)
     /signals/time/             frames, times, values
     /signals/pose/             offset, matrix
-    /signals/shape/            lengths, angles, parts (mixed space); positions (vertex space)
+    /signals/shape/            what vectors consist of, see `shape_blocks`
     /signals/placement/        times, rotations, translations
 """
 
@@ -35,11 +36,12 @@ from mixseq_io.hdf5.files import (
     write_header,
 )
 from mixseq_io.hdf5.signals import read_signals, write_signals
-from mixseq_io.hdf5.space import read_space, storable, write_space
+from mixseq_io.hdf5.space import read_space, storable, version_of, write_space
 from mixseq_io.hdf5.version1 import read_v1
 from mixseq_io.registry import PathLike
 
-VERSION = 2
+VERSION = 3
+"""Files have the first version that knows their space: older mixseqs read what they can."""
 
 SUFFIXES = (".h5", ".hdf5")
 
@@ -66,7 +68,7 @@ def save(path: PathLike, model: Model) -> None:
     space = storable(model.space)
     with creating_h5(target) as (file, store):
         file.attrs["format"] = MODEL_FORMAT
-        file.attrs["version"] = VERSION
+        file.attrs["version"] = version_of(space)
         file.attrs["created_by"] = f"mixseq {__version__}"
         file.attrs["vertex_count"] = model.header.vertex_count
         write_header(file, model.header)

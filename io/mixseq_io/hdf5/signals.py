@@ -14,9 +14,8 @@ from mixseq.signals.model import Model
 from mixseq.signals.placement import StatedPlacement
 from mixseq.signals.pose import PoseMap
 from mixseq_io.hdf5.arrays import Float, floats, increasing, put
-from mixseq_io.hdf5.space import StoredSpace, shape_blocks
+from mixseq_io.hdf5.space import Blocks, StoredSpace, placement_blocks, shape_blocks
 
-POSES = ("rotations", "translations")
 LINKS = ("turns", "gaps")
 
 
@@ -27,15 +26,11 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
     put(file, "signals/time/values", model.time.values)
     put(file, "signals/pose/offset", model.pose.offset)
     put(file, "signals/pose/matrix", model.pose.matrix)
-    blocks = shape_blocks(space)
-    ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
-    columns = np.split(model.shapes, ends[:-1], axis=1)
-    for (name, shape), block in zip(blocks.items(), columns, strict=True):
-        put(file, f"signals/shape/{name}", block.reshape(len(block), *shape))
+    _put_blocks(file, "signals/shape", shape_blocks(space), model.shapes)
     put(file, "signals/placement/times", model.placement.times)
-    _put_pairs(file, POSES, model.placement.values)
+    _put_blocks(file, "signals/placement", placement_blocks(space), model.placement.values)
     if isinstance(model.placement, StatedPlacement):
-        _put_pairs(file, LINKS, model.placement.dependent.values)
+        _put_blocks(file, "signals/placement", _link_blocks(space), model.placement.dependent.values)
 
 
 def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: StoredSpace) -> Model:
@@ -60,40 +55,45 @@ def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: Sto
     return Model(header, space, time, pose, shapes, placement)
 
 
-def read_shapes(path: Path, file: h5py.File, blocks: dict[str, tuple[int, ...]], count: int) -> Float:
+def read_shapes(path: Path, file: h5py.File, blocks: Blocks, count: int) -> Float:
     """Read key shapes ``(count, S)`` that consist of some of `shape_blocks`."""
-    columns = [
-        floats(path, file, f"signals/shape/{name}", (count, *shape)).reshape(count, -1)
-        for name, shape in blocks.items()
-    ]
-    return np.concatenate(columns, axis=1)
+    return _get_blocks(path, file, "signals/shape", blocks, count)
 
 
-def read_poses(path: Path, file: h5py.File, space: StoredSpace, count: int) -> Float:
-    """Read the poses ``(count, P)`` of the parts: rotations, then translations."""
-    return _get_pairs(path, file, POSES, (count, space.stored_placement_dim // 6, 3))
+def read_placements(path: Path, file: h5py.File, space: StoredSpace, count: int) -> Float:
+    """Read the independent numbers ``(count, P)`` of placements: rotations, then translations."""
+    return _get_blocks(path, file, "signals/placement", placement_blocks(space), count)
 
 
 def _read_placement(path: Path, file: h5py.File, space: StoredSpace) -> Curve:
     knots = increasing(path, file, "signals/placement/times")
-    poses = read_poses(path, file, space, len(knots))
+    own = read_placements(path, file, space, len(knots))
     if not any(f"signals/placement/{name}" in file for name in LINKS):
-        return Curve(knots, poses)
+        return Curve(knots, own)
+    dependent = _get_blocks(path, file, "signals/placement", _link_blocks(space), len(knots))
+    return StatedPlacement(knots, own, Curve(knots, dependent))
+
+
+def _link_blocks(space: StoredSpace) -> Blocks:
     links = (space.placement_dim - space.stored_placement_dim) // 6
-    return StatedPlacement(knots, poses, Curve(knots, _get_pairs(path, file, LINKS, (len(knots), links, 3))))
+    return dict.fromkeys(LINKS, (links, 3))
 
 
-def _put_pairs(file: h5py.File, names: tuple[str, str], values: Float) -> None:
-    """Store numbers ``(m, 6 g)`` of the placement as two arrays ``(m, g, 3)``."""
-    pairs = values.reshape(len(values), 2, values.shape[1] // 6, 3)
-    for name, block in zip(names, np.moveaxis(pairs, 1, 0), strict=True):
-        put(file, f"signals/placement/{name}", block)
+def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
+    """Store rows ``(m, D)`` as one dataset ``(m, ...)`` for every block of their numbers."""
+    ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
+    columns = np.split(values, ends[:-1], axis=1)
+    for (name, shape), block in zip(blocks.items(), columns, strict=True):
+        put(file, f"{group}/{name}", block.reshape(len(block), *shape))
 
 
-def _get_pairs(path: Path, file: h5py.File, names: tuple[str, str], shape: tuple[int, ...]) -> Float:
-    """Read what `_put_pairs` stored."""
-    blocks = [floats(path, file, f"signals/placement/{name}", shape) for name in names]
-    return np.stack(blocks, axis=1).reshape(shape[0], -1)
+def _get_blocks(path: Path, file: h5py.File, group: str, blocks: Blocks, count: int) -> Float:
+    """Read what `_put_blocks` stored."""
+    columns = [
+        floats(path, file, f"{group}/{name}", (count, *shape)).reshape(count, int(np.prod(shape)))
+        for name, shape in blocks.items()
+    ]
+    return np.concatenate(columns, axis=1)
 
 
 def _read_pose(path: Path, file: h5py.File) -> PoseMap:

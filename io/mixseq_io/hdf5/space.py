@@ -1,28 +1,33 @@
-"""The shape space of a model in HDF5: the mixed space with its parts and joints, or the vertex space."""
+"""The shape space of a model in HDF5, and what vectors of it consist of."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from mixseq.errors import FormatError, OutputError
-from mixseq.reconstruction.anchored import AnchoredPlacement
-from mixseq.reconstruction.links import Links
-from mixseq.reconstruction.shells import ShellSettings
-from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
-from mixseq.spaces import MixedSpace, ShapeSpace, VertexSpace
-from mixseq.spaces.mixed import PLACEMENTS
+from mixseq.spaces import (
+    SPACES,
+    EdgeSettings,
+    EdgeSpace,
+    GradientSpace,
+    LRISpace,
+    MixedSpace,
+    ShapeSpace,
+    VertexSpace,
+)
 from mixseq.topology import Topology
-from mixseq_io.hdf5.arrays import Float, floats, get_lists, integers, put, put_lists
+from mixseq_io.hdf5.arrays import Float, floats, integers, put
+from mixseq_io.hdf5.mixed import mixed_blocks, read_mixed_space, write_mixed_space
+from mixseq_io.hdf5.settings import read_scale, read_settings, read_shell, write_settings
 
-StoredSpace = MixedSpace | VertexSpace
-
-_ROTATION = 1e-9  # how far a stored rotation may be from one
+StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace
+Blocks = dict[str, tuple[int, ...]]
+"""Names of datasets, in the order of the vector, and the shape of each."""
 
 
 def storable(space: ShapeSpace) -> StoredSpace:
@@ -33,40 +38,66 @@ def storable(space: ShapeSpace) -> StoredSpace:
     OutputError
         If they cannot.
     """
-    if isinstance(space, MixedSpace | VertexSpace):
+    if isinstance(space, StoredSpace):
         return space
-    raise OutputError(f"files hold models in the mixed and the vertex space, not in {type(space).__name__}")
+    raise OutputError(f"files hold models in the spaces {', '.join(SPACES)}, not in {type(space).__name__}")
 
 
-def shape_blocks(space: StoredSpace) -> dict[str, tuple[int, ...]]:
-    """Return what a key shape consists of, in order: datasets of `signals/shape`, and the shape of each."""
-    if isinstance(space, VertexSpace):
-        return {"positions": (space.vertex_count, 3)}
-    return {**mixed_blocks(space), "offsets": (space.offset_dim // 3, 3)}
+def version_of(space: StoredSpace) -> int:
+    """Return the first version of the format that knows a space."""
+    return 2 if isinstance(space, MixedSpace | VertexSpace) else 3
 
 
-def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
-    """Return what a vector consists of before its poses, as `shape_blocks` does."""
-    lengths, angles, parts = space.sizes[:3]
-    return {"lengths": (lengths,), "angles": (angles,), "parts": (parts // 3, 3)}
+def shape_blocks(space: StoredSpace) -> Blocks:
+    """Return what a key shape consists of: datasets of `signals/shape`."""
+    match space:
+        case VertexSpace():
+            return {"positions": (space.vertex_count, 3)}
+        case GradientSpace():
+            return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
+        case LRISpace():
+            return {"connections": (len(space.edges), 3, 3), "ends": (len(space.edges), 2, 3)}
+        case EdgeSpace():
+            return _edge_blocks(space)
+        case MixedSpace():
+            return {**mixed_blocks(space), "offsets": (space.offset_dim // 3, 3)}
+
+
+def placement_blocks(space: StoredSpace) -> Blocks:
+    """Return what a placement consists of: datasets of `signals/placement`."""
+    turning, whole = space.placement_rotations, space.stored_placement_dim
+    return {"rotations": (turning // 3, 3), "translations": ((whole - turning) // 3, 3)}
+
+
+def _edge_blocks(space: EdgeSpace) -> Blocks:
+    names = [f"{of}{what}" for of in ("", "coarse_") for what in ("lengths", "angles", "volumes")]
+    return {
+        name: (size,) for name, size in zip(names, space.sizes, strict=False)
+    }  # there may be no coarse mesh
 
 
 def write_space(file: h5py.File, space: StoredSpace) -> None:
     """Store a shape space."""
-    settings = {"shell": asdict(space.settings)} if isinstance(space, MixedSpace) else {}
-    file.attrs["settings"] = json.dumps(settings, sort_keys=True)
-    file.attrs["space"] = space.name
-    group = file.require_group("space")
-    group.attrs["scale"] = space.scale
-    file.flush()
+    settings = {}
     if isinstance(space, MixedSpace):
-        group.attrs["placement"] = space.placement
-        for name in ("shapes", "reference_lengths", "reference", "trust"):
-            put(file, f"space/{name}", getattr(space, name))
-        put(file, "space/links/parts", space.links.parts.astype(np.int32))
-        for name in ("pivots", "rests", "own_weights", "weights"):
-            put(file, f"space/links/{name}", getattr(space.links, name))
-        _write_segmentation(file, space.decomposition)
+        settings = {"shell": asdict(space.settings)}
+    if isinstance(space, EdgeSpace):
+        settings = {"shell": asdict(space.shell), "edge": asdict(space.settings)}
+    write_settings(file, settings)
+    file.attrs["space"] = space.name
+    file.require_group("space").attrs["scale"] = space.scale
+    file.flush()
+    match space:
+        case MixedSpace():
+            write_mixed_space(file, space)
+        case GradientSpace() | LRISpace():
+            put(file, "space/reference", space.reference)
+        case EdgeSpace():
+            put(file, "space/reference", space.reference)
+            put(file, "space/reference_lengths", space.reference_lengths)
+            for level in space.levels[1:]:
+                put(file, "space/coarse/vertices", level.vertices.astype(np.int32))
+                put(file, "space/coarse/faces", level.shell.topology.faces.astype(np.int32))
 
 
 def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpace:
@@ -78,116 +109,35 @@ def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpa
         If the space is not known, or something in it is missing, damaged or contradicts the rest.
     """
     kind = str(file.attrs["space"])
-    if kind == VertexSpace.name:
-        return VertexSpace(header.vertex_count, _scale(path, file))
+    if kind not in SPACES:
+        raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(SPACES)} are")
     if kind == MixedSpace.name:
-        links, trust = _read_links(path, file), _weights(path, file, "space/trust", (None,))
-        space = replace(read_mixed_space(path, file, header), links=links, trust=trust)
-        _check_learnt(path, space)
-        return space
-    raise FormatError(f"{path}: the space {kind!r} is not known; mixed and vertex are")
-
-
-def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> MixedSpace:
-    """Read a mixed space without what a sequence teaches about the time between its frames: links and trust."""
+        return read_mixed_space(path, file, header)
+    scale = read_scale(path, file)
+    if kind == VertexSpace.name:
+        return VertexSpace(header.vertex_count, scale)
     topology = Topology(header.faces, header.vertex_count)
-    placement, scale = str(file["space"].attrs["placement"]), _scale(path, file)
-    if placement not in PLACEMENTS:
-        raise FormatError(f"{path}: the placement {placement!r} is not known")
-    decomposition = _read_segmentation(path, file, topology)
-    space = MixedSpace(
-        topology=topology,
-        decomposition=decomposition,
-        placement=placement,
-        scale=scale,
-        shapes=floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
-        reference_lengths=floats(path, file, "space/reference_lengths", (None,)),
-        reference=floats(path, file, "space/reference", (header.vertex_count, 3)),
-        links=Links.none(len(decomposition.parts)),
-        trust=np.zeros(0),
-        settings=_read_shell(path, file),
-    )
-    if len(space.reference_lengths) != space.sizes[0]:
-        raise FormatError(f"{path}: space/reference_lengths does not fit the segmentation; it is damaged")
+    reference = floats(path, file, "space/reference", (header.vertex_count, 3))
+    if kind == GradientSpace.name:
+        return GradientSpace(topology, scale, reference)
+    if kind == LRISpace.name:
+        return LRISpace(topology, scale, reference)
+    return _read_edge_space(path, file, topology, scale, reference)
+
+
+def _read_edge_space(
+    path: Path, file: h5py.File, topology: Topology, scale: float, reference: Float
+) -> EdgeSpace:
+    lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
+    if (lengths < 0).any():
+        raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
+    settings = EdgeSettings(**read_settings(path, file, "edge", EdgeSettings.__dataclass_fields__))
+    space = EdgeSpace(topology, scale, reference, lengths, read_shell(path, file), settings)
+    for level in space.levels[1:]:
+        for name, ours in (("vertices", level.vertices), ("faces", level.shell.topology.faces)):
+            stored = integers(path, file, f"space/coarse/{name}", (None,) * ours.ndim, 0)
+            if not np.array_equal(stored, ours):  # what the lengths and angles of key shapes belong to
+                raise FormatError(
+                    f"{path}: space/coarse/{name} is not the coarse mesh that this mixseq finds; encode it again"
+                )
     return space
-
-
-def _scale(path: Path, file: h5py.File) -> float:
-    scale = float(file["space"].attrs["scale"])
-    if not (np.isfinite(scale) and scale > 0):
-        raise FormatError(f"{path}: the scale of the space is {scale}; a positive number is expected")
-    return scale
-
-
-def _read_shell(path: Path, file: h5py.File) -> ShellSettings:
-    shell = json.loads(str(file.attrs["settings"]))["shell"]
-    unknown = sorted(set(shell) - set(ShellSettings.__dataclass_fields__))
-    if unknown:
-        raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
-    shell.setdefault("accuracy", 0.0)  # older files were checked without it
-    return ShellSettings(**shell)
-
-
-def _write_segmentation(file: h5py.File, decomposition: Decomposition) -> None:
-    put(file, "segmentation/part_of_face", decomposition.part_of_face.astype(np.int32))
-    put(file, "segmentation/widths", decomposition.widths.astype(np.int32))
-    put_lists(file, "segmentation/parts", "vertices", decomposition.parts)
-    put_lists(file, "segmentation/joints", "faces", [joint.face_ids for joint in decomposition.joints])
-
-
-def _read_segmentation(path: Path, file: h5py.File, topology: Topology) -> Decomposition:
-    faces, vertices = len(topology.faces), topology.vertex_count
-    parts = get_lists(path, file, "segmentation/parts", "vertices", vertices)
-    if not parts:
-        raise FormatError(f"{path}: the segmentation has no parts; it is damaged")
-    held = np.zeros(vertices, dtype=bool)
-    held[np.concatenate(parts)] = True
-    joints = []
-    for joint_faces in get_lists(path, file, "segmentation/joints", "faces", faces):
-        inside = np.zeros(faces, dtype=bool)
-        inside[joint_faces] = True
-        joints.append(make_joint(topology, inside, held))
-    return Decomposition(
-        part_of_face=integers(path, file, "segmentation/part_of_face", (faces,), 0, len(parts)),
-        parts=tuple(parts),
-        joints=tuple(joints),
-        widths=integers(path, file, "segmentation/widths", (len(parts),), 1),
-    )
-
-
-def _read_links(path: Path, file: h5py.File) -> Links:
-    parts = integers(path, file, "space/links/parts", (None, 2), 0)
-    return Links(
-        parts=parts,
-        pivots=floats(path, file, "space/links/pivots", (len(parts), 2, 3)),
-        rests=floats(path, file, "space/links/rests", (len(parts), 3, 3)),
-        own_weights=_weights(path, file, "space/links/own_weights", (None, 2)),
-        weights=_weights(path, file, "space/links/weights", (len(parts), 2)),
-    )
-
-
-def _weights(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> Float:
-    weights = floats(path, file, name, shape)
-    if (weights <= 0).any():
-        raise FormatError(f"{path}: {name} has weights that are not positive")
-    return weights
-
-
-def _check_learnt(path: Path, space: MixedSpace) -> None:
-    """Refuse links that are none between the parts, and trust in other joints than those that are solved."""
-    links, projection = space.links, space.projection
-    posed = len(projection.posed)
-    solved = len(projection.rows.joints) if isinstance(projection, AnchoredPlacement) else 0
-    if len(links) and space.placement == "free":
-        raise FormatError(f"{path}: space/links/parts has links, but the free placement has none")
-    if len(links) and (links.parts.max() >= posed or (links.parts[:, 0] >= links.parts[:, 1]).any()):
-        raise FormatError(f"{path}: space/links/parts must be pairs i < j of the parts 0 to {posed - 1}")
-    if len(links.own_weights) != posed:
-        raise FormatError(
-            f"{path}: space/links/own_weights has {len(links.own_weights)} rows for {posed} poses"
-        )
-    if len(space.trust) != solved:
-        raise FormatError(f"{path}: space/trust has {len(space.trust)} rows for {solved} solved joints")
-    unturned = links.rests @ np.swapaxes(links.rests, 1, 2) - np.eye(3)
-    if np.abs(unturned).max(initial=0.0) > _ROTATION or (np.linalg.det(links.rests) < 0).any():
-        raise FormatError(f"{path}: space/links/rests has matrices that are no rotations")

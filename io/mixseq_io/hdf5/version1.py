@@ -14,8 +14,8 @@ from mixseq.spaces import mixed_space
 from mixseq.threads import one_blas_thread
 from mixseq_io.hdf5.arrays import increasing
 from mixseq_io.hdf5.files import read_header
-from mixseq_io.hdf5.signals import read_poses, read_shapes
-from mixseq_io.hdf5.space import mixed_blocks, read_mixed_space
+from mixseq_io.hdf5.mixed import mixed_blocks, read_untaught
+from mixseq_io.hdf5.signals import read_placements, read_shapes
 
 
 def read_v1(path: Path, file: h5py.File) -> Model:
@@ -25,9 +25,9 @@ def read_v1(path: Path, file: h5py.File) -> Model:
     """
     times = increasing(path, file, "signals/time/times")
     header = read_header(path, file, int(file.attrs["vertex_count"]), times)
-    old = read_mixed_space(path, file, header)
+    old = read_untaught(path, file, header)
     shapes = read_shapes(path, file, mixed_blocks(old), len(times))
-    poses = read_poses(path, file, old, len(times))
+    poses = read_placements(path, file, old, len(times))
     with one_blas_thread():
         points = old.decode(np.concatenate([shapes, poses], axis=1))
         space = mixed_space(points, old.topology, old.decomposition, old.placement, old.settings)

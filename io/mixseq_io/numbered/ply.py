@@ -1,8 +1,9 @@
 """Numbered PLY files: one file per frame, text or binary, polygons and vertex order as in the files.
 
 Read are the properties ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the
-faces, and texture coordinates: ``s t`` or ``u v`` of the vertices, or the list ``texcoord`` of the faces. Other
-properties and elements (normals, colours, confidence) are skipped. Points keep the file's precision, ``float`` or
+faces, and texture coordinates: ``s t`` or ``u v`` of the vertices, or the list ``texcoord`` of the faces. Colours
+``red``, ``green``, ``blue`` are read as labels of parts only (`mixseq_io.labels`). Other properties and elements
+(normals, confidence) are skipped. Points keep the file's precision, ``float`` or
 ``double``; integers become float64.
 
 Written are little-endian binary files in the precision of the points, texture coordinates as ``s t`` if every vertex
@@ -76,7 +77,11 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         indices = _whole(corners.values)
     polygons = Polygons(corners.counts, indices)
     return MeshFile(
-        points=points, polygons=polygons, source=source, surface=Surface(uvs=_uvs(elements, polygons))
+        points=points,
+        polygons=polygons,
+        source=source,
+        surface=Surface(uvs=_uvs(elements, polygons)),
+        colours=_colours(elements, polygons),
     )
 
 
@@ -116,6 +121,24 @@ def _uvs(elements: dict[str, Columns], polygons: Polygons) -> CornerValues | Non
             values = _side_by_side(vertices, *names)
             if values is not None:
                 return CornerValues(values.astype(np.float32), polygons.indices)
+    return None
+
+
+def _colours(elements: dict[str, Columns], polygons: Polygons) -> FloatArray | None:
+    """Return colours (sum of counts, 3) of the corners: those of their vertices, or else those of their faces."""
+    names = ("red", "green", "blue")
+    for element in ("vertex", "face"):
+        values = _side_by_side(elements[element], *names)
+        if values is not None:
+            kind = elements[element]["red"].values.dtype
+            # Text gives floats for integers, too.
+            largest = (
+                float(np.iinfo(kind).max) if kind.kind != "f" else 255.0 if values.max(initial=0) > 1 else 1.0
+            )
+            of_face = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+            rows = polygons.indices if element == "vertex" else of_face
+            # Faces may still name vertices that are not there, which is for the header to tell.
+            return np.asarray(np.take(values, rows, axis=0, mode="clip") / largest) if len(values) else None
     return None
 
 

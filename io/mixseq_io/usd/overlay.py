@@ -72,12 +72,7 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocitie
     MixseqWarning
         If instances become prims of their own, or velocities are left out under transforms that move.
     """
-    layer.subLayerPaths.append(reference_to(base.path, target))
-    below = base.stage.GetRootLayer()
-    for key in _COPIED:
-        if below.pseudoRoot.HasInfo(key):
-            layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
-    _split_instances(layer, target, base)
+    put_over(layer, target, base)
     meshes = tuple(_placed(base, fit, velocities) for fit in base.fits)
     for fit, placed in zip(base.fits, meshes, strict=True):
         _switch_off(layer, fit.mesh, placed)
@@ -89,6 +84,22 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocitie
             f"{target}: velocities are left out where transforms move, too: {shortened(left_out)}; flatten keeps them"
         )
     return Cast(meshes, _bounds(base))
+
+
+def put_over(layer: Sdf.Layer, target: Path, base: Base) -> None:
+    """Make a file the sublayer of an empty layer, of which everything stays.
+
+    Warns
+    -----
+    MixseqWarning
+        If instances become prims of their own.
+    """
+    layer.subLayerPaths.append(reference_to(base.path, target))
+    below = base.stage.GetRootLayer()
+    for key in _COPIED:
+        if below.pseudoRoot.HasInfo(key):
+            layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
+    _split_instances(layer, target, base)
 
 
 def _split_instances(layer: Sdf.Layer, target: Path, base: Base) -> None:

@@ -20,9 +20,11 @@ from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name, moving
+from mixseq_io.labels.markings import Markings
 from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.usd.diagnostics import quiet, reading_usd
+from mixseq_io.usd.markings import markings_of
 from mixseq_io.usd.meshes import meshes_of, places_of
 from mixseq_io.usd.motion import Mover, Track
 from mixseq_io.usd.skinning import skins_of
@@ -107,6 +109,12 @@ class _UsdReader(SequenceReader):
     def __init__(self, path: Path, header: SequenceHeader, shot: _Shot, moving: bool) -> None:
         super().__init__(path, header, has_velocities=moving)
         self._shot: _Shot | None = shot
+
+    def markings(self) -> Markings:
+        """Return what tells parts of the meshes apart."""
+        assert self._shot is not None, "the file is open"
+        with quiet(), reading_usd(self.path):
+            return markings_of(self.header, self._shot.tracks)
 
     def close(self) -> None:
         """Let the stage go."""

@@ -127,11 +127,11 @@ def _uvs(track: Track, polygons: Polygons, notes: Notes) -> CornerValues | None:
         notes.add(prim, "texture coordinates that change over time stay as they are in the first frame")
     code = Usd.TimeCode(track.start)
     values = np.array(chosen.Get(code) or (), dtype=np.float32).reshape(-1, 2)
-    rows = _rows_of_corners(chosen.GetInterpolation(), polygons)
+    rows = rows_of_corners(chosen.GetInterpolation(), polygons)
     if chosen.IsIndexed():
         indices = np.array(chosen.GetIndices(code) or (), dtype=np.int32)
-        rows = indices[rows] if _within(rows, len(indices)) else np.array([-1])
-    if not _within(rows, len(values)):
+        rows = indices[rows] if within(rows, len(indices)) else np.array([-1])
+    if not within(rows, len(values)):
         notes.add(prim, f"texture coordinates {name!r} do not fit the faces and are left out")
         return None
     return CornerValues(values, rows)
@@ -149,14 +149,14 @@ def _creases(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32
     if values is None or (of_points and track.weld.is_identity):
         return None
     normals = np.array(values, dtype=np.float32).reshape(-1, 3)
-    rows = _rows_of_corners(interpolation, polygons)
-    if not _within(rows, len(normals)) or not np.isfinite(normals).all():
+    rows = rows_of_corners(interpolation, polygons)
+    if not within(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
     return creases_of_normals(track.weld.polygons(polygons), normals[rows])
 
 
-def _rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
+def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
     """Return the row of a primvar's value for every corner."""
     if interpolation == UsdGeom.Tokens.faceVarying:
         return np.arange(polygons.indices.size, dtype=np.int32)
@@ -167,7 +167,8 @@ def _rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32
     return np.asarray(polygons.indices, dtype=np.int32)
 
 
-def _within(rows: IntArray, count: int) -> bool:
+def within(rows: IntArray, count: int) -> bool:
+    """Whether all rows are there."""
     return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
 
 

@@ -22,12 +22,13 @@ from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
 from mixseq_io.usd.base import Base, open_base
 from mixseq_io.usd.clips import new_folder, save_in_clips
-from mixseq_io.usd.diagnostics import quiet, reading_usd, writing_usd
+from mixseq_io.usd.diagnostics import quiet, reading_usd, save_layer, writing_usd
 from mixseq_io.usd.frames import Cast, Frame, frames
 from mixseq_io.usd.layers import declare, save
 from mixseq_io.usd.materials import is_gone
-from mixseq_io.usd.overlay import lay_over
+from mixseq_io.usd.overlay import lay_over, put_over
 from mixseq_io.usd.package import pack
+from mixseq_io.usd.parts import Parts, define_parts
 from mixseq_io.usd.paths import time_codes
 from mixseq_io.usd.stage import open_stage
 from mixseq_io.usd.standalone import define_component
@@ -41,6 +42,7 @@ def write_usd(
     flatten: bool = False,
     onto: str | PathLike[str] | None = None,
     clips: int = 0,
+    parts: Parts | None = None,
 ) -> None:
     """Write a USD file; see `mixseq_io.write_blocks`.
 
@@ -55,6 +57,8 @@ def write_usd(
     clips : int
         Put the samples into files of this many frames each, in a folder ``<file>.clips`` beside the file; 0: into
         the file itself.
+    parts : Parts, optional
+        Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
 
     Raises
     ------
@@ -90,6 +94,8 @@ def write_usd(
             else define_component(layer, path, header, moving)
         )
         declare(layer, cast)
+        if parts is not None:
+            define_parts(layer, [each.path for each in cast.meshes], parts)
         return layer, cast, frames(cast, codes, header.times, numbered)
 
     with (
@@ -115,6 +121,31 @@ def write_usd(
             save(layer, samples)
     if not clips:
         folder.warn_if_unused()
+
+
+def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
+    """Write a layer over the file that a sequence was read from, which adds parts and changes nothing else.
+
+    Returns
+    -------
+    bool
+        False, and nothing is written, if there is no such file, or the file to write stands alone (.usdz).
+
+    Raises
+    ------
+    OutputError
+        As `write_usd`.
+    """
+    base = _base(path, header, flatten=False, onto=None)
+    if base is None:
+        return False
+    with replacing(path) as temporary, quiet(), writing_usd(path):
+        layer = Sdf.Layer.CreateNew(str(temporary))
+        _author_times(layer, header, time_codes(header.times, header.fps), base)
+        put_over(layer, path, base)
+        define_parts(layer, [str(fit.mesh.GetPath()) for fit in base.fits], parts)
+        save_layer(layer)
+    return True
 
 
 def _check_options(packed: bool, flatten: bool, onto: object, clips: int) -> None:

@@ -1,0 +1,61 @@
+"""Labels of triangles and of the polygons that they are cut from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.polygons import Polygons, frozen
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """One label per triangle.
+
+    Parameters
+    ----------
+    part_of_face : (F,) int64
+        Number of the label of every triangle, an index of `names`.
+    names : tuple of str
+        What the labels are called.
+    """
+
+    part_of_face: Index
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "part_of_face", frozen(np.ascontiguousarray(self.part_of_face, dtype=np.int64))
+        )
+
+
+def triangle_labels(of_polygon: ArrayLike, polygons: Polygons) -> Index:
+    """Return the labels ``(F,)`` of triangles from those ``(P,)`` of polygons."""
+    return np.repeat(np.asarray(of_polygon, dtype=np.int64), polygons.counts - 2)
+
+
+def polygon_labels(of_triangle: Index, polygons: Polygons) -> Index:
+    """Return the labels ``(P,)`` that most triangles of each polygon have, the lower one of two.
+
+    Examples
+    --------
+    >>> quad_and_triangle = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4]))
+    >>> polygon_labels(np.array([5, 2, 7]), quad_and_triangle).tolist()
+    [2, 7]
+    """
+    return most_frequent(np.repeat(np.arange(len(polygons.counts)), polygons.counts - 2), of_triangle)
+
+
+def most_frequent(owner: Index, value: Index) -> Index:
+    """Return for owners 0, 1, ... the value that each has most often, the lowest of several."""
+    if not owner.size:
+        return np.zeros(0, dtype=np.int64)
+    span = int(value.max()) + 1
+    pairs, times = np.unique(owner.astype(np.int64) * span + value, return_counts=True)
+    order = np.lexsort((pairs % span, -times, pairs // span))
+    _, first = np.unique(pairs[order] // span, return_index=True)
+    return np.asarray(pairs[order][first] % span, dtype=np.int64)

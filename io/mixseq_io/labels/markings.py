@@ -1,0 +1,126 @@
+"""What files have on a mesh that can tell its parts apart: named sets of faces, colours, the joints of skeletons.
+
+Readers find it (`mixseq_io.reader.SequenceReader.markings`), by the vertices and polygons of the sequence that they
+read: what a reader welds is welded here, too.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixseq.polygons import FloatArray
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import FaceSet
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+LABELS, GROUPS, MATERIALS, COLOURS, SKELETON = "labels", "groups", "materials", "colours", "skeleton"
+"""Names of sources. Families of USD's subsets that are none of these go by their own names."""
+
+SMALLEST_JOINT = 0.01
+"""Share of the polygons that a joint needs to be a part of its own; the value is ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skinning:
+    """How much each vertex follows each joint.
+
+    Parameters
+    ----------
+    weights : (V, J) sparse
+        The weights; rows sum to 1.
+    joints : tuple of J str
+        Path of every joint; no two are alike.
+    parents : tuple of J str
+        Path of the joint above each, "" if there is none.
+    """
+
+    weights: csr_array
+    joints: tuple[str, ...]
+    parents: tuple[str, ...]
+
+    @classmethod
+    def rigid(cls, path: str, vertex_count: int) -> Skinning:
+        """Return that of a mesh without a skin: it follows itself."""
+        from scipy.sparse import csr_array
+
+        return cls(csr_array(np.ones((vertex_count, 1))), (path,), ("",))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Markings:
+    """What tells parts of a mesh apart.
+
+    Parameters
+    ----------
+    sets : mapping of str to tuple of FaceSet
+        Named sets of polygons by their source; sets of one name count as one.
+    colours : (sum of counts, k) float, optional
+        Colour of every corner of the polygons, from 0 to 1; nan where there is none.
+    skinning : Skinning, optional
+        The joints that move the vertices.
+    """
+
+    sets: Mapping[str, tuple[FaceSet, ...]] = field(default_factory=dict)
+    colours: FloatArray | None = None
+    skinning: Skinning | None = None
+
+
+def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
+    """Return the face sets of a surface: those of materials, and the others."""
+    every = header.surface.face_sets
+    materials = shortest(each.material for each in every if each.material)
+    named = {
+        GROUPS: tuple(each for each in every if not each.material),
+        MATERIALS: tuple(FaceSet(materials[each.material], each.polygons) for each in every if each.material),
+    }
+    return {source: sets for source, sets in named.items() if sets}
+
+
+def joined_colours(pieces: Sequence[FloatArray | None], corners: Sequence[int]) -> FloatArray | None:
+    """Put the colours ``(corners, k)`` of several meshes one after the other, as RGBA; None if none has some."""
+    if all(each is None for each in pieces):
+        return None
+    joined = np.full((sum(corners), 4), np.nan)
+    start = 0
+    for piece, count in zip(pieces, corners, strict=True):
+        if piece is not None:
+            joined[start : start + count, 3] = 1.0
+            joined[start : start + count, : piece.shape[1]] = piece
+        start += count
+    return joined
+
+
+def joined_skinning(pieces: Sequence[Skinning]) -> Skinning:
+    """Put several meshes one after the other; joints that they share are the same."""
+    from scipy.sparse import csr_array, vstack
+
+    parents = {
+        joint: above for each in pieces for joint, above in zip(each.joints, each.parents, strict=True)
+    }
+    column = {joint: number for number, joint in enumerate(parents)}
+    rows = []
+    for each in pieces:
+        own = each.weights.tocoo()
+        columns = np.array([column[joint] for joint in each.joints])[own.col]
+        rows.append(csr_array((own.data, (own.row, columns)), shape=(own.shape[0], len(column))))
+    return Skinning(csr_array(vstack(rows)), tuple(column), tuple(parents.values()))
+
+
+def shortest(paths: Iterable[str]) -> dict[str, str]:
+    """Return the last names of paths, or the whole paths where two have the same last name.
+
+    Examples
+    --------
+    >>> shortest(["/man/arm", "/man/leg/toe", "/man/arm/toe"])
+    {'/man/arm': 'arm', '/man/leg/toe': '/man/leg/toe', '/man/arm/toe': '/man/arm/toe'}
+    """
+    last = {path: path.rstrip("/").rpartition("/")[2] or path for path in paths}
+    often = Counter(last.values())
+    return {path: name if often[name] == 1 else path for path, name in last.items()}

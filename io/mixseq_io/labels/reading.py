@@ -1,0 +1,247 @@
+"""Reading labels: which of the things in a file are meant, and whether they fit the mesh.
+
+=============  ==========================================================================================
+source         what it is
+=============  ==========================================================================================
+``labels``     npz: an array ``part_of_face`` or ``labels`` with a number or name for every triangle or every
+               polygon; USD: the family ``mixseq`` of subsets. Both are what ``mixseq segment`` writes.
+``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
+*a family*     USD: the subsets of any other family
+``materials``  the faces of every material
+``colours``    vertex colours: PLY, glTF ``COLOR_0``, USD ``displayColor``
+``skeleton``   weights of skins: UsdSkel, glTF
+=============  ==========================================================================================
+
+`labels` come before all others, because somebody made them to be labels. Sources that give all faces the same label
+count only where they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import AmbiguousError, FormatError, SettingsError
+from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.sequence import Frames, SequenceHeader
+from mixseq_io.labels.faces import Labels, triangle_labels
+from mixseq_io.labels.markings import COLOURS, LABELS, SKELETON, SMALLEST_JOINT
+from mixseq_io.npz import DAMAGE
+from mixseq_io.reader import SequenceReader, reading
+from mixseq_io.registry import PathLike, open_sequence
+
+Sources = dict[str, Callable[[], Labels]]
+
+ARRAYS = ("part_of_face", "labels")
+"""Names of arrays of labels in npz files; the first that is there counts."""
+
+
+def read_labels(
+    path: PathLike,
+    sequence: Frames | SequenceHeader,
+    source: str | None = None,
+    *,
+    smallest_joint: float = SMALLEST_JOINT,
+    **options: Any,
+) -> Labels:
+    """Read labels of a mesh's faces from a file, as they stand there.
+
+    `mixseq.segmentation.segment_by_labels` makes a segmentation of them, whose parts are connected.
+
+    Parameters
+    ----------
+    path : path-like
+        An npz file with an array of labels, or any file that can be read as a sequence of the same mesh: one frame
+        is enough, and it may be the sequence's own file.
+    sequence : MeshSequence, SequenceReader or SequenceHeader
+        Whose faces are labelled.
+    source : str, optional
+        Which of the things in the file, see the head of this module; needed where there are several.
+    smallest_joint : float
+        With a skeleton: joints with a smaller share of the polygons join the one above them.
+    **options
+        The ``read_options`` of the file's format, see `mixseq_io.open_sequence`.
+
+    Returns
+    -------
+    Labels
+
+    Raises
+    ------
+    FormatError
+        If the file has no labels, no such source, labels of another mesh, or more than 256 colours.
+    AmbiguousError
+        If it has several sources, and none is chosen.
+    SettingsError
+        If `smallest_joint` is not a share.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mixseq.creature import walk_cycle
+    >>> walk = walk_cycle(frames=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(folder + "/halves.npz", labels=np.arange(len(walk.faces)) % 2)
+    ...     labels = read_labels(folder + "/halves.npz", walk)
+    >>> labels.part_of_face[:3].tolist(), labels.names
+    ([0, 1, 0], ('0', '1'))
+    """
+    file = Path(path)
+    header = sequence if isinstance(sequence, SequenceHeader) else sequence.header
+    sources = _stored(file, header)
+    if _is_mesh(file) and not (sources and source in (None, LABELS)):
+        with open_sequence(file, **options) as reader:
+            sources |= _marked(reader, header, smallest_joint)
+    return _chosen(file, sources, source)()
+
+
+def labels_of(
+    reader: SequenceReader, source: str | None = None, *, smallest_joint: float = SMALLEST_JOINT
+) -> Labels:
+    """Return the labels of an open sequence's own file; see `read_labels`."""
+    sources = _stored(reader.path, reader.header) | _marked(reader, reader.header, smallest_joint)
+    return _chosen(reader.path, sources, source)()
+
+
+def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], Labels]:
+    if wanted is not None:
+        if wanted not in sources:
+            raise FormatError(f"{file} has no {wanted!r} to label faces by; {_what_there_is(list(sources))}")
+        return sources[wanted]
+    if LABELS in sources:
+        return sources[LABELS]
+    if len(sources) == 1:
+        return next(iter(sources.values()))
+    telling = {}
+    for name, make in sources.items():
+        # What cannot be labels (a painted mesh) or tells nothing apart is no rival of what can.
+        try:
+            labels = make()
+        except FormatError:
+            continue
+        if len(labels.names) > 1:
+            telling[name] = labels
+    if len(telling) == 1:
+        (only,) = telling.values()
+        return lambda: only
+    if not telling:
+        raise FormatError(f"{file} has no labels of faces; {_what_there_is(list(sources))}")
+    raise AmbiguousError(
+        f"{file} has several sources of labels: {', '.join(telling)}; choose one with source=... (--source)"
+    )
+
+
+def _what_there_is(sources: list[str]) -> str:
+    if not sources:
+        return (
+            "it has no array of labels, sets of faces, materials, vertex colours or skin; give another file"
+        )
+    return f"it has {', '.join(sources)}"
+
+
+def _stored(file: Path, header: SequenceHeader) -> Sources:
+    """Return the array of labels of an npz file, if there is one."""
+    if file.suffix.lower() != ".npz":
+        return {}
+    with reading(file, "an npz file", *DAMAGE), np.load(file, allow_pickle=False) as archive:
+        members = set(archive.files)
+        name = next((each for each in ARRAYS if each in members), "")
+        values = archive[name] if name else None
+        names = archive["names"] if "names" in members else None
+    if values is not None:
+        labels = _of_array(file, name, values, names, header.polygons)
+        return {LABELS: lambda: labels}
+    if "points" not in members:
+        raise FormatError(
+            f"{file} has the arrays {', '.join(sorted(members)) or 'none'}; `part_of_face` or `labels`, a number for "
+            "every triangle or polygon, is needed"
+        )
+    return {}
+
+
+def _is_mesh(file: Path) -> bool:
+    """Whether a file is a sequence, and not only an array of labels."""
+    if file.suffix.lower() != ".npz":
+        return True
+    with reading(file, "an npz file", *DAMAGE), np.load(file, allow_pickle=False) as archive:
+        return "points" in archive.files
+
+
+def _of_array(
+    file: Path, name: str, values: NDArray[Any], names: NDArray[Any] | None, polygons: Polygons
+) -> Labels:
+    triangles, count = len(polygons.triangles), len(polygons.counts)
+    if values.ndim != 1 or values.dtype.kind not in "iuU":
+        raise FormatError(
+            f"{file}: {name} has shape {values.shape} and type {values.dtype}; a list of whole numbers or names is "
+            "expected"
+        )
+    if len(values) not in (triangles, count):
+        raise FormatError(
+            f"{file} has {len(values)} labels, but the mesh has {triangles} triangles"
+            + (f" and {count} polygons" if count != triangles else "")
+            + "; give one for each"
+        )
+    if names is not None and values.dtype.kind != "U" and _within(values, np.size(names)):
+        dense, texts = values, tuple(str(each) for each in np.ravel(names).tolist())
+    else:
+        kinds, dense = np.unique(values, return_inverse=True)
+        texts = tuple(str(each) for each in kinds.tolist())
+    whole = len(values) != triangles
+    return Labels(triangle_labels(dense, polygons) if whole else dense, texts)
+
+
+def _within(values: NDArray[Any], count: int) -> bool:
+    return bool(values.size and values.min() >= 0 and values.max() < count)
+
+
+def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
+    """Return the labels that a file's markings make, for a mesh with the same faces."""
+    from mixseq_io.labels.given import labels_of_sets, labels_of_skinning
+
+    if not 0 <= smallest <= 1:
+        raise SettingsError(f"smallest_joint is {smallest}; a share of the faces, from 0 to 1, is expected")
+    file, polygons = reader.path, reader.header.polygons
+    _check_same_faces(file, header, reader.header)
+    markings = reader.markings()
+    sources: Sources = {name: partial(labels_of_sets, sets, polygons) for name, sets in markings.sets.items()}
+    if markings.colours is not None:
+        sources[COLOURS] = partial(_colours, file, markings.colours, polygons)
+    if markings.skinning is not None:
+        sources[SKELETON] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
+    return sources
+
+
+def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
+    from mixseq_io.labels.given import labels_of_colours
+
+    try:
+        return labels_of_colours(colours, polygons)
+    except FormatError as error:
+        raise FormatError(f"{file} {error}") from None
+
+
+def _check_same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> None:
+    """Refuse labels of another mesh; whether its vertices are split or welded otherwise does not matter."""
+    ours, theirs = header.faces, found.faces
+    if len(ours) != len(theirs):
+        raise FormatError(
+            f"{file} has {len(theirs)} triangles, the sequence {len(ours)}; labels need a file of the same mesh"
+        )
+    a, b = ours.reshape(-1), theirs.reshape(-1)
+    if not (np.array_equal(a, b) or _follows(a, b) or _follows(b, a)):
+        raise FormatError(
+            f"{file} has as many triangles as the sequence, but in another order; labels need the same faces in the "
+            "same order"
+        )
+
+
+def _follows(a: IntArray, b: IntArray) -> bool:
+    """Whether equal vertices of a are equal in b: b is a, with some vertices welded."""
+    pairs = np.unique(np.stack([a, b], axis=1), axis=0)
+    return len(pairs) == len(np.unique(a))

@@ -1,0 +1,183 @@
+"""``mixseq interpolate``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, print_table, progress_bar
+from mixseq.cli.files import check_target, write_sequence
+from mixseq.cli.labelled import parts_given
+from mixseq.cli.options import (
+    FILE,
+    as_settings,
+    examples,
+    labels_options,
+    quiet_option,
+    reader_options,
+    space_options,
+    workers_options,
+    writer_options,
+)
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mixseq.mapping import OrderedMap
+
+
+class Pose(NamedTuple):
+    """A frame, and its weight if it has one."""
+
+    frame: int
+    weight: float | None
+
+
+def pose_of(text: str) -> Pose:
+    """Parse ``FRAME=WEIGHT`` or ``FRAME``; weights may be fractions.
+
+    Examples
+    --------
+    >>> pose_of("2=1/4"), pose_of("5")
+    (Pose(frame=2, weight=0.25), Pose(frame=5, weight=None))
+    """
+    frame, given, weight = text.partition("=")
+    try:
+        return Pose(int(frame), float(Fraction(weight)) if given else None)
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        raise click.BadParameter(f"{text!r} is not FRAME=WEIGHT, for example 2=0.5 or 2=1/3") from error
+
+
+@click.command(
+    "interpolate",
+    epilog=examples(
+        "mixseq interpolate lion.npz half.obj --pose 2=0.5 --pose 5=0.5",
+        "mixseq interpolate lion.npz mean.ply --pose 0=1/3 --pose 2=1/3 --pose 5=1/3 --space edge",
+        "mixseq interpolate lion.npz morph.usdc --pose 2 --pose 5 --steps 24",
+    ),
+)
+@click.argument("source", metavar="IN", type=FILE)
+@click.argument("target", metavar="OUT", type=FILE)
+@click.option(
+    "--pose",
+    "poses",
+    type=pose_of,
+    multiple=True,
+    metavar="FRAME[=WEIGHT]",
+    help="A frame of IN, counted from 0, and its weight; give several. The weights add up to one.",
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(min=2),
+    metavar="N",
+    help="Write N frames from one pose to another, two without weights, instead of one blend.",
+)
+@space_options(placement="free", shrink=0.01)  # those of `mixseq.interpolate`
+@labels_options
+@reader_options
+@writer_options
+@workers_options
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    poses: tuple[Pose, ...],
+    steps: int | None,
+    making: dict[str, Any],
+    labels: Path | None,
+    label_source: str | None,
+    reading: dict[str, Any],
+    writing: dict[str, Any],
+    workers: AbstractContextManager[OrderedMap],
+    quiet: bool,
+) -> None:
+    """Blend poses of a mesh in a shape space.
+
+    IN is a sequence in any format, whose frames are the poses. OUT is one frame: their blend. All frames of IN tell
+    of the parts of the mesh, also those without a weight.
+
+    With --steps OUT is a sequence from the first --pose to the second, evenly; IN with two frames needs no --pose.
+    """
+    _check(poses, steps)
+    check_target(target, source)
+    from mixseq.operations.interpolation import Blend
+
+    with (
+        workers as work,
+        progress_bar(quiet) as progress,
+        mixseq.open_sequence(source, **reading) as reader,
+    ):
+        weights = _weights(poses, steps, reader.header.frame_count)
+        if labels is not None or label_source is not None:
+            parts = parts_given(reader, making["parts"], labels, label_source, reading)
+            making = making | {"parts": parts}
+        used = _used(weights)
+        blend = Blend.of(reader, **as_settings(making), among=used, progress=progress, workers=work)
+        header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
+        frames = (points[None] for points in blend.along(weights[:, used], progress, work))
+        write_sequence(target, header, frames, None, writing)
+    if not quiet:
+        names = [f"{pose}" if steps else f"{pose} = {weights[0, pose]:g}" for pose in used]
+        print_table(
+            [
+                ("space", f"{blend.space.name}, dim {blend.dim:,}"),
+                ("poses", ", ".join(names)),
+                ("frames", f"{len(weights):,}"),
+            ]
+        )
+    announce(target)
+
+
+def _check(poses: Sequence[Pose], steps: int | None) -> None:
+    """Refuse poses that make no sense before the sequence is read."""
+    frames = [pose.frame for pose in poses]
+    for pose in poses:
+        if frames.count(pose.frame) > 1:
+            raise SettingsError(f"--pose {pose.frame} is given more than once; give every frame once")
+        if steps is not None and pose.weight is not None:
+            raise SettingsError(f"--steps chooses the weights; give --pose {pose.frame} without one")
+        if steps is None and pose.weight is None:
+            raise SettingsError(
+                f"--pose {pose.frame} has no weight; give --pose {pose.frame}=WEIGHT, or --steps"
+            )
+    if steps is None and not poses:
+        raise SettingsError("there are no poses to blend; give some as --pose FRAME=WEIGHT, or --steps")
+    if steps is not None and len(poses) not in (0, 2):
+        raise SettingsError(
+            f"--steps goes from one pose to another; give --pose twice, not {len(poses)} times"
+        )
+
+
+def _used(weights: NDArray[np.float64]) -> list[int]:
+    return [pose for pose, column in enumerate(weights.T) if column.any()]
+
+
+def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np.float64]:
+    """Weights ``(m, n)`` of all frames of a sequence, for every frame of the result."""
+    import numpy as np
+
+    from mixseq.operations.interpolation import checked_weights
+
+    if not poses and count != 2:
+        raise SettingsError(f"there are {count} poses; name two of them by --pose FRAME --pose FRAME")
+    chosen = list(poses) or [Pose(0, None), Pose(1, None)]
+    for pose in chosen:
+        if not 0 <= pose.frame < count:
+            raise SettingsError(f"there is no frame {pose.frame}; frames are 0 to {count - 1}")
+    weights = np.zeros((steps or 1, count))
+    columns = [pose.frame for pose in chosen]
+    if steps is None:
+        weights[0, columns] = [pose.weight for pose in chosen]
+        checked_weights(weights[0], count)
+    else:
+        along = np.linspace(0.0, 1.0, steps)
+        weights[:, columns] = np.stack([1.0 - along, along], axis=1)
+    return weights

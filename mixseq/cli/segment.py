@@ -1,0 +1,285 @@
+"""``mixseq segment``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, print_json, print_table, progress_bar
+from mixseq.cli.files import check_target
+from mixseq.cli.labelled import chosen_labels
+from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mixseq.segmentation.methods import MethodName
+    from mixseq.sequence import FloatArray, SequenceHeader
+    from mixseq_io import Labels, SequenceReader
+
+METHODS = ("motion", "silhouettes", "spanning-tree", "labels", "skeleton")
+_GIVEN = METHODS[3:]
+
+
+@click.command(
+    "segment",
+    epilog=examples(
+        "mixseq segment walk.usdc parts.usda",
+        "mixseq segment walk.usdc parts.npz --parts 12 --no-picture",
+        "mixseq segment man.glb parts.usdc --method skeleton",
+        "mixseq segment man.glb parts.npz --against skeleton",
+        "mixseq segment walk.usdc parts.usda --labels painted.ply",
+    ),
+)
+@click.argument("path", metavar="SOURCE", type=FILE)
+@click.argument("target", type=FILE)
+@click.option(
+    "--method",
+    type=click.Choice(METHODS),
+    help="How parts are found.  [default: motion; labels with --labels or --source]",
+)
+@click.option(
+    "--parts",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Number of parts; every connected component has at least one.  [default: automatic]",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Seed of the random choice of views of the method silhouettes.  [default: 0]",
+)
+@labels_options
+@click.option(
+    "--against",
+    metavar="NAME",
+    help="Compare with labels of SOURCE, such as skeleton: prints the adjusted Rand index.",
+)
+@click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside TARGET]")
+@click.option("--no-picture", is_flag=True, help="Draw no picture.")
+@click.option("--flatten", is_flag=True, help="Write USD that does not build on the original file.")
+@json_option
+@reader_options
+@quiet_option
+def command(
+    path: Path,
+    target: Path,
+    method: str | None,
+    parts: int | None,
+    seed: int | None,
+    labels: Path | None,
+    label_source: str | None,
+    against: str | None,
+    picture: Path | None,
+    no_picture: bool,
+    flatten: bool,
+    as_json: bool,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Cut a sequence into near-rigid parts.
+
+    TARGET is an npz file with the part of every triangle, or the animation with its parts: as GeomSubsets in USD, as
+    groups in OBJ, Alembic and HDF5. A picture of the parts is drawn beside it.
+    """
+    from mixseq_io.labels.writing import check_holds_labels, write_labels
+
+    how = _method(method, parts, labels, label_source)
+    if seed is not None and how != "silhouettes":
+        raise SettingsError(f"the method {how} has no random numbers; leave out --seed")
+    check_holds_labels(target)
+    drawn = None if no_picture else picture or _picture_beside(target)
+    for each in filter(None, (target, drawn)):
+        for source in filter(None, (path, labels)):
+            check_target(each, source)
+    if picture is not None and no_picture:
+        raise SettingsError("--picture and --no-picture exclude each other")
+    if drawn is not None:
+        from mixseq.plots.layout import matplotlib_module
+
+        matplotlib_module("figure")  # said before the work, if it is not installed
+    with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
+        from mixseq.segmentation import frames_to_look_at
+        from mixseq.stored import stored
+
+        frames = stored(reader, progress)
+        some = frames.points[frames_to_look_at(len(frames.points))]
+        if how in _GIVEN:
+            wanted = "skeleton" if how == "skeleton" else label_source
+            given = _connected(reader.header, chosen_labels(reader, labels, wanted, reading))
+        else:
+            given = _found(reader.header, some, how, parts, seed)
+        found = _measured(reader.header, some, given)
+        agreement = None if against is None else _agreement(reader, some[0], given, against)
+        write_labels(target, reader, given, flatten=flatten)
+        if drawn is not None:
+            _draw(drawn, reader.header, some[0], given)
+    if as_json:
+        told = {} if agreement is None else {"agreement": asdict(agreement)}
+        print_json({"source": str(path), "method": how} | found.as_dict() | told)
+        return
+    if not quiet:
+        print_table(found.rows, ("part", "faces", "area", "near-rigid error"))
+    if agreement is not None and not quiet:
+        click.echo(str(agreement))
+    for each in filter(None, (target, drawn)):
+        announce(each)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What there is to tell about parts: names, numbers of triangles, shares of the area, errors in percent."""
+
+    names: Sequence[str]
+    faces: Sequence[int]
+    areas: Sequence[float]
+    errors: Sequence[float]
+    whole: float
+
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The rows of a table, the whole mesh last."""
+        columns = zip(self.names, self.faces, self.areas, self.errors, strict=True)
+        rows = [(name, f"{faces}", f"{area:.1%}", f"{error:.2g} %") for name, faces, area, error in columns]
+        total = (
+            f"{len(self.names)} parts",
+            f"{sum(self.faces)}",
+            f"{sum(self.areas):.1%}",
+            f"{self.whole:.2g} %",
+        )
+        return [*rows, total]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        keys = ("name", "faces", "area", "near_rigid_percent")
+        columns = zip(self.names, self.faces, self.areas, self.errors, strict=True)
+        return {
+            "parts": [dict(zip(keys, each, strict=True)) for each in columns],
+            "near_rigid_percent": self.whole,
+        }
+
+
+def _method(method: str | None, parts: int | None, labels: Path | None, source: str | None) -> str:
+    """Return the method that is meant."""
+    told = labels is not None or source is not None
+    how = method or ("labels" if told else "motion")
+    if told and how not in _GIVEN:
+        raise SettingsError(f"--labels and --source are no settings of the method {how}; leave out --method")
+    if how == "skeleton" and source not in (None, "skeleton"):
+        raise SettingsError(f"the method skeleton takes labels from the skeleton, not from {source}")
+    if how in _GIVEN and parts is not None:
+        raise SettingsError("given labels tell how many parts there are; leave out --parts")
+    return how
+
+
+def _picture_beside(target: Path) -> Path:
+    """Return a name for the picture; that of numbered files has no number."""
+    stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem) or "parts"
+    return target.with_name(f"{stem}.png")
+
+
+def _connected(header: SequenceHeader, labels: Labels) -> Labels:
+    """Split labels into connected parts; the second part of a label "arm" is "arm_1"."""
+    import numpy as np
+
+    from mixseq.segmentation import segment_by_labels
+    from mixseq.topology import Topology
+    from mixseq_io import Labels
+
+    parts = segment_by_labels(labels.part_of_face, Topology(header.faces, header.vertex_count))
+    _, first = np.unique(parts, return_index=True)
+    names: list[str] = []
+    for label in labels.part_of_face[first].tolist():
+        name, number = labels.names[label], 0
+        while (numbered := f"{name}_{number}" if number else name) in names:
+            number += 1
+        names.append(numbered)
+    return Labels(parts, tuple(names))
+
+
+def _found(
+    header: SequenceHeader, points: FloatArray, method: str, parts: int | None, seed: int | None
+) -> Labels:
+    from mixseq.segmentation.methods import segment
+    from mixseq.segmentation.silhouettes import SilhouetteSettings
+    from mixseq.topology import Topology
+    from mixseq_io import Labels
+
+    topology = Topology(header.faces, header.vertex_count)
+    settings = None if seed is None else SilhouetteSettings(seed=seed)
+    labels = segment(points, topology, cast("MethodName", method), parts, settings)
+    return Labels(labels, tuple(f"part_{number:02d}" for number in range(int(labels.max(initial=-1)) + 1)))
+
+
+def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
+    """Twice the area of every triangle in a pose ``(V, 3)``."""
+    import numpy as np
+
+    a, b, c = (points[header.faces[:, corner]].astype(np.float64) for corner in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> _Measured:
+    import numpy as np
+
+    from mixseq.segmentation.near_rigid import near_rigid_errors
+
+    parts, count = labels.part_of_face, len(labels.names)
+    errors, whole = near_rigid_errors(points, header.faces, parts)
+    area = np.bincount(parts, _areas(points[0], header), count)
+    return _Measured(
+        names=labels.names,
+        faces=np.bincount(parts, minlength=count).tolist(),
+        areas=(area / (area.sum() or 1.0)).tolist(),
+        errors=errors.tolist(),
+        whole=whole,
+    )
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """Adjusted Rand indices against other labels: every triangle counts the same, or its area does."""
+
+    against: str
+    labels: int
+    by_faces: float
+    by_area: float
+
+    def __str__(self) -> str:
+        return (
+            f"adjusted Rand index against {self.against} ({self.labels} labels): {self.by_faces:.3f} by faces, "
+            f"{self.by_area:.3f} by area"
+        )
+
+
+def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> _Agreement:
+    from mixseq.segmentation.agreement import adjusted_rand_index
+    from mixseq_io.labels.reading import labels_of
+
+    others = labels_of(reader, source)
+    ours, theirs = labels.part_of_face, others.part_of_face
+    by_area = adjusted_rand_index(ours, theirs, _areas(points, reader.header))
+    return _Agreement(source, len(others.names), adjusted_rand_index(ours, theirs), by_area)
+
+
+def _draw(picture: Path, header: SequenceHeader, points: FloatArray, labels: Labels) -> None:
+    import numpy as np
+
+    from mixseq.plots import draw_segmentation
+    from mixseq_io.atomic import replacing
+
+    no_joints: NDArray[np.int64] = np.full(len(header.faces), -1)
+    title = f"{header.name}: {len(labels.names)} parts"
+    with replacing(picture) as temporary:
+        draw_segmentation(
+            temporary, points, header.faces, labels.part_of_face, no_joints, header.up_axis, title
+        )

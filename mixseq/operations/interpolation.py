@@ -1,0 +1,270 @@
+r"""Blends of any number of poses: the operator A of the paper, then the projection back to meshes.
+
+.. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
+
+In the mixed space (paper, Section 2.2) rigid parts are registered to each other over all poses first (Williams and
+Bennamoun), so that their vertices blend linearly; lengths and angles of joints blend linearly; rotations by their
+logarithms. Every other space of `mixseq.spaces` blends the same way: what a rigid motion does not change, linearly,
+and poses by the logarithms of rotations.
+
+Whole turns of angles and rotations are counted along the list of poses, as in a sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap, on_threads
+from mixseq.pickling import Remade
+from mixseq.progress import Progress, Stages, silent
+from mixseq.reconstruction.shells import ShellReport, ShellSettings
+from mixseq.segmentation import MotionSettings
+from mixseq.sequence import Frames, SequenceHeader
+from mixseq.signals.detail import encode
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
+from mixseq.spaces.mixed import MixedSpace, PlacementName
+from mixseq.stored import Stored, stored
+from mixseq.threads import one_blas_thread
+
+Float = NDArray[np.float64]
+
+SHRINK = 0.01
+"""Joints go on inside parts where a blend would shorten an edge by more than this share of its length."""
+
+SUM = 1e-9
+"""Weights may add up to one with this error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blend(Remade):
+    """Poses of a mesh as vectors of a shape space, to be blended with any weights. Make it with `Blend.of`.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        The mesh.
+    space : ShapeSpace
+        The space, made of the poses.
+    vectors : (n, D) float64
+        The poses.
+    offsets : (n, O) float64
+        What the space wants to know beside them, see `ShapeSpace.offsets`.
+    """
+
+    header: SequenceHeader
+    space: ShapeSpace
+    vectors: Float
+    offsets: Float
+
+    @classmethod
+    def of(
+        cls,
+        poses: Frames,
+        space: SpaceName = "mixed",
+        *,
+        placement: PlacementName = "free",
+        parts: int | ArrayLike | None = None,
+        joint_width: int = 3,
+        motion: MotionSettings | None = None,
+        shrink: float | None = SHRINK,
+        shell: ShellSettings | None = None,
+        edge: EdgeSettings | None = None,
+        among: ArrayLike | None = None,
+        progress: Progress = silent,
+        workers: OrderedMap | None = None,
+    ) -> Blend:
+        """Make a space of poses, and encode them; parameters as of `interpolate`, and one more.
+
+        Parameters
+        ----------
+        among : (n,) int array_like, optional
+            The poses to be blended, all by default. The others tell only of the parts of the mesh, and of whole turns.
+        """
+        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
+        check_space(space, settings, usual=SpaceSettings(placement="free", shrink=SHRINK))
+        count = poses.header.frame_count
+        blended = np.arange(count) if among is None else np.asarray(among)
+        if blended.ndim != 1 or not np.issubdtype(blended.dtype, np.integer) or not len(blended):
+            raise SettingsError("poses to blend are named by their numbers; name one at least")
+        if blended.min() < 0 or blended.max() >= count:
+            raise SettingsError(f"there is no pose {blended.max()}; poses are 0 to {count - 1}")
+        stages = Stages(progress, 2 + MAKING, poses.header.frame_count)
+        work = workers or on_threads()
+        with one_blas_thread():
+            frames = stored(poses, stages.at(0))
+            if space == "mixed":
+                settings = replace(settings, parts=part_of_faces(frames, settings))
+            some = Stored(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
+            made = make_space(some, space, settings, work, stages.at(1, MAKING))
+            encoded = encode(frames, made, workers=work, progress=stages.at(1 + MAKING))
+            shapes, offsets = np.split(encoded.shapes[:], [made.dim - made.placement_dim], axis=1)
+            placements = made.complete_placement(encoded.placement)
+        vectors = np.concatenate([shapes, placements], axis=1)
+        return cls(frames.header, made, vectors[blended], offsets[blended])
+
+    @property
+    def dim(self) -> int:
+        """Dimension D of the space."""
+        return self.space.dim
+
+    def at(self, weights: ArrayLike) -> Float:
+        """Return the points ``(V, 3)`` of a blend with weights ``(n,)`` that add up to one.
+
+        Raises
+        ------
+        SettingsError
+            If there is not one finite weight for every pose, or they do not add up to one.
+        ReconstructionError
+            If no mesh could be found.
+        """
+        return self.at_with_reports(weights)[0]
+
+    def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
+        """Blend as `at` does, and tell how every fit to lengths and angles went, in spaces that fit."""
+        vector, offsets = self._blended(checked_weights(weights, len(self.vectors)))
+        if isinstance(self.space, MixedSpace):
+            points, (reports,) = self.space.decode_with_reports(vector, offsets=offsets)
+            return points[0], reports
+        if isinstance(self.space, EdgeSpace):
+            points, (reports,) = self.space.decode_with_reports(vector)
+            return points[0], reports
+        return self.space.decode(vector, offsets=offsets)[0], []
+
+    def along(
+        self, weights: ArrayLike, progress: Progress = silent, workers: OrderedMap | None = None
+    ) -> Iterator[Float]:
+        """Yield the points ``(V, 3)`` of several blends with weights ``(m, n)``, one after the other; see `at`."""
+        rows = [checked_weights(row, len(self.vectors)) for row in np.asarray(weights)]
+        self.space.prepare()
+        work = workers or on_threads()
+        for done, points in enumerate(work(Blend.at, self, rows), start=1):
+            yield points
+            progress(done, len(rows), "blending poses")
+
+    def _blended(self, weights: Float) -> tuple[Float, Float]:
+        with one_blas_thread():
+            return (weights @ self.vectors)[None], (weights @ self.offsets)[None]
+
+
+def interpolate(
+    poses: Frames,
+    weights: ArrayLike,
+    space: SpaceName = "mixed",
+    *,
+    placement: PlacementName = "free",
+    parts: int | ArrayLike | None = None,
+    joint_width: int = 3,
+    motion: MotionSettings | None = None,
+    shrink: float | None = SHRINK,
+    shell: ShellSettings | None = None,
+    edge: EdgeSettings | None = None,
+    progress: Progress = silent,
+    workers: OrderedMap | None = None,
+) -> Float:
+    """Blend any number of poses of a mesh in a shape space.
+
+    For several blends of the same poses make a `Blend` once.
+
+    Parameters
+    ----------
+    poses : MeshSequence or SequenceReader
+        The poses, as frames of a sequence; their times do not matter. All of them tell of the parts of the mesh, also
+        those of weight zero, but only the others are registered to each other. Put far poses next to those between
+        them: angles are followed from each to the next.
+    weights : (n,) array_like
+        Their weights, which add up to one. Weights below zero or above one exaggerate.
+    space : {"mixed", "vertex", "gradient", "lri", "edge"}
+        The shape space, as of `mixseq.fit`.
+    placement : {"free", "anchored"}
+        Mixed space: how parts are placed. Free is the paper's, and follows lengths and angles more closely between
+        poses that are far apart.
+    parts : int or (F,) int, optional
+        Mixed space: number of parts, or the part of every triangle; found from the poses if not given.
+    joint_width : int
+        Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
+    shrink : float, optional
+        Mixed space: joints go on inside parts where a blend would shorten an edge by more than this share of its
+        length. Less follows lengths and angles more closely, and takes longer; None leaves joints at boundaries.
+    motion, shell, edge : optional
+        Details of the segmentation, of the fits to lengths and angles, and of the edge space.
+    progress : callable, optional
+        Told about every stage.
+    workers : OrderedMap, optional
+        Who looks at the poses; by default as many threads as there are cores.
+
+    Returns
+    -------
+    (V, 3) float64
+        Vertex positions in the units of the poses.
+
+    Raises
+    ------
+    SettingsError
+        If the weights are not one finite number for every pose or do not add up to one, or a setting is out of range,
+        or the space has no use for it.
+    SegmentationError
+        If given parts do not fit the mesh.
+    ReconstructionError
+        If no mesh could be found.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> from mixseq.creature import walk_cycle
+    >>> walk = walk_cycle(frames=4)
+    >>> mixseq.interpolate(walk, [0.5, 0.5, 0, 0]).shape == walk.points[0].shape
+    True
+    """
+    weights = checked_weights(weights, poses.header.frame_count)  # before the work
+    used = np.flatnonzero(weights)
+    blend = Blend.of(
+        poses,
+        space,
+        among=used,
+        placement=placement,
+        parts=parts,
+        joint_width=joint_width,
+        motion=motion,
+        shrink=shrink,
+        shell=shell,
+        edge=edge,
+        progress=progress,
+        workers=workers,
+    )
+    return blend.at(weights[used])
+
+
+def checked_weights(weights: ArrayLike, count: int) -> Float:
+    """Return weights of so many poses as numbers ``(n,)``.
+
+    Raises
+    ------
+    SettingsError
+        If there is not one for every pose, one is not finite, or they do not add up to one.
+    """
+    try:
+        numbers = np.asarray(weights, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"weights are {weights!r}; one number for each pose is expected") from error
+    if numbers.shape != (count,):
+        raise SettingsError(
+            f"weights have shape {numbers.shape}; one number for each of the {count} poses is expected"
+        )
+    if not np.isfinite(numbers).all():
+        wrong = int(np.flatnonzero(~np.isfinite(numbers))[0])
+        raise SettingsError(f"the weight of pose {wrong} is {numbers[wrong]}; finite numbers are expected")
+    total = numbers.sum()
+    if abs(total - 1) > SUM:
+        raise SettingsError(
+            f"weights add up to {total:.10g} and must add up to 1; divide them by their sum"
+            if total
+            else "weights add up to 0 and must add up to 1; raise one of them"
+        )
+    return numbers

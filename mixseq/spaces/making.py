@@ -1,0 +1,222 @@
+"""The shape space of a sequence, by its name: what of the frames each space is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.mapping import OrderedMap, serially
+from mixseq.progress import Progress, Stages, silent
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.segmentation import (
+    MotionSettings,
+    Observed,
+    Softening,
+    Watched,
+    decompose,
+    frames_to_look_at,
+    gather,
+    observe,
+    segment_by_labels,
+    segment_by_motion,
+)
+from mixseq.sequence import FloatArray, MeshSequence, bounding_diagonal
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.gradient import GradientSpace
+from mixseq.spaces.lri import LRISpace
+from mixseq.spaces.mixed import MixedSpace, PlacementName
+from mixseq.spaces.of_sequence import mixed_space
+from mixseq.spaces.vertex import VertexSpace
+from mixseq.stored import Stored, blocks_of
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+SpaceName = Literal["mixed", "vertex", "gradient", "lri", "edge"]
+SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
+
+MAKING = 3
+"""Stages of the work, each of which counts as much as all frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceSettings:
+    """How spaces are made. Every space has a use for some of these only.
+
+    Attributes
+    ----------
+    placement : {"anchored", "free"}
+        Mixed space: how parts are placed.
+    parts : int or (F,) int, optional
+        Mixed space: number of parts, or the part of every triangle; found from the motion if not given.
+    joint_width : int
+        Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
+    motion : MotionSettings, optional
+        Mixed space: details of the segmentation.
+    shrink : float, optional
+        Mixed space: joints go on inside parts where blending would shorten an edge by more than this share of its
+        length, see `mixseq.segmentation.softness`; by default they are at boundaries only.
+    shell : ShellSettings, optional
+        Mixed and edge space: the Gauss-Newton fit to lengths and angles.
+    edge : EdgeSettings, optional
+        Edge space: which projection, and what else it keeps.
+    """
+
+    placement: PlacementName = "anchored"
+    parts: int | ArrayLike | None = None
+    joint_width: int = 3
+    motion: MotionSettings | None = None
+    shrink: float | None = None
+    shell: ShellSettings | None = None
+    edge: EdgeSettings | None = None
+
+
+_USES: dict[SpaceName, tuple[str, ...]] = {
+    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "shell"),
+    "edge": ("shell", "edge"),
+}
+
+
+def check_space(name: SpaceName, settings: SpaceSettings, usual: SpaceSettings) -> None:
+    """Refuse a space that does not exist, and settings that were chosen for nothing.
+
+    Parameters
+    ----------
+    name : str
+        Name of the space.
+    settings : SpaceSettings
+        The settings.
+    usual : SpaceSettings
+        What they are where nobody chose any.
+
+    Raises
+    ------
+    SettingsError
+        If the name is none of `SPACES`, or the space has no use for a setting that is not the usual one.
+    """
+    if name not in SPACES:
+        raise SettingsError(f"space is {name!r}; one of {', '.join(SPACES)} is expected")
+    uses = _USES.get(name, ())
+    for setting in (field.name for field in fields(SpaceSettings)):
+        given, default = getattr(settings, setting), getattr(usual, setting)
+        chosen = given is not default and not (np.ndim(given) == 0 and given == default)
+        if chosen and setting not in uses:
+            others = " or ".join(f"space={other!r}" for other in SPACES if setting in _USES.get(other, ()))
+            raise SettingsError(
+                f"the {name} space has no use for {setting}; leave it out, or choose {others}"
+            )
+
+
+def make_space(
+    frames: Stored | MeshSequence,
+    name: SpaceName = "mixed",
+    settings: SpaceSettings | None = None,
+    workers: OrderedMap = serially,
+    progress: Progress = silent,
+) -> ShapeSpace:
+    """Make the shape space of a sequence.
+
+    Parameters
+    ----------
+    frames : Stored or MeshSequence
+        The sequence. Its first frame is the reference, and its diagonal the unit.
+    name : str
+        One of `SPACES`.
+    settings : SpaceSettings, optional
+        How it is made.
+    workers : OrderedMap, optional
+        Who looks at the frames; the space is the same whoever does.
+    progress : callable, optional
+        Told about every block of frames.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such space, or a setting is out of range.
+    SegmentationError
+        If given parts do not fit the mesh.
+    """
+    settings = settings or SpaceSettings()
+    check_space(name, settings, settings)
+    header, points = frames.header, frames.points
+    if name == "mixed":
+        return _mixed(frames, settings, workers, Stages(progress, MAKING, len(points)))
+    first = points[:1][0].astype(np.float64)
+    scale = bounding_diagonal(first) or 1.0
+    if name == "vertex":
+        return VertexSpace(header.vertex_count, scale)
+    topology, reference = Topology(header.faces, header.vertex_count), first / scale
+    if name == "gradient":
+        return GradientSpace(topology, scale, reference)
+    if name == "lri":
+        return LRISpace(topology, scale, reference)
+    lengths = _mean_lengths(frames, topology, scale, workers, progress)
+    shell, edge = settings.shell or ShellSettings(), settings.edge or EdgeSettings()
+    return EdgeSpace(topology, scale, reference, lengths, shell, edge)
+
+
+def part_of_faces(frames: Stored | MeshSequence, settings: SpaceSettings) -> NDArray[np.int64]:
+    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found from the motion.
+
+    Raises
+    ------
+    SettingsError
+        If the number of parts is out of range.
+    SegmentationError
+        If given parts do not fit the mesh.
+    """
+    header, points, parts = frames.header, frames.points, settings.parts
+    topology = Topology(header.faces, header.vertex_count)
+    if not (parts is None or isinstance(parts, int | np.integer)):
+        return segment_by_labels(parts, topology)
+    motion = settings.motion or MotionSettings()
+    some = points[frames_to_look_at(len(points), motion.frames)]
+    return segment_by_motion(some, topology, None if parts is None else int(parts), motion)
+
+
+def _mixed(
+    frames: Stored | MeshSequence, settings: SpaceSettings, workers: OrderedMap, stages: Stages
+) -> MixedSpace:
+    """Find the parts, grow the joints between them, register the parts."""
+    header, points = frames.header, frames.points
+    stages.at(0)(0, 1, "finding parts")
+    topology = Topology(header.faces, header.vertex_count)
+    labels = part_of_faces(frames, settings)
+    looked_at = points[frames_to_look_at(len(points))]
+    watched = Watched.of(topology, labels, looked_at)
+    observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
+    softening = None if settings.shrink is None else Softening(looked_at, settings.shrink)
+    decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
+    shell = settings.shell or ShellSettings()
+    return mixed_space(points, topology, decomposition, settings.placement, shell, workers, stages.at(2))
+
+
+def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:
+    done = 0
+    for block in blocks:
+        yield block
+        done += len(block.rotations)
+        progress(done, frames, "growing joints")
+
+
+def _mean_lengths(
+    frames: Stored | MeshSequence, topology: Topology, scale: float, workers: OrderedMap, progress: Progress
+) -> Float:
+    """Mean lengths ``(E,)`` of all edges over the frames, in diagonals."""
+    total, done = np.zeros(len(topology.edges)), 0
+    for block in workers(_lengths, topology.edges, blocks_of(frames.points)):
+        for lengths in block:  # one by one: the sum must not depend on the blocks
+            total += lengths
+        done += len(block)
+        progress(done, len(frames.points), "measuring edges")
+    return total / (done * scale)
+
+
+def _lengths(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
+    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]

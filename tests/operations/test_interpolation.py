@@ -1,0 +1,198 @@
+"""Blends of poses: what any space must do, and what sets the rotation-invariant ones apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.errors import SettingsError
+from mixseq.mapping import on_threads, serially
+from mixseq.operations.interpolation import Blend
+from mixseq.sequence import MeshSequence
+from mixseq.spaces import SPACES, EdgeSettings, SpaceName
+from mixseq.spaces.mixed import PLACEMENTS, PlacementName
+from tests.meshes import SEQUENCES, bar, bent, rotation, tube
+
+Float = NDArray[np.float64]
+
+POSES = bar(sides=5, rings=13, frames=4)
+
+KINDS: list[tuple[SpaceName, dict[str, Any]]] = [
+    *((space, {}) for space in SPACES),
+    ("mixed", {"placement": "anchored"}),
+    ("edge", {"edge": EdgeSettings("msgi")}),
+    ("edge", {"edge": EdgeSettings(volume=1.0)}),
+    ("edge", {"edge": EdgeSettings(coarse=20)}),
+]
+
+
+def lengths(points: Float, faces: Any) -> Float:
+    sides = points[faces] - points[np.roll(faces, 1, axis=1)]
+    return np.asarray(np.linalg.norm(sides, axis=2))
+
+
+@pytest.mark.parametrize(("space", "settings"), KINDS, ids=str)
+def test_a_pose_alone_comes_back(space: SpaceName, settings: dict[str, Any]) -> None:
+    blend = Blend.of(POSES, space, **settings)
+    assert blend.dim == blend.space.dim == blend.vectors.shape[1]
+    for pose, points in zip(POSES.points, blend.along(np.eye(4)), strict=True):
+        np.testing.assert_allclose(points, pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize(
+    "name", ["several components", "rigid component", "unused vertices", "one frame", "float32"]
+)
+def test_awkward_meshes_come_back(name: str, space: SpaceName) -> None:
+    poses = SEQUENCES[name]()
+    last = mixseq.interpolate(poses, np.eye(poses.frame_count)[-1], space)
+    assert last.dtype == np.float64
+    assert last.shape == poses.points[0].shape
+    np.testing.assert_allclose(last, poses.points[-1], atol=1e-6 * poses.diagonal)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_a_blend_is_what_a_model_has_between_its_frames(placement: PlacementName) -> None:
+    """Two frames make a straight line in the space."""
+    pair = MeshSequence.from_arrays(POSES.points[[0, 3]], POSES.faces, [0.0, 1.0])
+    model = mixseq.fit(pair, exact=True, placement=placement)
+    for weight in (0.25, 0.5, 1.0):
+        ours = mixseq.interpolate(pair, [1 - weight, weight], placement=placement)
+        np.testing.assert_allclose(ours, model(weight), atol=1e-4)
+
+
+def test_vertices_blend_linearly() -> None:
+    weights = [0.5, -0.25, 0.25, 0.5]
+    expected = np.tensordot(weights, POSES.points, axes=1)
+    np.testing.assert_allclose(mixseq.interpolate(POSES, weights, "vertex"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("space", ["mixed", "gradient", "lri", "edge"])
+def test_a_body_that_turns_keeps_its_size(space: SpaceName) -> None:
+    """Half of a turn by 120 degrees is a turn by 60; vertices would be half as far from the axis."""
+    points, faces = tube(5, 9)
+    middle = points.mean(axis=0)
+    turned = [(points - middle) @ rotation((0, 0, angle)).T + middle for angle in np.radians([0, 60, 120])]
+    pair = MeshSequence.from_arrays([turned[0], turned[2]], faces)
+    half = mixseq.interpolate(pair, [0.5, 0.5], space)
+    np.testing.assert_allclose(half, turned[1], atol=1e-6)
+    shrunk = mixseq.interpolate(pair, [0.5, 0.5], "vertex")
+    assert np.abs(shrunk - turned[1]).max() > 0.1
+
+
+@pytest.mark.parametrize("space", ["mixed", "lri", "edge"])
+def test_a_bar_between_two_bends_keeps_its_lengths(space: SpaceName) -> None:
+    """Bent by 0 and by 120 degrees: edges are nearly as long as they are bent by 60; those of vertices are not."""
+    points, faces = tube(6, 17)
+    poses = [bent(points, np.radians(angle)) for angle in (0, 120)]
+    pair = MeshSequence.from_arrays(poses, faces)
+    wanted = (lengths(poses[0], faces) + lengths(poses[1], faces)) / 2
+
+    def strain(name: SpaceName) -> float:
+        half = mixseq.interpolate(pair, [0.5, 0.5], name)
+        return float(np.sqrt(np.mean(np.square(lengths(half, faces) / wanted - 1))))
+
+    assert strain(space) < 0.5 * strain("vertex")
+
+
+def test_poses_may_have_any_order() -> None:
+    """As long as angles and rotations do not pass half a turn."""
+    ahead = mixseq.interpolate(POSES, [0.1, 0.2, 0.3, 0.4], "edge")
+    back = MeshSequence.from_arrays(POSES.points[[0, 2, 1, 3]], POSES.faces)
+    np.testing.assert_allclose(mixseq.interpolate(back, [0.1, 0.3, 0.2, 0.4], "edge"), ahead, atol=1e-6)
+
+
+def test_settings_are_used() -> None:
+    blend = Blend.of(POSES, parts=2, placement="anchored", joint_width=1)
+    assert isinstance(blend.space, mixseq.spaces.MixedSpace)
+    assert len(blend.space.decomposition.parts) == 2
+    assert blend.space.placement == "anchored"
+    free = Blend.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0).space
+    assert isinstance(free, mixseq.spaces.MixedSpace)
+    assert (free.placement, len(free.decomposition.parts)) == ("free", 1)
+
+
+@pytest.mark.parametrize("space", ["mixed", "edge"])
+def test_fits_are_reported(space: SpaceName) -> None:
+    points, reports = Blend.of(POSES, space, among=[0, 1]).at_with_reports([0.5, 0.5])
+    np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], space))
+    assert reports
+    assert all(report.converged for report in reports)
+    assert not Blend.of(POSES, "vertex").at_with_reports([1, 0, 0, 0])[1]
+
+
+def test_blends_do_not_depend_on_who_works() -> None:
+    weights = np.array([[0.5, 0.5, 0, 0], [0, 0.3, 0, 0.7], [0.1, 0.2, 0.3, 0.4]])
+    results = []
+    for workers in (serially, on_threads(3)):
+        told: list[tuple[int, int, str]] = []
+        blend = Blend.of(POSES, workers=workers, progress=lambda *step, told=told: told.append(step))
+        results.append(np.stack(list(blend.along(weights, workers=workers))))
+        assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+        assert told[-1][0] == told[-1][1]
+    np.testing.assert_array_equal(results[0], results[1])
+
+
+def test_sequences_that_stream(tmp_path: Path) -> None:
+    mixseq.write(tmp_path / "poses.npz", POSES)
+    weights = [0.25, 0.25, 0.25, 0.25]
+    with mixseq.open_sequence(tmp_path / "poses.npz") as reader:
+        streamed = mixseq.interpolate(reader, weights)
+    np.testing.assert_array_equal(streamed, mixseq.interpolate(POSES, weights))
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ([0.5, 0.5], r"weights have shape \(2,\); one number for each of the 4 poses"),
+        ([[1, 0, 0, 0]], r"weights have shape \(1, 4\)"),
+        ("half", r"weights are 'half'; one number for each pose"),
+        ([0.5, 0.5, np.nan, 0], r"the weight of pose 2 is nan; finite numbers"),
+        ([0.5, np.inf, 0, 0], r"the weight of pose 1 is inf"),
+        ([0.5, 0.5, 0.5, 0.5], r"weights add up to 2 and must add up to 1; divide them by their sum"),
+        ([0.5, 0.5 + 1e-8, 0, 0], r"weights add up to 1\.00000001 and must"),
+        ([1, -1, 0, 0], r"weights add up to 0 and must add up to 1; raise one"),
+    ],
+)
+def test_weights_are_checked(weights: Any, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        mixseq.interpolate(POSES, weights)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"space": "polar"}, "space is 'polar'; one of mixed, vertex"),
+        ({"space": "vertex", "placement": "anchored"}, "the vertex space has no use for placement"),
+        ({"space": "lri", "parts": 2}, "the lri space has no use for parts"),
+        ({"placement": "loose"}, "placement is 'loose'"),
+        ({"edge": EdgeSettings()}, "the mixed space has no use for edge"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        mixseq.interpolate(POSES, [1, 0, 0, 0], **settings)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("space", SPACES)
+def test_lions_come_back(data: Path, space: SpaceName) -> None:
+    lions = mixseq.read(data / "npz" / "lion_poses.npz")
+    poses = MeshSequence.from_arrays(lions.points[[0, 2, 5]], lions.polygons)
+    for pose, points in zip(poses.points, Blend.of(poses, space).along(np.eye(3)), strict=True):
+        assert np.linalg.norm(points - pose, axis=1).max() < 1e-6 * poses.diagonal
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("space", SPACES)
+def test_a_fox_comes_back_from_its_file(data: Path, space: SpaceName, tmp_path: Path) -> None:
+    fox = mixseq.read(data / "npz" / "fox_run.npz")
+    some = MeshSequence.from_header(fox.header.with_times(fox.times[::8]), fox.points[::8])
+    mixseq.save(tmp_path / "fox.h5", mixseq.fit(some, exact=True, space=space))
+    decoded = mixseq.load(tmp_path / "fox.h5").sample()
+    assert np.linalg.norm(decoded.points - some.points, axis=2).max() < 1e-6 * some.diagonal
