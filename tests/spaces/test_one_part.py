@@ -1,0 +1,46 @@
+"""S_m of a mesh that is one rigid part is S_v, registered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import kabsch, mean_shape, transform
+from mixseq.segmentation import decompose
+from mixseq.spaces import VertexSpace, mixed_space
+from mixseq.spaces.mixed import PLACEMENTS, PlacementName
+from tests.meshes import rotation, topology_of, tube
+
+Float = NDArray[np.float64]
+
+
+def frames() -> Float:
+    """A tube that bulges here and there, and moves about."""
+    points, _ = tube(8, 12)
+    rng = np.random.default_rng(5)
+    moved = []
+    for number in range(4):
+        bulged = points * (1.0 + 0.1 * rng.normal(size=(len(points), 1)))
+        moved.append(bulged @ rotation(rng.normal(size=3)).T + number * np.array([1.0, -2.0, 0.5]))
+    return np.stack(moved)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("weights", [[0.5, 0.5, 0, 0], [0.25, 0.25, 0.25, 0.25], [1.5, -0.5, 0, 0]])
+def test_one_part_is_blended_by_its_registered_vertices(
+    placement: PlacementName, weights: list[float]
+) -> None:
+    points, mesh = frames(), tube(8, 12)
+    topology = topology_of(mesh)
+    decomposition = decompose(topology, np.zeros(len(mesh[1]), dtype=np.int64), 3, points)
+    mixed = mixed_space(points, topology, decomposition, placement)
+    assert not decomposition.joints
+    assert mixed.dim == 3 * len(mesh[0]) + 6
+    blended = mixed.decode(np.array(weights)[None] @ mixed.encode(points))[0]
+
+    shape = mean_shape(points)
+    registered = np.stack([transform(x, *kabsch(x, shape)) for x in points])
+    vertices = VertexSpace(len(mesh[0]), mixed.scale)
+    expected = vertices.decode(np.array(weights)[None] @ vertices.encode(registered))[0]
+    np.testing.assert_allclose(transform(expected, *kabsch(expected, blended)), blended, atol=1e-9)
