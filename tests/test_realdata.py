@@ -53,10 +53,8 @@ def test_frames_come_back(data: Path, case: Case, placement: PlacementName) -> N
 def test_half_way_between_two_lions(data: Path) -> None:
     """The paper's Figure 9: the free placement finds a whole lion between two poses."""
     whole = mixseq.read(data / "npz" / "lion_poses.npz")
-    points, reports = Blend.of(whole, among=[2, 5]).at_with_reports([0.5, 0.5])
+    points = Blend.of(whole, among=[2, 5]).at([0.5, 0.5])
     assert np.isfinite(points).all()
-    assert reports
-    assert all(report.converged for report in reports)
     # Edges are nearly as long as on average; halves of vertices would be far shorter where the lion turns.
     edges = mixseq.Topology(whole.faces, whole.vertex_count).edges
     first, second = whole.points[2], whole.points[5]
@@ -68,4 +66,5 @@ def test_half_way_between_two_lions(data: Path) -> None:
     strain = np.abs(lengths(points) / np.maximum(wanted, 1e-12) - 1)
     averaged = np.abs(lengths((first + second) / 2) / np.maximum(wanted, 1e-12) - 1)
     assert np.mean(strain) < 0.5 * np.mean(averaged)
-    assert np.quantile(strain, 0.99) < 0.7 * np.quantile(averaged, 0.99)
+    assert np.quantile(strain, 0.99) < 0.2 * np.quantile(averaged, 0.99)  # 0.031 against 0.31
+    assert np.quantile(strain, 0.999) < 0.1

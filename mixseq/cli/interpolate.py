@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -50,10 +50,14 @@ def pose_of(text: str) -> Pose:
     (Pose(frame=2, weight=0.25), Pose(frame=5, weight=None))
     """
     frame, given, weight = text.partition("=")
+    above, divided, below = weight.partition("/")
     try:
-        return Pose(int(frame), float(Fraction(weight)) if given else None)
-    except (ValueError, ZeroDivisionError, OverflowError) as error:
-        raise click.BadParameter(f"{text!r} is not FRAME=WEIGHT, for example 2=0.5 or 2=1/3") from error
+        number = float(above) / float(below if divided else 1) if given else None
+        if number is None or math.isfinite(number):
+            return Pose(int(frame), number)
+    except (ValueError, ZeroDivisionError):
+        pass
+    raise click.BadParameter(f"{text!r} is not FRAME=WEIGHT, for example 2=0.5 or 2=1/3")
 
 
 @click.command(

@@ -203,6 +203,10 @@ def space_options(placement: str, shrink: float | None) -> Callable[[Command], C
         def with_options(*args: Any, **settings: Any) -> None:
             making = {name: settings.pop(name) for name in _MAKING}
             edge = _those_given({name: settings.pop(name) for name in ("projection", "volume", "coarse")})
+            if edge and making["space"] != "edge":
+                raise SettingsError(
+                    f"--{next(iter(edge))} is for the edge space; leave it out, or give --space edge"
+                )
             command(*args, making=making | ({"edge": edge} if edge else {}), **settings)
 
         return with_options

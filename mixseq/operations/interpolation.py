@@ -7,7 +7,9 @@ Bennamoun), so that their vertices blend linearly; lengths and angles of joints 
 logarithms. Every other space of `mixseq.spaces` blends the same way: what a rigid motion does not change, linearly,
 and poses by the logarithms of rotations.
 
-Whole turns of angles and rotations are counted along the list of poses, as in a sequence.
+Whole turns of angles and rotations are counted along the poses that are blended, as in a sequence. Poses between them
+that have no weight do not count: where a list is in no order, following turns through all of it finds turns that are
+none.
 """
 
 from __future__ import annotations
@@ -85,7 +87,7 @@ class Blend(Remade):
         Parameters
         ----------
         among : (n,) int array_like, optional
-            The poses to be blended, all by default. The others tell only of the parts of the mesh, and of whole turns.
+            The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
         settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
         check_space(space, settings, usual=SpaceSettings(placement="free", shrink=SHRINK))
@@ -93,8 +95,9 @@ class Blend(Remade):
         blended = np.arange(count) if among is None else np.asarray(among)
         if blended.ndim != 1 or not np.issubdtype(blended.dtype, np.integer) or not len(blended):
             raise SettingsError("poses to blend are named by their numbers; name one at least")
-        if blended.min() < 0 or blended.max() >= count:
-            raise SettingsError(f"there is no pose {blended.max()}; poses are 0 to {count - 1}")
+        wrong = blended[(blended < 0) | (blended >= count)]
+        if wrong.size:
+            raise SettingsError(f"there is no pose {wrong[0]}; poses are 0 to {count - 1}")
         stages = Stages(progress, 2 + MAKING, poses.header.frame_count)
         work = workers or on_threads()
         with one_blas_thread():
@@ -103,11 +106,10 @@ class Blend(Remade):
                 settings = replace(settings, parts=part_of_faces(frames, settings))
             some = Stored(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
             made = make_space(some, space, settings, work, stages.at(1, MAKING))
-            encoded = encode(frames, made, workers=work, progress=stages.at(1 + MAKING))
+            encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
             shapes, offsets = np.split(encoded.shapes[:], [made.dim - made.placement_dim], axis=1)
             placements = made.complete_placement(encoded.placement)
-        vectors = np.concatenate([shapes, placements], axis=1)
-        return cls(frames.header, made, vectors[blended], offsets[blended])
+        return cls(frames.header, made, np.concatenate([shapes, placements], axis=1), offsets)
 
     @property
     def dim(self) -> int:
@@ -141,7 +143,11 @@ class Blend(Remade):
         self, weights: ArrayLike, progress: Progress = silent, workers: OrderedMap | None = None
     ) -> Iterator[Float]:
         """Yield the points ``(V, 3)`` of several blends with weights ``(m, n)``, one after the other; see `at`."""
-        rows = [checked_weights(row, len(self.vectors)) for row in np.asarray(weights)]
+        try:
+            table = np.asarray(weights, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
+        rows = [checked_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
         self.space.prepare()
         work = workers or on_threads()
         for done, points in enumerate(work(Blend.at, self, rows), start=1):
@@ -176,8 +182,8 @@ def interpolate(
     ----------
     poses : MeshSequence or SequenceReader
         The poses, as frames of a sequence; their times do not matter. All of them tell of the parts of the mesh, also
-        those of weight zero, but only the others are registered to each other. Put far poses next to those between
-        them: angles are followed from each to the next.
+        those of weight zero; only the others are registered to each other, and angles are followed from each of them
+        to the next, by the shorter way.
     weights : (n,) array_like
         Their weights, which add up to one. Weights below zero or above one exaggerate.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}

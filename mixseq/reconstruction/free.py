@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
-from mixseq.reconstruction.joint import sound_lengths
+from mixseq.reconstruction.joint import length_weights, sound_lengths
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.placement import JointRows, MixedFrame
 from mixseq.reconstruction.registration import Overlaps, register
@@ -187,7 +187,7 @@ class FreePlacement:
         lengths, angles = edge_lengths(frame.parts, edges), dihedral_angles(frame.parts, hinges)
         lengths[stored_edges] = sound_lengths(frame.lengths, frame.weights)
         angles[stored_hinges] = frame.angles
-        weights = _inverse(lengths)
+        weights = length_weights(lengths)
         weights[stored_edges] = frame.weights
         problem = SettlingProblem(self._settling, lengths, angles, weights, settings.bending)
         start = stitched.copy()
@@ -202,7 +202,3 @@ class FreePlacement:
             held = self._settling.holder[part] == number
             start[part[held]] = transform(shape[held], rotation, translation)
         return settle(problem, start, settings)
-
-
-def _inverse(lengths: Float) -> Float:
-    return np.asarray(1.0 / np.maximum(lengths, np.finfo(np.float64).tiny))

@@ -18,6 +18,9 @@ NEAR = 0.5
 SHORTEST = 1e-6
 """Shortest length of an edge, relative to its typical length."""
 
+NO_LENGTH = 1e-12
+"""Edges that are shorter, in diagonals, have no direction to be moved along, and do not count; the value is ours."""
+
 
 def rebuild(
     patch: Patch,
@@ -71,6 +74,11 @@ def rebuild(
     if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
         start = min(_unfolded(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
+
+
+def length_weights(typical: Float) -> Float:
+    """Return the weights ``(e,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
+    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
 
 
 def sound_lengths(lengths: Float, weights: Float) -> Float:

@@ -32,7 +32,7 @@ from scipy.sparse import csgraph
 
 from mixseq.errors import ReconstructionError
 from mixseq.reconstruction.hierarchy import Region, divide
-from mixseq.reconstruction.joint import rebuild
+from mixseq.reconstruction.joint import rebuild, sound_lengths
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.registration import Overlaps, register
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
@@ -227,6 +227,7 @@ class MultiScale:
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:
                 raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
+        lengths = sound_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
         for vertices, steps in zip(self.vertices, self.steps, strict=True):
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]

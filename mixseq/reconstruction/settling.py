@@ -26,9 +26,9 @@ from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
 from mixseq.geometry.rotations import matrices
 from mixseq.reconstruction.block_pattern import BlockPattern
 from mixseq.reconstruction.equations import Equations
+from mixseq.reconstruction.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
 from mixseq.reconstruction.settling_kernels import add_motions
 from mixseq.reconstruction.shell_kernels import shell_equations, shell_residuals
-from mixseq.reconstruction.shells import HELD, STUCK, ShellReport, ShellSettings
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -164,7 +164,7 @@ class SettlingProblem:
     length_weights: Float
     bending: float
 
-    def residuals(self, x: Float) -> tuple[Float, float]:
+    def measured(self, x: Float) -> tuple[Float, float]:
         """Weighted residuals ``(e' + h',)`` at points ``(V, 3)``, and the sum of their squares."""
         rows = self.settling.equations
         residuals = np.empty(len(rows.edges) + len(rows.hinges))
@@ -226,6 +226,18 @@ class SettlingProblem:
             )
         return values, gradient
 
+    def linearised(self, x: Float, residuals: Float) -> tuple[Float, DampedStep]:
+        """Implement `LeastSquares.linearised`."""
+        pattern = self.settling.equations.pattern
+        values, gradient = self.normal_equations(x, residuals)
+        with_damping = damped(pattern, values)
+        return gradient, lambda damping: -pattern.analysis.factor(with_damping(damping)).solve(gradient)
+
+    def moved(self, x: Float, step: Float) -> Float:
+        """Implement `LeastSquares.moved`."""
+        free = 3 * len(self.settling.free)
+        return self.settling.moved(x, step[:free].reshape(-1, 3), step[free:].reshape(-1, 6))
+
 
 @dataclass(frozen=True, eq=False)
 class Border:
@@ -269,37 +281,16 @@ def settle(problem: SettlingProblem, start: Float, settings: ShellSettings) -> t
     start : (V, 3) float64
         The mesh, its parts rigid already.
     settings : ShellSettings
-        When to stop, as in `fit_shell`.
+        When to stop; rotations, in radians, count as translations do, no part being larger than a diagonal.
 
     Returns
     -------
     points : (V, 3) float64
     report : ShellReport
+
+    Raises
+    ------
+    ReconstructionError
+        If the start, or a length or an angle, is not finite.
     """
-    settling = problem.settling
-    pattern, free = settling.equations.pattern, 3 * len(settling.free)
-    points = start
-    residuals, energy = problem.residuals(points)
-    damping = 1e-6
-    for iteration in range(settings.iterations):
-        if np.abs(residuals).max(initial=0.0) <= settings.exact:
-            return points, ShellReport(energy, iteration, True)
-        values, gradient = problem.normal_equations(points, residuals)
-        diagonal = values[pattern.diagonal]
-        while True:
-            values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max(initial=0.0)
-            step = -pattern.analysis.factor(values).solve(gradient)
-            promised = -float(gradient @ step)
-            if promised <= settings.tolerance * energy:
-                return points, ShellReport(energy, iteration, damping <= HELD)
-            candidate = settling.moved(points, step[:free].reshape(-1, 3), step[free:].reshape(-1, 6))
-            new_residuals, new_energy = problem.residuals(candidate)
-            if new_energy < energy:
-                break
-            if not damping < STUCK:
-                return points, ShellReport(energy, iteration, False)
-            damping *= 10.0
-        gain = (energy - new_energy) / promised
-        points, residuals, energy = candidate, new_residuals, new_energy
-        damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
-    return points, ShellReport(energy, settings.iterations, False)
+    return minimise(problem, start, settings)

@@ -9,8 +9,7 @@ Minimises, over the free vertices of a patch,
 
 with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
 (Froehlich and Botsch 2011). The last term is ours, and optional: a pull towards places where vertices are expected.
-Steps are damped (Levenberg-Marquardt): a step that does not lower the energy is tried again with ten times the
-damping. Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
+Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
 """
 
 from __future__ import annotations
@@ -22,66 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
 from mixseq.reconstruction.block_pattern import BlockPattern
+from mixseq.reconstruction.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.shell_kernels import conjugate_gradients, shell_equations, shell_residuals
 
+__all__ = ["NO_PULL", "DenseTerm", "Pull", "ShellProblem", "ShellReport", "ShellSettings", "fit_shell"]
+
 Float = NDArray[np.float64]
-
-STUCK = 1e12
-"""With this damping no step is worth taking: the energy is not smooth here, or not finite."""
-
-
-HELD = 1e-2
-"""Above this damping steps are short because they are held back, which says nothing about convergence."""
-
-
-LEVEL = 0.1
-"""A step that lowers the energy by more than to this fraction is not the last: there is a mesh that fits exactly."""
 
 CLOSE = 0.03
 """Conjugate gradients stop at this fraction of the residual: a step need not be exact, the next one corrects it."""
 
 MOST = 100
 """After so many of them the matrix is factored instead."""
-
-
-@dataclass(frozen=True)
-class ShellSettings:
-    """Settings of `fit_shell`.
-
-    Attributes
-    ----------
-    bending : float
-        Weight of an angle in radians against a relative length.
-    iterations : int
-        At most this many steps.
-    tolerance : float
-        Converged when the model promises to lower the energy by less than this fraction of it ...
-    exact : float
-        ... or when no weighted residual is above this, ...
-    accuracy : float
-        ... or when a step moves no coordinate by more than this, in the unit of the points (diagonals), and the
-        energy has levelled off: it is the last one. Steps get shorter by a factor of about ten, so what is left is
-        much less.
-    """
-
-    bending: float = 0.3
-    iterations: int = 100
-    tolerance: float = 1e-3
-    exact: float = 1e-10
-    accuracy: float = 5e-5
-
-
-@dataclass(frozen=True)
-class ShellReport:
-    """How a fit went: energy at the end, steps taken, whether it converged."""
-
-    energy: float
-    iterations: int
-    converged: bool
 
 
 class Pull(NamedTuple):
@@ -245,45 +199,39 @@ def fit_shell(
     ReconstructionError
         If the start or the targets are not finite.
     """
-    settings = settings or ShellSettings()
-    points = np.array(start, dtype=np.float64)
-    residuals, energy = problem._residuals(points)
-    if not np.isfinite(energy):
-        raise ReconstructionError("lengths, angles or fixed vertices of a joint are not finite")
-    pattern = problem.patch.equations.pattern
-    damping, held = 1e-6, bool(problem.pull.weights.size)
-    for iteration in range(settings.iterations):
-        if np.abs(residuals).max(initial=0.0) <= settings.exact:
-            return points, ShellReport(energy, iteration, True)
-        values, gradient = problem.normal_equations(points, residuals)
-        row = problem.dense_row(points)
+    return minimise(_Fit(problem), np.array(start, dtype=np.float64), settings or ShellSettings())
+
+
+class _Fit:
+    """The `LeastSquares` of a problem, which remembers whether conjugate gradients are worth trying again."""
+
+    def __init__(self, problem: ShellProblem) -> None:
+        self._problem = problem
+        self._held = bool(problem.pull.weights.size)
+
+    def measured(self, points: Float) -> tuple[Float, float]:
+        return self._problem._residuals(points)
+
+    def linearised(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
+        pattern = self._problem.patch.equations.pattern
+        values, gradient = self._problem.normal_equations(points, residuals)
+        with_damping, row = damped(pattern, values), self._problem.dense_row(points)
         if row is not None:
             gradient += residuals[-1] * row
-        diagonal = values[pattern.diagonal]
-        while True:
-            values[pattern.diagonal] = diagonal + damping * diagonal + 1e-12 * diagonal.max()
-            if row is None:
-                step, held = _step(pattern, values, gradient, held)
-            else:
-                step = _dense_step(pattern, values, gradient, row)
-            promised = -float(gradient @ step)  # what the linear model gains, for small damping
-            if promised <= settings.tolerance * energy:
-                return points, ShellReport(energy, iteration, damping <= HELD)
-            candidate = points.copy()
-            candidate[problem.patch.free] += step.reshape(-1, 3)
-            new_residuals, new_energy = problem._residuals(candidate)
-            if new_energy < energy:
-                break
-            if not damping < STUCK:
-                return points, ShellReport(energy, iteration, False)
-            damping *= 10.0
-        gain = (energy - new_energy) / promised
-        level = new_energy > LEVEL * energy
-        points, residuals, energy = candidate, new_residuals, new_energy
-        if level and damping <= HELD and np.abs(step).max() <= settings.accuracy:
-            return points, ShellReport(energy, iteration + 1, True)
-        damping = max(damping * (0.2 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0), 1e-10)
-    return points, ShellReport(energy, settings.iterations, False)
+
+        def step(damping: float) -> Float:
+            matrix = with_damping(damping)
+            if row is not None:
+                return _dense_step(pattern, matrix, gradient, row)
+            result, self._held = _step(pattern, matrix, gradient, self._held)
+            return result
+
+        return gradient, step
+
+    def moved(self, points: Float, step: Float) -> Float:
+        result = points.copy()
+        result[self._problem.patch.free] += step.reshape(-1, 3)
+        return result
 
 
 def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:

@@ -145,11 +145,16 @@ class ShapeSpace(Remade, ABC):
         Returns
         -------
         (S,) float64
-            Added to the shape of the vector, without the `placement_dim` numbers at its end, it decodes to `after`.
-            Zeros if nothing was changed.
+            Added to the shape of the vector, without the `placement_dim` numbers at its end, it decodes to `after`,
+            but for the placement. Zeros if nothing was changed.
         """
-        encoded = self.encode(np.stack([before, after]))[:, : self.dim - self.placement_dim]
+        # Rotation vectors with more turns, or fewer, differ by something else: those of the vector count.
+        encoded = self.encode(np.stack([before, after]), vector)[:, : self.dim - self.placement_dim]
         return np.asarray(encoded[1] - encoded[0])
+
+    def decode_for_differences(self, vectors: Float, offsets: Float | None = None) -> Float:
+        """Do what `decode` does, so accurately that the points of nearly the same vectors can be subtracted."""
+        return self.decode(vectors, offsets=offsets)
 
     def decode_moving(
         self,
@@ -177,11 +182,12 @@ class ShapeSpace(Remade, ABC):
         step = np.divide(DIFFERENCE, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
         if offsets is None or offset_rates is None:
-            here, ahead, behind = (self.decode(v) for v in (vectors, vectors + change, vectors - change))
+            here = self.decode(vectors)
+            ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         else:
             shift = step[:, None] * offset_rates
             here = self.decode(vectors, offsets=offsets)
-            ahead = self.decode(vectors + change, offsets=offsets + shift)
-            behind = self.decode(vectors - change, offsets=offsets - shift)
+            ahead = self.decode_for_differences(vectors + change, offsets + shift)
+            behind = self.decode_for_differences(vectors - change, offsets - shift)
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return here, (ahead - behind) * inverse[:, None, None]

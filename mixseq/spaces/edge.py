@@ -22,6 +22,7 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap
 from mixseq.progress import Progress, silent
 from mixseq.reconstruction.coarse import CoarseShell
 from mixseq.reconstruction.discrete_shell import DiscreteShell, Wanted
+from mixseq.reconstruction.joint import length_weights
 from mixseq.reconstruction.multiscale import MultiScale
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.spaces.mixed import ANGLE
@@ -32,9 +33,6 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 ProjectionName = Literal["dso", "msgi"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
-
-NO_LENGTH = 1e-12
-"""Edges that are shorter on average, in diagonals, have no direction to be moved along, and do not count."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ class EdgeSpace(PosedSpace):
         return Level(
             shell=shell,
             vertices=vertices,
-            weights=np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH),
+            weights=length_weights(typical),
             angles=dihedral_angles(x, topology.hinges),
             volume_weights=volume_weights,
             metric=np.concatenate(
@@ -231,28 +229,38 @@ class EdgeSpace(PosedSpace):
         """Implement `PosedSpace.rebuilt`."""
         return self.rebuilt_with_reports(shape)[0]
 
-    def rebuilt_with_reports(self, shape: Float) -> tuple[Float, list[ShellReport]]:
-        """Return what `rebuilt` does, and how the fits went."""
+    def rebuilt_with_reports(
+        self, shape: Float, shell: ShellSettings | None = None
+    ) -> tuple[Float, list[ShellReport]]:
+        """Return what `rebuilt` does, or what other settings make of it, and how the fits went."""
+        shell = shell or self.shell
         blocks = np.split(shape, np.cumsum(self.sizes)[:-1])
         whole, *coarse = (
             level.wanted(*blocks[3 * number : 3 * number + 3]) for number, level in enumerate(self.levels)
         )
         projection = self.projection
         if isinstance(projection, CoarseShell):
-            return projection.fit(whole, coarse[0], self.shell, self.settings.steps)
+            return projection.fit(whole, coarse[0], shell, self.settings.steps)
         if isinstance(projection, DiscreteShell):
-            return projection.fit(whole, self.shell)
-        return projection.rebuild(whole.lengths, whole.angles, whole.weights, self.shell)
+            return projection.fit(whole, shell)
+        return projection.rebuild(whole.lengths, whole.angles, whole.weights, shell)
+
+    def decode_for_differences(self, vectors: Float, offsets: Float | None = None) -> Float:
+        """Implement `ShapeSpace.decode_for_differences`."""
+        return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent
+        self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode vectors ``(T, D)`` into points ``(T, V, 3)`` and tell how the fits of every frame went."""
+        """Decode vectors ``(T, D)`` into points ``(T, V, 3)`` and tell how the fits of every frame went.
+
+        Other settings of the fits may be given.
+        """
         shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points, reports = np.empty((len(shapes), self.topology.vertex_count, 3)), []
         with one_blas_thread():
             for number, shape in enumerate(shapes):
-                rows, report = self.rebuilt_with_reports(shape)
+                rows, report = self.rebuilt_with_reports(shape, shell)
                 points[number] = self.placed(rows, turns[number], centres[number])
                 reports.append(report)
                 progress(number + 1, len(shapes), "decoding frames")

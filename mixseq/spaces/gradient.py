@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import SettingsError
+from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors, without_jumps
 from mixseq.progress import Progress, silent
@@ -184,6 +184,9 @@ class GradientSpace(ShapeSpace):
     def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
         """Implement `ShapeSpace.decode`."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
+        if wrong.size:
+            raise ReconstructionError(f"vector {wrong[0]} is not finite")
         points = np.empty((len(blocks.turns), self.topology.vertex_count, 3))
         with one_blas_thread():
             for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):

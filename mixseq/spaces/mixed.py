@@ -36,6 +36,7 @@ from mixseq.progress import Progress, silent
 from mixseq.reconstruction.agreement import cross_matrices, solve, velocities
 from mixseq.reconstruction.anchored import AnchoredPlacement
 from mixseq.reconstruction.free import FreePlacement
+from mixseq.reconstruction.joint import length_weights
 from mixseq.reconstruction.links import Links, complete
 from mixseq.reconstruction.placement import MixedFrame, Placement
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
@@ -252,19 +253,27 @@ class MixedSpace(ShapeSpace):
         return self.decode_with_reports(vectors, progress, offsets)[0]
 
     def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent, offsets: Float | None = None
+        self,
+        vectors: Float,
+        progress: Progress = silent,
+        offsets: Float | None = None,
+        shell: ShellSettings | None = None,
     ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode and tell how every joint of every frame was solved."""
+        """Decode and tell how every joint of every frame was solved; other settings of the fits may be given."""
         vectors = np.asarray(vectors, dtype=np.float64)
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
         reports = []
         with one_blas_thread():
             for number in range(len(vectors)):
                 frame = self._frame(vectors[number], None if offsets is None else offsets[number])
-                points[number], report = self.projection.assemble(frame, self.settings)
+                points[number], report = self.projection.assemble(frame, shell or self.settings)
                 reports.append(report)
                 progress(number + 1, len(vectors), "decoding frames")
         return points * self.scale, reports
+
+    def decode_for_differences(self, vectors: Float, offsets: Float | None = None) -> Float:
+        """Implement `ShapeSpace.decode_for_differences`."""
+        return self.decode_with_reports(vectors, offsets=offsets, shell=self.settings.for_differences())[0]
 
     def decode_moving(
         self,
@@ -298,7 +307,7 @@ class MixedSpace(ShapeSpace):
         return MixedFrame(
             lengths=blocks.lengths[0],
             angles=blocks.angles[0],
-            weights=1.0 / np.maximum(self.reference_lengths, np.finfo(np.float64).tiny),
+            weights=length_weights(self.reference_lengths),
             parts=blocks.parts[0],
             rotations=rotations[0],
             translations=translations[0],

@@ -28,8 +28,8 @@ WIDTH = 0.1
 class Pieces:
     """Hinge-connected pieces: lengths and angles say nothing about how one stands to another.
 
-    Vertices that no face uses are pieces of their own, after all others. Pieces may share vertices, or the edges of
-    which three faces meet; arrays of *rows* hold the vertices of all pieces, piece after piece.
+    Vertices that no face uses are pieces of their own, after all others. Pieces may share vertices, but no edges;
+    arrays of *rows* hold the vertices of all pieces, piece after piece.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ def test_settings_of_the_edge_space(run: Run) -> None:
             "the vertex space has no use for parts; leave it out, or choose space='mixed'",
         ),
         ("--space lri --placement free", "the lri space has no use for placement"),
-        ("--projection msgi", "the mixed space has no use for edge; leave it out, or choose space='edge'"),
+        ("--projection msgi", "--projection is for the edge space; leave it out, or give --space edge"),
         ("--space edge --projection msgi --coarse 30", "projection 'msgi' has no use for coarse"),
         ("--space edge --coarse 3", "3 is not in the range x>=4"),
     ],

@@ -488,6 +488,19 @@ def test_parts_of_before_give_way(tmp_path: Path) -> None:
     assert told(read_labels(tmp_path / "out.usda", read(asset.path))) == ["leg"] * 3
 
 
+@pytest.mark.parametrize(("family", "kept"), [("mixseq", []), ("limbs", ["arm", "leg"])])
+def test_parts_of_before_are_no_groups_of_a_file_that_stands_alone(
+    tmp_path: Path, family: str, kept: list[str]
+) -> None:
+    asset = subsets(tmp_path / "in.usda", family)
+    asset.stage.Save()
+    with open_sequence(asset.path) as reader:
+        write_labels(tmp_path / "out.usda", reader, Labels(np.zeros(3, dtype=int), ("all",)), flatten=True)
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    found = [each.GetName() for each in stage.Traverse() if UsdGeom.Subset(each)]
+    assert sorted(found) == sorted(["all", *kept])
+
+
 def test_a_skeleton_stays_alive(tmp_path: Path) -> None:
     path = skinned_strip(tmp_path / "man.usda")
     with open_sequence(path) as reader:

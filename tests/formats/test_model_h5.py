@@ -879,6 +879,8 @@ def test_links_and_trust_that_do_not_fit_are_refused(
         ("edge", {"edge": {"projection": "glue"}}, "projection is 'glue'"),
         ("edge", {"edge": {"projection": "dso", "glue": 1}}, "does not know the setting 'glue'; upgrade"),
         ("edge", {"shell": {"glue": 1}}, "does not know the setting 'glue'; upgrade"),
+        ("edge", {"shell": {"iterations": "many"}}, "iterations is 'many'; a whole number of 0 or more"),
+        ("edge", {"shell": {"bending": -1.0}}, r"bending is -1\.0; a number of 0 or more"),
         ("edge", {"edge": {"projection": "dso", "volume": 1.0}}, r"signals/shape/volumes .*shape \(3, 1\)"),
         (
             "coarse",

@@ -57,6 +57,16 @@ def test_awkward_meshes_come_back(name: str, space: SpaceName) -> None:
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("name", ["repeated corners", "zero area", "three pages", "bowtie"])
+def test_awkward_meshes_blend(name: str, placement: PlacementName) -> None:
+    poses = SEQUENCES[name]()
+    weights = np.zeros(poses.frame_count)
+    weights[[0, -1]] = 0.5
+    middle = mixseq.interpolate(poses, weights, placement=placement)
+    assert np.ptp(middle, axis=0).max() < 2 * poses.diagonal
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
 def test_a_blend_is_what_a_model_has_between_its_frames(placement: PlacementName) -> None:
     """Two frames make a straight line in the space."""
     pair = MeshSequence.from_arrays(POSES.points[[0, 3]], POSES.faces, [0.0, 1.0])
@@ -162,6 +172,18 @@ def test_sequences_that_stream(tmp_path: Path) -> None:
 def test_weights_are_checked(weights: Any, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         mixseq.interpolate(POSES, weights)
+
+
+@pytest.mark.parametrize("rows", [[[0.5, 0.5, 0, 0], [1.0]], [["all", 0, 0, 0]]])
+def test_rows_of_weights_are_checked(rows: Any) -> None:
+    with pytest.raises(SettingsError, match="not a table of numbers, with a row for every blend"):
+        next(Blend.of(POSES, "vertex").along(rows))
+
+
+def test_poses_to_blend_are_checked() -> None:
+    for pose in (-1, 4):
+        with pytest.raises(SettingsError, match=f"there is no pose {pose}; poses are 0 to 3"):
+            Blend.of(POSES, "vertex", among=[0, pose])
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,18 @@ def test_what_is_not_finite_is_refused(value: float) -> None:
         this.rebuild(lengths, broken)
 
 
+def test_seams_do_not_turn_edges_round() -> None:
+    """Curves that swing past their keys ask for lengths below zero: as good as none, as in leaves."""
+    this, lengths, angles = half_bent(**SMALL)
+    below, short = lengths.copy(), lengths.copy()
+    below[::9], short[::9] = -0.5 * lengths[::9], 1e-6 * lengths[::9]
+    weights = 1.0 / lengths
+    first, second = (
+        this.projection.rebuild(each, angles, weights, ShellSettings())[0] for each in (below, short)
+    )
+    np.testing.assert_allclose(first, second, atol=1e-9)
+
+
 def test_wrong_numbers_are_refused() -> None:
     with pytest.raises(SettingsError, match="group is 1; at least 2"):
         Rebuilder(*meshes.tetrahedron(), group=1)

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.reconstruction.settling import Settling, SettlingProblem, settle
@@ -56,7 +57,7 @@ def problem_of(settling: Settling, target: Float, bending: float = 0.3) -> Settl
 def test_equations_are_those_of_finite_differences(width: int) -> None:
     settling, target, pushed = three_parts(width)
     problem, step = problem_of(settling, target), 1e-6
-    residuals, _ = problem.residuals(pushed)
+    residuals, _ = problem.measured(pushed)
     values, gradient = problem.normal_equations(pushed, residuals)
     free, parts = len(settling.free), len(settling.moving)
 
@@ -64,7 +65,7 @@ def test_equations_are_those_of_finite_differences(width: int) -> None:
         change = np.zeros(3 * free + 6 * parts)
         change[unknown] = by
         x = settling.moved(pushed, change[: 3 * free].reshape(-1, 3), change[3 * free :].reshape(-1, 6))
-        return problem.residuals(x)[0]
+        return problem.measured(x)[0]
 
     some = np.concatenate([np.arange(0, 3 * free, 17), np.arange(3 * free, 3 * free + 6 * parts)])
     jacobian = np.stack([(moved(i, step) - moved(i, -step)) / (2 * step) for i in some], axis=1)
@@ -107,6 +108,28 @@ def test_parts_stay_rigid_and_the_first_one_stays() -> None:
         held = part[settling.holder[part] == number]
         back = transform(pushed[held], *kabsch(pushed[held], points[held]))
         assert np.abs(back - points[held]).max() < 1e-9
+
+
+def test_a_last_step_is_as_short_as_accuracy_says() -> None:
+    settling, target, pushed = three_parts()
+    other = problem_of(settling, target)
+    problem = SettlingProblem(
+        settling, 1.1 * other.lengths, other.angles, other.length_weights, other.bending
+    )
+    best, long = settle(problem, pushed, ShellSettings(tolerance=1e-12, accuracy=0.0))
+    near, short = settle(problem, pushed, ShellSettings(tolerance=1e-12, accuracy=1e-3))
+    assert short.converged
+    assert short.iterations < long.iterations
+    assert 0 < np.abs(near - best).max() < 1e-3
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(value: float) -> None:
+    settling, target, pushed = three_parts()
+    problem = problem_of(settling, target)
+    problem.lengths[3] = value
+    with pytest.raises(ReconstructionError, match="not finite"):
+        settle(problem, pushed, ShellSettings())
 
 
 def test_energies_fall() -> None:

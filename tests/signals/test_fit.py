@@ -21,8 +21,8 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
     ("settings", "message"),
     [
         ({"placement": "loose"}, r"placement is 'loose'; 'anchored' or 'free' is expected"),
-        ({"parts": 0}, r"parts is 0; a number from 1 to 150"),
-        ({"parts": 151}, r"parts is 151; a number from 1 to 150"),
+        ({"parts": 0}, r"parts is 0; a whole number from 1 to 150"),
+        ({"parts": 151}, r"parts is 151; a whole number from 1 to 150"),
         ({"joint_width": 0}, r"joint_width is 0; at least 1"),
         ({"exact": True, "rank": 2}, r"leave out tolerance, rank and knots"),
         ({"tolerance": 1e-3, "knots": 2}, r"tolerance chooses rank and knots"),

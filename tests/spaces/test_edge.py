@@ -131,6 +131,21 @@ def test_blocks_are_as_the_whole() -> None:
     assert np.abs(np.diff(whole[:, : space.shape_dim], axis=0)).max() < np.pi
 
 
+def test_velocities_are_those_of_meshes_that_fit_best() -> None:
+    """Fits that end early are as good to look at, but not to be subtracted from each other."""
+    mesh = tube(8, 17)
+    sequence = two(mesh[0], bent(mesh[0], 2.5) * [1.3, 0.8, 1.0], mesh[1])
+    early = space_of(sequence, shell=ShellSettings(accuracy=1e-2, tolerance=0.1))
+    best = replace(early, shell=ShellSettings(accuracy=1e-12, tolerance=1e-12))
+    first, last = early.encode(sequence.points)
+    middle, rate, step = (first + last)[None] / 2, (last - first)[None], 1e-5
+    _, velocities = early.decode_moving(middle, rate)
+    expected = (best.decode(middle + step * rate) - best.decode(middle - step * rate)) / (2 * step)
+    rough = (early.decode(middle + step * rate) - early.decode(middle - step * rate)) / (2 * step)
+    assert np.linalg.norm(velocities - expected) < 1e-3 * np.linalg.norm(expected)
+    assert np.linalg.norm(rough - expected) > 1e-2 * np.linalg.norm(expected)
+
+
 def test_volume_is_kept_better_with_its_term() -> None:
     """A tube bent to both sides is thinner half way, unless it is told what it holds."""
     points, faces = tube(10, 41, length=8.0, radius=1.0)

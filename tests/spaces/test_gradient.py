@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
-from mixseq.errors import SettingsError
+from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.sequence import FloatArray, IntArray
 from mixseq.spaces.gradient import FULL, GradientSpace
 from mixseq.topology import Topology
@@ -209,6 +209,19 @@ def test_a_body_that_turns_twice_goes_on() -> None:
 # The vector ---------------------------------------------------------------------------------------------------
 
 
+def test_a_change_by_hand_arrives_after_more_than_half_a_turn() -> None:
+    x, faces = torus(8, 6)
+    points = np.stack([x @ rotation((0.0, 0.0, angle)).T for angle in np.linspace(0.0, 1.75 * np.pi, 9)])
+    space = space_of(points, faces)
+    vector = space.encode(points)[-1]
+    before = space.decode(vector[None])[0]
+    after = before.copy()
+    after[5] += [0.1, 0.2, 0.0]
+    vector[: space.dim - space.placement_dim] += space.shape_difference(vector, before, after)
+    changed = space.decode(vector[None])[0]
+    np.testing.assert_allclose(changed - changed.mean(axis=0), after - after.mean(axis=0), atol=1e-9)
+
+
 def test_blocks_and_their_metric() -> None:
     points, faces = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]]), np.array([[0, 1, 2]])
     space = GradientSpace(Topology(faces, 4), 2.0, points)
@@ -231,6 +244,14 @@ def test_a_pickled_space_is_the_same() -> None:
     copy = pickle.loads(pickle.dumps(space))
     vectors = np.random.default_rng(0).normal(size=(1, space.dim))
     np.testing.assert_array_equal(copy.decode(vectors), space.decode(vectors))
+
+
+def test_vectors_that_are_not_finite_are_refused() -> None:
+    space = on_a_torus()
+    vectors = np.zeros((3, space.dim))
+    vectors[1, 7] = np.nan
+    with pytest.raises(ReconstructionError, match="vector 1 is not finite"):
+        space.decode(vectors)
 
 
 def test_vectors_of_other_spaces_are_refused() -> None:

@@ -20,6 +20,7 @@ from mixseq_io.atomic import replacing
 from mixseq_io.blocks import warn
 from mixseq_io.formats import FORMATS
 from mixseq_io.labels.faces import Labels, polygon_labels, triangle_labels
+from mixseq_io.labels.markings import LABELS
 from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import PathLike, write_blocks
 
@@ -122,7 +123,16 @@ def _write_subsets(
     )
     if untouched and not flatten and file.suffix.lower() != ".usdz" and write_usd_parts(file, header, parts):
         return
+    if isinstance(sequence, SequenceReader):
+        header = _without(header, sequence.markings().sets.get(LABELS, ()))
     write_usd(file, header, *_values(sequence), flatten=flatten, parts=parts)
+
+
+def _without(header: SequenceHeader, old: Sequence[FaceSet]) -> SequenceHeader:
+    """Leave out the parts that a mesh has from before."""
+    parts = {(each.name, each.polygons.tobytes()) for each in old}
+    kept = (each for each in header.surface.face_sets if (each.name, each.polygons.tobytes()) not in parts)
+    return replace(header, surface=replace(header.surface, face_sets=tuple(kept)))
 
 
 def _same(a: str, b: Path) -> bool:
