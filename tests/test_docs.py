@@ -25,7 +25,7 @@ from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
 from mixseq.reconstruction.shells import ShellSettings
-from mixseq.segmentation import MotionSettings
+from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
 from mixseq.signals.placement import stated_placement, whole_placement
 from mixseq.spaces import EdgeSettings, MixedSpace
 from mixseq_io import FORMATS
@@ -64,7 +64,12 @@ def section(name: str, heading: str) -> str:
 
 def rows(name: str) -> Iterator[list[str]]:
     """Yield the cells of all table rows of a page."""
-    for line in prose(name).splitlines():
+    return rows_of(prose(name))
+
+
+def rows_of(text: str) -> Iterator[list[str]]:
+    """Yield the cells of all table rows of a text."""
+    for line in text.splitlines():
         if line.startswith("|"):
             yield [cell.strip() for cell in line.strip("|").split("|")]
 
@@ -203,14 +208,24 @@ def test_specification_has_every_array_of_surfaces() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"),
-    [("docs/segmentation.md", MotionSettings()), ("docs/reconstruction.md", ShellSettings())],
-    ids=["motion", "shell"],
+    ("name", "heading", "settings"),
+    [
+        ("docs/segmentation.md", "Parts by motion", MotionSettings()),
+        ("docs/segmentation.md", "Augmented silhouettes", SilhouetteSettings()),
+        ("docs/segmentation.md", "Spanning-tree cut", SpanningTreeSettings()),
+        ("docs/reconstruction.md", "Gauss-Newton", ShellSettings()),
+        ("docs/spaces.md", "Edge", EdgeSettings()),
+    ],
+    ids=["motion", "silhouettes", "spanning tree", "shell", "edge"],
 )
-def test_defaults_are_those_of_the_code(name: str, settings: MotionSettings | ShellSettings) -> None:
-    table = {row[0]: row[1] for row in rows(name)}
+def test_defaults_are_those_of_the_code(name: str, heading: str, settings: Any) -> None:
+    table = {row[0]: row[1] for row in rows_of(section(name, heading))}
     for field in fields(settings):
-        assert float(table[f"`{field.name}`"]) == getattr(settings, field.name), field.name
+        stated, default = table[f"`{field.name}`"].strip('`"'), getattr(settings, field.name)
+        if default is None or isinstance(default, str):
+            assert stated == (default or "none"), field.name
+        else:
+            assert float(stated) == default, field.name
 
 
 @pytest.fixture(scope="module")

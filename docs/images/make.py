@@ -33,14 +33,19 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
+from mixseq.operations.interpolation import Blend
 from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
 from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import chart_style
-from mixseq.plots.colours import CLAY, INK, JOINT_RED
+from mixseq.plots.colours import CLAY, INK, JOINT_RED, segmentation_colours
 from mixseq.plots.layout import Sheet, matplotlib_module
+from mixseq.plots.two_sides import height_per_width, two_sides
+from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model
+from mixseq.spaces import MixedSpace
 
 Float = NDArray[np.float64]
+Labels = NDArray[np.int64]
 
 HERE = Path(__file__).parent
 WIDTH = 1600  # pixels of large pictures
@@ -76,6 +81,44 @@ def parts(path: Path) -> None:
     labels = model.decomposition.part_of_face, model.decomposition.joint_of_face
     draw_segmentation(page, walk.points[0], walk.faces, *labels)
     save(page, path, WIDTH, 256)
+
+
+def segmentations(path: Path) -> None:
+    """Parts by all methods that look at motion, from two sides."""
+    walk = walk_cycle()
+    columns: dict[str, tuple[Labels, Labels]] = {}
+    for method in METHODS:
+        part = mixseq.segment(walk, method)
+        columns[f"{method}: {part.max() + 1} parts"] = part, np.full(len(part), -1)
+    from_two_sides(path, walk, columns)
+
+
+def softening(path: Path) -> None:
+    """Joints of two poses, at boundaries only and inside parts."""
+    walk = walk_cycle()
+    columns: dict[str, tuple[Labels, Labels]] = {}
+    for title, shrink in (("at boundaries only", None), ("shrink=0.01", 0.01)):
+        space = Blend.of(walk, among=[0, 12], shrink=shrink).space
+        assert isinstance(space, MixedSpace)
+        columns[title] = space.decomposition.part_of_face, space.decomposition.joint_of_face
+    from_two_sides(path, walk, columns)
+
+
+def from_two_sides(
+    path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, tuple[Labels, Labels]]
+) -> None:
+    """Draw the first frame in every column with its parts and joints, both sides below each other."""
+    sides = two_sides(walk.points[:1])
+    page = Sheet.of(2, len(columns), height_per_width(sides), "")
+    for number, (title, labels) in enumerate(columns.items()):
+        for row, (view, limits) in zip(page.panels, sides[0], strict=True):
+            draw_mesh(
+                row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits
+            )
+        page.panels[0][number].set_title(title, fontsize=10, color=INK, pad=2)
+    stream = BytesIO()
+    page.save(stream)
+    save(stream, path, SHEET_WIDTH, 256)
 
 
 def plot(path: Path) -> None:
@@ -250,6 +293,8 @@ def sketched(path: Path) -> None:
 PICTURES: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
     "parts": parts,
+    "segmentations": segmentations,
+    "softening": softening,
     "plot": plot,
     "layout": layout,
     "edit-timing": timing,
