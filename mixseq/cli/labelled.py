@@ -1,8 +1,9 @@
-"""Labels that ``--labels`` and ``--source`` choose."""
+"""Labels that ``--labels`` and ``--source`` choose, and the connected parts that they make."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from mixseq.sequence import SequenceHeader
     from mixseq_io import Labels, SequenceReader
 
 
@@ -38,3 +40,37 @@ def parts_given(
     if parts is not None:
         raise SettingsError("--labels and --source tell the parts; leave out --parts, or them")
     return chosen_labels(reader, labels, source, reading).part_of_face
+
+
+def connected(header: SequenceHeader, labels: Labels) -> Labels:
+    """Split labels into connected parts; the second part of a label "arm" is "arm_1", if no label is."""
+    import numpy as np
+
+    from mixseq.segmentation import segment_by_labels
+    from mixseq.topology import Topology
+    from mixseq_io import Labels
+
+    parts = segment_by_labels(labels.part_of_face, Topology(header.faces, header.vertex_count))
+    _, first = np.unique(parts, return_index=True)
+    label_of_part = labels.part_of_face[first].tolist()
+    return Labels(parts, numbered([labels.names[label] for label in label_of_part]))
+
+
+def numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """Number names that come again, around names that are there.
+
+    Examples
+    --------
+    >>> numbered(["arm", "arm", "arm_1", "arm", "leg"])
+    ('arm', 'arm_2', 'arm_1', 'arm_3', 'leg')
+    """
+    used, result = set(names), []
+    counts: dict[str, count[int]] = {}
+    for name in names:
+        if name in counts:
+            result.append(next(free for number in counts[name] if (free := f"{name}_{number}") not in used))
+            used.add(result[-1])
+        else:
+            counts[name] = count(1)
+            result.append(name)
+    return tuple(result)

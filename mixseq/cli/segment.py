@@ -13,9 +13,9 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
 from mixseq.cli.files import check_target
-from mixseq.cli.labelled import chosen_labels
+from mixseq.cli.labelled import chosen_labels, connected
 from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
-from mixseq.errors import SettingsError
+from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -97,16 +97,14 @@ def command(
     if seed is not None and how != "silhouettes":
         raise SettingsError(f"the method {how} has no random numbers; leave out --seed")
     check_holds_labels(target)
+    if picture is not None and no_picture:
+        raise SettingsError("--picture and --no-picture exclude each other")
     drawn = None if no_picture else picture or _picture_beside(target)
     for each in filter(None, (target, drawn)):
         for source in filter(None, (path, labels)):
             check_target(each, source)
-    if picture is not None and no_picture:
-        raise SettingsError("--picture and --no-picture exclude each other")
     if drawn is not None:
-        from mixseq.plots.layout import matplotlib_module
-
-        matplotlib_module("figure")  # said before the work, if it is not installed
+        _check_picture(drawn)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
         from mixseq.segmentation import frames_to_look_at
         from mixseq.stored import stored
@@ -115,7 +113,7 @@ def command(
         some = frames.points[frames_to_look_at(len(frames.points))]
         if how in _GIVEN:
             wanted = "skeleton" if how == "skeleton" else label_source
-            given = _connected(reader.header, chosen_labels(reader, labels, wanted, reading))
+            given = connected(reader.header, chosen_labels(reader, labels, wanted, reading))
         else:
             given = _found(reader.header, some, how, parts, seed)
         found = _measured(reader.header, some, given)
@@ -151,7 +149,7 @@ class _Measured:
         columns = zip(self.names, self.faces, self.areas, self.errors, strict=True)
         rows = [(name, f"{faces}", f"{area:.1%}", f"{error:.2g} %") for name, faces, area, error in columns]
         total = (
-            f"{len(self.names)} parts",
+            f"{len(self.names)} part{'s' * (len(self.names) != 1)}",
             f"{sum(self.faces)}",
             f"{sum(self.areas):.1%}",
             f"{self.whole:.2g} %",
@@ -183,27 +181,17 @@ def _method(method: str | None, parts: int | None, labels: Path | None, source: 
 
 def _picture_beside(target: Path) -> Path:
     """Return a name for the picture; that of numbered files has no number."""
-    stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem) or "parts"
-    return target.with_name(f"{stem}.png")
+    stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", target.stem)
+    return target.with_name(f"{stem}-parts.png" if stem else "parts.png")
 
 
-def _connected(header: SequenceHeader, labels: Labels) -> Labels:
-    """Split labels into connected parts; the second part of a label "arm" is "arm_1"."""
-    import numpy as np
+def _check_picture(picture: Path) -> None:
+    """Refuse what is no picture, and say before the work if what draws them is not installed."""
+    from mixseq.plots.layout import matplotlib_module
 
-    from mixseq.segmentation import segment_by_labels
-    from mixseq.topology import Topology
-    from mixseq_io import Labels
-
-    parts = segment_by_labels(labels.part_of_face, Topology(header.faces, header.vertex_count))
-    _, first = np.unique(parts, return_index=True)
-    names: list[str] = []
-    for label in labels.part_of_face[first].tolist():
-        name, number = labels.names[label], 0
-        while (numbered := f"{name}_{number}" if number else name) in names:
-            number += 1
-        names.append(numbered)
-    return Labels(parts, tuple(names))
+    if picture.suffix.lower() != ".png":
+        raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
+    matplotlib_module("figure")
 
 
 def _found(

@@ -58,19 +58,18 @@ def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike 
         raise SegmentationError(
             f"weights have shape {w.shape}; for each of the {len(a)} faces one number of at least 0 is expected"
         )
-    rows, i = np.unique(a, return_inverse=True)
+    _, i = np.unique(a, return_inverse=True)
     columns, j = np.unique(b, return_inverse=True)
-    both = np.bincount(i * len(columns) + j, w, len(rows) * len(columns)).astype(np.float64)
-    both = both.reshape(len(rows), len(columns))
-    alone = float(w @ w)
-    together, of_first, of_second = (_squares(x) - alone for x in (both, both.sum(axis=1), both.sum(axis=0)))
-    pairs = float(w.sum()) ** 2 - alone
+    _, both = np.unique(i.astype(np.int64) * len(columns) + j, return_inverse=True)
+    together, of_first, of_second = (_pairs(group, w) for group in (both, i, j))
+    pairs = _pairs(np.zeros(len(w), dtype=np.int64), w)
     expected = of_first * of_second / pairs if pairs > 0 else 0.0
     possible = (of_first + of_second) / 2.0 - expected
-    return (
-        (together - expected) / possible if possible > 0 else 1.0
-    )  # one part each, or all faces alone: the same
+    # It is zero where both are one part each, or all faces alone: the same.
+    return (together - expected) / possible if possible > 0 else 1.0
 
 
-def _squares(values: NDArray[np.float64]) -> float:
-    return float(np.sum(values * values))
+def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
+    """Weight of the pairs of different faces that are in one group; exactly 0 where every face is alone."""
+    squared, own = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
+    return float(np.sum(squared - own))

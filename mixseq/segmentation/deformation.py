@@ -27,10 +27,14 @@ _TINY = np.finfo(np.float64).tiny
 
 
 def some_frames(points: FloatArray, frames: int) -> Float:
-    """Return at most so many frames ``(T, V, 3)`` of a sequence, evenly spread, in diagonals of the first."""
+    """Return at most so many frames ``(T, V, 3)`` of a sequence, evenly spread, in diagonals of the first.
+
+    If that is a single point, in diagonals of the largest.
+    """
     x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
     x -= x[0].mean(axis=0)
-    return np.asarray(x / max(float(np.linalg.norm(np.ptp(x[0], axis=0))), _TINY))
+    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
+    return np.asarray(x / (diagonals[0] or diagonals.max() or 1.0))
 
 
 def angle_variation(points: FloatArray, topology: Topology) -> Float:

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _LEAST, _MOST = 1e-2, 1e2
 """Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""
@@ -58,12 +57,15 @@ class Diffusion:
 
     @cached_property
     def areas(self) -> Float:
-        """Area ``(V,)`` of every vertex: a third of its faces'; vertices without any get a tiny one."""
+        """Area ``(V,)`` of every vertex: a third of its faces'; vertices without any get a tiny one.
+
+        Where no face has any, all areas are equal.
+        """
         corners = self.points[self.topology.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         thirds = np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3)
         areas = np.bincount(self.topology.faces.reshape(-1), thirds, self.topology.vertex_count)
-        return np.asarray(np.maximum(areas, 1e-6 * max(float(areas.mean()), np.finfo(np.float64).tiny)))
+        return np.asarray(np.maximum(areas, 1e-6 * (float(areas.mean()) or 1.0)))
 
     @cached_property
     def laplacian(self) -> sparse.csc_array:
@@ -104,15 +106,14 @@ class Diffusion:
         result = np.zeros((self.topology.vertex_count, count))
         roots = 1.0 / np.sqrt(self.areas)
         scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
-        for component in np.split(*_sorted_by(self.topology.component_of_vertex)):
-            values, vectors = _lowest(scaled[component][:, component], min(count, len(component) - 1))
+        number = self.topology.component_of_vertex
+        order, ends = np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))
+        blocks = scaled[order][:, order]  # on its diagonal there is one for every component
+        for start, end in zip(np.append(0, ends[:-1]), ends, strict=True):
+            component = order[start:end]
+            values, vectors = _lowest(blocks[start:end, start:end], min(count, len(component) - 1))
             result[component, : len(values)] = vectors * roots[component, None] * np.exp(-time * values)
         return result
-
-
-def _sorted_by(number: NDArray[np.integer]) -> tuple[Index, Index]:
-    """Return what splits into the sets of equal numbers: their members, and where they end."""
-    return np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1]
 
 
 def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:

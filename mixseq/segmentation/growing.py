@@ -105,9 +105,13 @@ def check_parts(parts: int | None, topology: Topology) -> None:
     Raises
     ------
     SettingsError
-        If it is below one or above the number of faces.
+        If it is no whole number, below one, or above the number of faces.
     """
-    if parts is not None and not 1 <= parts <= len(topology.faces):
+    if parts is None:
+        return
+    whole = isinstance(parts, int | np.integer)
+    if not (whole and 1 <= parts <= len(topology.faces)):
+        told = parts if np.ndim(parts) == 0 else f"of type {type(parts).__name__}"
         raise SettingsError(
-            f"parts is {parts}; a number from 1 to {len(topology.faces)} (the faces) is expected"
+            f"parts is {told}; a whole number from 1 to {len(topology.faces)} (the faces) is expected"
         )

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.clusters import Clusters, moments_of, tally
 from mixseq.segmentation.elements import Elements
+from mixseq.segmentation.growing import check_parts
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.segmentation.rigid_error import Moments
 from mixseq.sequence import FloatArray
@@ -105,12 +105,10 @@ def segment_by_motion(
         If `parts` is below one or above the number of faces.
     """
     settings = settings or MotionSettings()
-    face_count = len(topology.faces)
-    if parts is not None and not 1 <= parts <= face_count:
-        raise SettingsError(f"parts is {parts}; a number from 1 to {face_count} (the faces) is expected")
+    check_parts(parts, topology)
     faces = Elements.faces(topology, _looked_at(points, settings.frames))
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
-    labels = _cluster(topology, faces, min(clusters, face_count), settings)
+    labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
     bodies = _Bodies.of(topology, faces, split_labels(topology, labels))
     _absorb_crumbs(bodies, settings)
     _merge(bodies, topology, parts, settings)
@@ -118,10 +116,11 @@ def segment_by_motion(
 
 
 def _looked_at(points: FloatArray, frames: int) -> Float:
-    """Return some frames ``(T, V, 3)``, centred, in units of the diagonal of the first."""
+    """Return some frames ``(T, V, 3)``, centred, in units of the diagonal of the first, or else of the largest."""
     x = points[frames_to_look_at(len(points), frames)].astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
-    x /= max(float(np.linalg.norm(x[0].max(axis=0) - x[0].min(axis=0))), np.finfo(np.float64).tiny)
+    diagonals = np.linalg.norm(np.ptp(x, axis=1), axis=1)
+    x /= diagonals[0] or diagonals.max() or 1.0
     return x
 
 

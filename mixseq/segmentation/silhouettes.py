@@ -89,7 +89,8 @@ class SilhouetteSettings:
     def __post_init__(self) -> None:
         counts = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
         sizes = min(self.seed, self.radius, self.still, self.time, self.contrast)
-        if counts < 1 or sizes < 0 or not 0 < self.share <= 1 or not 0 <= self.crumb < 1:
+        finite = np.isfinite([self.radius, self.still, self.time, self.contrast]).all()
+        if counts < 1 or sizes < 0 or not (finite and 0 < self.share <= 1 and 0 <= self.crumb < 1):
             raise SettingsError(
                 f"{self}: frames, viewpoints, silhouettes and eigenvectors of at least 1, seed, radius, still, time "
                 f"and contrast of at least 0, a share from above 0 to 1 and a crumb from 0 to below 1 are expected"
@@ -195,8 +196,9 @@ def significant_vertices(
 def _signed_distance(surface: Diffusion, significant: Mask, settings: SilhouetteSettings) -> Float:
     """Diffusion distance ``(V,)`` from the nearest significant vertex; of those to the nearest other, negative.
 
-    Only vertices on the rim are looked at, with a neighbour of the other kind: nearest ones are there. It is zero on
-    components where no vertex is significant, or all are.
+    Only vertices on the rim are looked at, with a neighbour of the other kind. Nearest ones are there on a path along
+    the surface; that others are nearer by diffusion is rare, and then they hardly are. It is zero on components where
+    no vertex is significant, or all are.
     """
     from scipy.spatial import cKDTree
 

@@ -59,7 +59,8 @@ class SpanningTreeSettings:
     crumb: float = 0.005
 
     def __post_init__(self) -> None:
-        if self.frames < 1 or min(self.radius, self.contrast, self.still) < 0 or not 0 <= self.crumb < 1:
+        sizes = (self.radius, self.contrast, self.still)
+        if self.frames < 1 or not (np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.crumb < 1):
             raise SettingsError(
                 f"{self}: frames of at least 1, radius, contrast and still of at least 0, and a crumb from 0 to "
                 f"below 1 are expected"

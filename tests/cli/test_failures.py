@@ -77,7 +77,7 @@ FAILURES: list[tuple[str, str]] = [
     ("encode bar.npz old.h5 --tolerance 0", "--tolerance.*0.* is not in the range"),
     ("encode bar.npz old.h5 --parts 0", "--parts.*0 is not in the range"),
     ("encode bar.npz old.h5 --parts many", "--parts.*'many' is not a valid integer"),
-    ("encode bar.npz old.h5 --parts 1000", "parts is 1000; a number from 1 to 150"),
+    ("encode bar.npz old.h5 --parts 1000", "parts is 1000; a whole number from 1 to 150"),
     ("encode bar.npz old.h5 --joint-width 0", "--joint-width.*0 is not in the range"),
     ("encode bar.npz old.h5 --placement loose", "--placement.*'loose' is not one of"),
     ("encode bar.usdc old.h5 --prim /none", "/none"),

@@ -13,6 +13,7 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
+from mixseq.cli.labelled import numbered
 from mixseq_io import read_labels
 from tests.formats.gltf_maker import Maker
 
@@ -33,8 +34,8 @@ def test_a_usd_file_gets_subsets_and_keeps_its_points(run: Run, folder: Path) ->
     assert lines[3].startswith("2 parts")
     assert lines[4].startswith("wrote out.usda (")
     assert lines[4].endswith("a layer over ./bar.usdc")
-    assert lines[5].startswith("wrote out.png (")
-    assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
+    assert lines[5].startswith("wrote out-parts.png (")
+    assert (folder / "out-parts.png").read_bytes().startswith(b"\x89PNG")
     old, new = mixseq.read("bar.usdc"), mixseq.read("out.usda")
     assert np.array_equal(old.points.view(np.int32), new.points.view(np.int32))
     stage = Usd.Stage.Open("out.usda")
@@ -121,6 +122,8 @@ def test_a_skeleton_and_how_motion_agrees_with_it(run: Run, skin: Path) -> None:
         ("bar.npz out.npz --method skeleton --source colours", "takes labels from the skeleton"),
         ("bar.npz out.npz --seed 3", "the method motion has no random numbers"),
         ("bar.npz out.npz --picture a.png --no-picture", "exclude each other"),
+        ("bar.npz out.npz --picture out.npz", "end the name in .png"),
+        ("bar.npz out.npz --picture out.svg", "end the name in .png"),
         ("bar.npz out.npz --method labels", "has no labels of faces"),
         ("bar.npz out.npz --method skeleton", "has no 'skeleton' to label faces by"),
         ("bar.npz out.npz --against skeleton", "has no 'skeleton' to label faces by"),
@@ -158,5 +161,12 @@ def test_methods(run: Run, options: str) -> None:
 def test_pictures_of_numbered_files_have_no_number(run: Run, folder: Path) -> None:
     result = run("segment", "bar.npz", "walk_####.obj", "--parts", "2", "--quiet")
     assert result.exit_code == 0
-    assert (folder / "walk.png").exists()
+    assert (folder / "walk-parts.png").exists()
     assert set(read_labels(folder / "walk_####.obj", mixseq.read("bar.npz")).names) == {"part_00", "part_01"}
+
+
+def test_names_of_many_pieces() -> None:
+    """A label that is called like the second piece of another keeps its name."""
+    assert numbered(["arm", "arm", "arm_1", "arm", "leg"]) == ("arm", "arm_2", "arm_1", "arm_3", "leg")
+    many = numbered(["hair"] * 30_000)  # in a moment
+    assert (many[0], many[-1], len(set(many))) == ("hair", "hair_29999", 30_000)

@@ -58,6 +58,14 @@ def test_known_values(a: list[int], b: list[int], index: float) -> None:
     assert adjusted_rand_index(a, b) == pytest.approx(index)
 
 
+def test_faces_that_are_all_alone_are_the_same_segmentation() -> None:
+    """Exactly, whatever the weights, and however many there are."""
+    rng = np.random.default_rng(4)
+    for count in (7, 1000, 60_000):
+        weights = rng.uniform(0.0, 1.0, count)
+        assert adjusted_rand_index(rng.permutation(count), np.arange(count), weights) == 1.0
+
+
 def test_weights_count() -> None:
     """What disagrees hardly matters where it hardly weighs."""
     a, b = [0, 0, 1, 1, 0], [0, 0, 1, 1, 1]

@@ -75,3 +75,9 @@ def test_frames_are_spread_and_in_diagonals() -> None:
     np.testing.assert_allclose(
         some[-1] - some[0], (points[-1] - points[0]) / np.linalg.norm(np.ptp(points[0], axis=0))
     )
+
+
+def test_a_first_frame_that_is_a_point_has_no_diagonal() -> None:
+    points = np.array([[[5.0, 5, 5]] * 2, [[0, 0, 0], [3, 4, 0]], [[0, 0, 0], [0, 0, 1]]])
+    np.testing.assert_allclose(np.linalg.norm(np.ptp(some_frames(points, 9), axis=1), axis=1), [0, 1, 0.2])
+    assert np.ptp(some_frames(points[:1], 9)) == 0.0

@@ -90,3 +90,11 @@ def test_flat_faces_and_lone_vertices_are_no_trouble() -> None:
     assert np.isfinite(surface.laplacian.toarray()).all()
     assert np.isfinite(surface.smoothed(np.arange(5.0), 0.5)).all()
     assert np.isfinite(surface.embedding(0.1, 3)).all()
+
+
+def test_faces_on_a_line_have_equal_areas() -> None:
+    points, faces = grid(3, 2)
+    surface = Diffusion(points * [1.0, 0.0, 0.0], Topology(faces, len(points)))
+    assert np.ptp(surface.areas) == 0.0 < surface.areas[0]
+    assert np.isfinite(surface.smoothed(points[:, 0], 0.5)).all()
+    assert np.isfinite(surface.embedding(0.1, 3)).all()

@@ -116,7 +116,7 @@ def test_as_many_regions_as_asked_for(seed: int) -> None:
 
 @pytest.mark.parametrize("parts", [0, -1, 5])
 def test_numbers_that_no_segmentation_has(parts: int) -> None:
-    with pytest.raises(SettingsError, match=rf"parts is {parts}; a number from 1 to 4 \(the faces\)"):
+    with pytest.raises(SettingsError, match=rf"parts is {parts}; a whole number from 1 to 4 \(the faces\)"):
         check_parts(parts, topology_of(tetrahedron()))
     check_parts(4, topology_of(tetrahedron()))
     check_parts(None, topology_of(tetrahedron()))

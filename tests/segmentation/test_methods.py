@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,8 +126,35 @@ def test_fit_takes_them() -> None:
 @methods
 @pytest.mark.parametrize("parts", [0, 10_000])
 def test_impossible_numbers_of_parts(method: MethodName, parts: int) -> None:
-    with pytest.raises(SettingsError, match=f"parts is {parts}; a number from 1 to"):
+    with pytest.raises(SettingsError, match=f"parts is {parts}; a whole number from 1 to"):
         mixseq.segment(bar(), method, parts)
+
+
+@methods
+@pytest.mark.parametrize(
+    ("parts", "told"), [(2.5, "2.5"), ("3", "3"), (np.zeros(150, dtype=int), "of type ndarray")]
+)
+def test_what_is_no_number_of_parts(method: MethodName, parts: Any, told: str) -> None:
+    with pytest.raises(SettingsError, match=f"parts is {told}; a whole number from 1 to"):
+        mixseq.segment(bar(), method, parts)
+
+
+@methods
+@pytest.mark.parametrize("extent", [(0, 0, 0), (1, 0, 0), (0, 1, 1)])
+def test_meshes_without_extent(method: MethodName, extent: tuple[int, int, int]) -> None:
+    """All in a point, on a line, in a plane."""
+    sequence = bar()
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    assert_sound(topology, segment(sequence.points * np.array(extent, dtype=float), topology, method))
+
+
+@methods
+def test_a_first_frame_that_is_a_point(method: MethodName) -> None:
+    sequence = bar()
+    points = sequence.points.copy()
+    points[0] = 0.0
+    topology = Topology(sequence.faces, sequence.vertex_count)
+    assert_sound(topology, segment(points, topology, method))
 
 
 def test_unknown_methods() -> None:
@@ -148,7 +176,8 @@ def test_settings_of_another_method(method: MethodName, settings: MethodSettings
 
 
 @pytest.mark.parametrize(
-    "settings", [{"frames": 0}, {"radius": -0.1}, {"contrast": -1}, {"crumb": 1.0}, {"still": -1}]
+    "settings",
+    [{"frames": 0}, {"radius": -0.1}, {"radius": np.nan}, {"contrast": -1}, {"crumb": 1.0}, {"still": -1}],
 )
 @pytest.mark.parametrize("kind", [SilhouetteSettings, SpanningTreeSettings])
 def test_settings_outside_their_range(

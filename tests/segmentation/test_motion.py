@@ -154,5 +154,5 @@ def test_a_mesh_without_size_is_one_part() -> None:
 
 @pytest.mark.parametrize("parts", [0, -3, 10**6])
 def test_the_number_of_parts_is_checked(parts: int) -> None:
-    with pytest.raises(SettingsError, match=rf"parts is {parts}; a number from 1 to 400 \(the faces\)"):
+    with pytest.raises(SettingsError, match=rf"parts is {parts}; a whole number from 1 to 400 \(the faces\)"):
         segmented(bar(), parts)
