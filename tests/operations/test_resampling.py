@@ -71,7 +71,7 @@ def model() -> Model:
             2,
         ),
     ],
-    ids=lambda value: str(value) if isinstance(value, dict) else "",
+    ids=lambda value: ", ".join(value) if isinstance(value, dict) else "",
 )
 def test_frames_and_velocities(
     model: Model, settings: dict[str, Any], times: ArrayLike, sources: ArrayLike, slope: float
@@ -191,7 +191,7 @@ def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
         ({"retiming": Retiming.hold(0, 0, 1), "start": 0}, "leave out start, end, speed and reverse"),
         ({"retiming": Retiming.hold(0, 0, 1), "end": 0}, "leave out start, end, speed and reverse"),
     ],
-    ids=str,
+    ids=lambda value: ", ".join(value) if isinstance(value, dict) else "",
 )
 def test_refusals(model: Model, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):

@@ -1,0 +1,87 @@
+"""Poses that are damaged: noise on all vertices, and a patch that is pushed through the surface behind it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mixseq.geometry.normals import shared_normals
+from mixseq.geometry.rigid import kabsch, transform
+from mixseq.plots.camera import View, y_up
+from mixseq.polygons import Polygons
+from scripts.paper_study.common.poses import Float, Index, Poses
+
+OPPOSITE = -0.7
+"""Cosine of normals below which one side of a limb is opposite the other."""
+
+BEYOND = 1.5
+"""A patch is pushed by so many times what the limb is thick."""
+
+SIZE = 0.6
+"""Radius of the patch, as a share of what the limb is thick."""
+
+
+def noisy(poses: Poses, share: float, seed: int) -> Poses:
+    """Move every vertex of every pose by normal noise, its deviation a share of the mean edge length."""
+    size = share * float(poses.lengths.mean())
+    return poses.moved(poses.points + np.random.default_rng(seed).normal(0, size, poses.points.shape))
+
+
+SEEN = 0.5
+"""Cosine between normal and camera above which a patch is seen."""
+
+TRIED = 400
+"""About so many vertices are tried."""
+
+
+class Pushed(NamedTuple):
+    """Poses whose second one has a patch pushed through the surface, and which vertices ``(k,)`` were moved."""
+
+    poses: Poses
+    vertices: Index
+    middle: int
+    thickness: float
+
+
+def pushed(poses: Poses, rigid: Index, view: View) -> Pushed:
+    """Push a patch of a rigid part through the other side of its limb, in the second pose.
+
+    Of the vertices `rigid` that one is taken, in the thinnest place, whose patch they hold as a whole and whose normal
+    points to the camera.
+
+    Raises
+    ------
+    ValueError
+        If no such patch exists.
+    """
+    x, faces = poses.points[1], poses.sequence.faces
+    triangles = Polygons(np.full(len(faces), 3), faces.reshape(-1))
+    normals = shared_normals(x[None], triangles)[0].astype(np.float64)
+    inside = np.zeros(len(x), dtype=bool)
+    inside[rigid] = True
+    edge = float(poses.lengths[1].mean())
+    best: Pushed | None = None
+    seen = rigid[y_up(normals[rigid], poses.sequence.up_axis) @ view.rows[2] > SEEN]
+    for vertex in seen[:: max(1, len(seen) // TRIED)].tolist():
+        away = np.linalg.norm(x - x[vertex], axis=1)
+        opposite = (normals @ normals[vertex] < OPPOSITE) & ((x - x[vertex]) @ normals[vertex] < -0.7 * away)
+        if not opposite.any():
+            continue
+        thickness = float(away[opposite].min())
+        patch = np.flatnonzero((away < SIZE * thickness) & (normals @ normals[vertex] > 0))
+        if thickness < 5 * edge or not inside[patch].all() or (best and thickness >= best.thickness):
+            continue
+        bump = np.square(1 - np.square(away[patch] / (SIZE * thickness)))
+        moved = poses.points.copy()
+        moved[1, patch] -= BEYOND * thickness * bump[:, None] * normals[vertex]
+        best = Pushed(poses.moved(moved), patch, vertex, thickness)
+    if best is None:
+        raise ValueError("no part is thin and large enough to push a patch of it through the other side")
+    return best
+
+
+def apart(first: Float, second: Float, fitted: Index | slice = slice(None)) -> Float:
+    """Return how far vertices ``(V,)`` of two meshes are apart when they are moved onto each other, by some of them."""
+    rotation, translation = kabsch(first[fitted], second[fitted])
+    return np.asarray(np.linalg.norm(transform(first, rotation, translation) - second, axis=1))

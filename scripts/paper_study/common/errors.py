@@ -1,0 +1,77 @@
+"""How far a blend is from the blended lengths and angles: the measure of the paper (after Winkler et al. 2010).
+
+The error of an edge is its length over the wanted one, minus 1; that of a hinge is the difference in degrees. The
+*band* of a share of the edges is from the smallest to the largest error of those whose absolute error is below the
+quantile of that share.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from scripts.paper_study.common.poses import Float, Poses
+
+LENGTH_SHARES = (1.0, 0.999, 0.99)
+ANGLE_SHARES = (1.0, 0.9999, 0.999, 0.99)
+"""The paper draws 100, 99.9 and 99 % of the edges, and 100, 99.99 and 99.9 % of the angles."""
+
+ROUNDING = 1e-6
+"""Errors below this are shown as none."""
+
+SHORT = 1e-9
+"""Edges shorter than this, in diagonals, have no relative error."""
+
+
+class Errors(NamedTuple):
+    """Errors of all edges ``(e,)`` and hinges ``(h,)``, in degrees."""
+
+    strain: Float
+    degrees: Float
+
+    def at(self, share: float) -> tuple[float, float]:
+        """Return the quantiles of both, absolute."""
+        return float(np.quantile(np.abs(self.strain), share)), float(np.quantile(np.abs(self.degrees), share))
+
+    def bands(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Return the bands of all shares, of lengths and of angles."""
+        return [band(self.strain, s) for s in LENGTH_SHARES], [band(self.degrees, s) for s in ANGLE_SHARES]
+
+    def summary(self) -> dict[str, list[float]]:
+        """Return the quantiles at 99 %, 99.9 % and 100 % as plain data."""
+        pairs = [self.at(share) for share in (0.99, 0.999, 1.0)]
+        return {"lengths": [pair[0] for pair in pairs], "degrees": [pair[1] for pair in pairs]}
+
+
+def errors(poses: Poses, weights: Float, points: Float) -> Errors:
+    """Compare a blend ``(V, 3)`` of poses with what it should be."""
+    lengths, angles = poses.target(weights)
+    long = np.flatnonzero(lengths > SHORT * poses.diagonal)
+    strain = edge_lengths(points, poses.topology.edges)[long] / lengths[long] - 1.0
+    return Errors(strain, np.degrees(wrap(dihedral_angles(points, poses.topology.hinges) - angles)))
+
+
+def band(values: Float, share: float) -> tuple[float, float]:
+    """Return the smallest and the largest of a share of the values, those that are nearest to zero.
+
+    Examples
+    --------
+    >>> band(np.array([-3.0, -1.0, 0.5, 9.0]), 0.5)
+    (-1.0, 0.5)
+    """
+    size = np.abs(values)
+    inside = values[size <= np.quantile(size, share, method="inverted_cdf")]
+    return min(float(inside.min()), 0.0), max(float(inside.max()), 0.0)
+
+
+def text(values: list[float] | tuple[float, ...]) -> str:
+    """Return numbers with two digits, and 0 for rounding errors: ``0 / 0.012 / 0.5``."""
+
+    def one(value: float) -> str:
+        if abs(value) < ROUNDING:
+            return "0"
+        return f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
+
+    return " / ".join(map(one, values))

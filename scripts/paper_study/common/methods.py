@@ -1,0 +1,253 @@
+"""The interpolation methods that are compared, each as a blend of poses that is prepared once.
+
+=================  ====================================================================================
+MSGI               S_e, patches merged hierarchically (after Winkler et al. 2010)
+DSO, from a pose   S_e, Gauss-Newton on the whole mesh that starts from the first pose, as the paper ran it
+DSO                S_e, the same from the linear start (ours)
+MixIT, printed     S_m as printed: strips as joints, every joint by itself, registration, stitching
+MixIT, strips      S_m: the same joints, which settle together with the parts (ours)
+MixIT              S_m: joints also where parts bend by themselves, settled (ours)
+=================  ====================================================================================
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from mixseq.geometry.rigid import mean_shape
+from mixseq.reconstruction.agreement import solve
+from mixseq.reconstruction.discrete_shell import DiscreteShell
+from mixseq.reconstruction.free import FreePlacement
+from mixseq.reconstruction.joint import rebuild
+from mixseq.reconstruction.patch import Patch
+from mixseq.reconstruction.placement import MixedFrame
+from mixseq.reconstruction.shells import ShellReport, ShellSettings, fit_shell
+from mixseq.reconstruction.stitching import stitch
+from mixseq.segmentation.joints import Decomposition, decompose
+from mixseq.segmentation.softness import Softening
+from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.mixed import MixedSpace
+from mixseq.spaces.of_sequence import mixed_space
+from mixseq.spaces.registered import registered
+from mixseq.threads import one_blas_thread
+from scripts.paper_study.common.poses import Float, Index, Poses
+
+WIDTH = 3
+SHRINK = 0.01
+"""Softening of MixIT: joints go on where a blend would take more than this of an edge's length."""
+
+
+class Blended(NamedTuple):
+    """A blend ``(V, 3)`` in units of the file, and how the fits went."""
+
+    points: Float
+    reports: list[ShellReport]
+
+
+Seconds = tuple[float, float, float]
+
+
+class Clock:
+    """Tells the seconds since it was made, or asked before."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        last, self._last = self._last, time.perf_counter()
+        return self._last - last
+
+
+class Method(Protocol):
+    """A way to blend poses."""
+
+    def prepare(self) -> None:
+        """Do what is done once."""
+
+    def at(self, weights: Float) -> Blended:
+        """Blend with weights ``(n,)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """Blends in S_e."""
+
+    poses: Poses
+    settings: EdgeSettings
+
+    @cached_property
+    def space(self) -> EdgeSpace:
+        poses, scale = self.poses, self.poses.diagonal
+        typical = poses.lengths.mean(axis=0) / scale
+        return EdgeSpace(
+            poses.topology, scale, poses.points[0] / scale, typical, ShellSettings(), self.settings
+        )
+
+    @cached_property
+    def vectors(self) -> Float:
+        return self.space.encode(self.poses.points)
+
+    def prepare(self) -> None:
+        self.space.prepare()
+        _ = self.vectors
+
+    def at(self, weights: Float) -> Blended:
+        points, (reports,) = self.space.decode_with_reports((weights @ self.vectors)[None])
+        return Blended(points[0], reports)
+
+
+@dataclass(frozen=True, eq=False)
+class FromPose(Edge):
+    """Gauss-Newton in S_e that starts from the first pose."""
+
+    def at(self, weights: Float) -> Blended:
+        space = self.space
+        shell = space.projection
+        assert isinstance(shell, DiscreteShell)
+        shapes, turns, centres = space.split((weights @ self.vectors)[None])
+        wanted = space.levels[0].wanted(*np.split(shapes[0], np.cumsum(space.sizes)[:-1]))
+        rows, reports = np.zeros((shell.row_count, 3)), []
+        with one_blas_thread():
+            for number, (own, piece) in enumerate(zip(shell.vertices, shell.pieces, strict=True)):
+                if piece is not None:
+                    problem = shell.problem(number, piece, wanted, space.shell)
+                    start = self.poses.points[0][own] / space.scale
+                    rows[piece.rows], report = fit_shell(problem, start, space.shell)
+                    reports.append(report)
+        return Blended(space.placed(rows, turns[0], centres[0]), reports)
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Blends in S_m, free placement."""
+
+    poses: Poses
+    decomposition: Decomposition
+
+    @cached_property
+    def space(self) -> MixedSpace:
+        return mixed_space(
+            self.poses.points, self.poses.topology, self.decomposition, "free", ShellSettings()
+        )
+
+    @cached_property
+    def vectors(self) -> Float:
+        return self.space.encode(self.poses.points)
+
+    @property
+    def placement(self) -> FreePlacement:
+        assert isinstance(self.space.projection, FreePlacement)
+        return self.space.projection
+
+    def prepare(self) -> None:
+        self.space.prepare()
+        _ = self.vectors
+
+    def align(self) -> None:
+        """Register the parts of the poses, which `prepare` does too: to be timed by itself."""
+        parts, points = self.decomposition.parts, self.poses.points / self.poses.diagonal
+        shapes = np.concatenate([mean_shape(points[:, part]) for part in parts])
+        for x in points:
+            registered(shapes, parts, x)
+
+    def frame(self, weights: Float) -> MixedFrame:
+        """Blend parts, lengths and angles."""
+        space = self.space
+        blocks = space.split((weights @ self.vectors)[None])
+        rotations, translations = solve(space.links, blocks.poses)
+        return MixedFrame(
+            lengths=blocks.lengths[0],
+            angles=blocks.angles[0],
+            weights=1.0 / np.maximum(space.reference_lengths, np.finfo(np.float64).tiny),
+            parts=blocks.parts[0],
+            rotations=rotations[0],
+            translations=translations[0],
+            offsets=np.zeros((0, 3)),
+            holds=np.zeros(0),
+        )
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend step by step: seconds of the joints, of registration and stitching, and of settling."""
+        placement, clock = self.placement, Clock()
+        with one_blas_thread():
+            frame = self.frame(weights)
+            joints, lengths = placement.unfolded_joints(frame)
+            pieces = np.concatenate([frame.parts, *joints])
+            first = clock.lap()
+            mesh = stitch(placement._seams, placement.placed(frame, pieces), lengths)
+            second = clock.lap()
+            points, report = placement.settled(frame, mesh, self.space.settings)
+        return Blended(points * self.space.scale, [report]), (first, second, clock.lap())
+
+    def at(self, weights: Float) -> Blended:
+        points, (reports,) = self.space.decode_with_reports((weights @ self.vectors)[None])
+        return Blended(points[0], reports)
+
+
+@dataclass(frozen=True, eq=False)
+class Printed(Mixed):
+    """S_m as the paper prints it: every joint by itself from all its lengths and angles, and no settling.
+
+    Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
+    """
+
+    @cached_property
+    def patches(self) -> tuple[Patch, ...]:
+        topology = self.poses.topology
+        return tuple(
+            Patch.of_joint(topology, joint, np.zeros(len(joint.vertices), dtype=bool))
+            for joint in self.decomposition.joints
+        )
+
+    def prepare(self) -> None:
+        _ = self.vectors, self.placement._overlaps, self.placement._seams.factor
+        for patch in self.patches:
+            patch.frame_pattern.analysis, patch.equations.pattern.analysis, patch.laplacian_factor  # noqa: B018
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend step by step; there is no settling."""
+        (lengths, angles), scale, clock = self.poses.target(weights), self.space.scale, Clock()
+        inverse = scale / np.maximum(self.poses.lengths.mean(axis=0), np.finfo(np.float64).tiny)
+        pieces, reports = [], []
+        with one_blas_thread():
+            frame = self.frame(weights)
+            for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
+                wanted = lengths[joint.edge_ids] / scale, angles[joint.hinge_ids], inverse[joint.edge_ids]
+                nowhere = np.zeros((len(patch.fixed), 3))
+                points, report = rebuild(patch, *wanted, nowhere, self.space.settings)
+                pieces.append(points)
+                reports.append(report)
+            first = clock.lap()
+            placed = self.placement.placed(frame, np.concatenate([frame.parts, *pieces]))
+            mesh = stitch(self.placement._seams, placed, lengths / scale)
+        return Blended(mesh * scale, reports), (first, clock.lap(), 0.0)
+
+    def at(self, weights: Float) -> Blended:
+        return self.timed(weights)[0]
+
+
+def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) -> Decomposition:
+    """Cut a mesh with the paper's joints; with `full` they are as wide as they can be, wherever little bends."""
+    return decompose(poses.topology, labels, width, None if full else poses.points)
+
+
+def softened(poses: Poses, labels: Index, width: int = WIDTH, shrink: float = SHRINK) -> Decomposition:
+    """Cut a mesh with joints that go on where parts bend by themselves."""
+    return decompose(poses.topology, labels, width, poses.points, Softening(poses.points, shrink))
+
+
+METHODS: dict[str, Callable[[Poses, Index], Method]] = {
+    "MSGI": lambda poses, _: Edge(poses, EdgeSettings("msgi")),
+    "DSO, from a pose": lambda poses, _: FromPose(poses, EdgeSettings("dso")),
+    "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
+    "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
+    "MixIT, strips": lambda poses, labels: Mixed(poses, strips(poses, labels)),
+    "MixIT": lambda poses, labels: Mixed(poses, softened(poses, labels)),
+}
+"""All methods, of poses and the parts ``(F,)`` of the mesh."""

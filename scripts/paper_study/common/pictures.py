@@ -1,0 +1,122 @@
+"""Pictures: rows of meshes seen by one camera, and charts of errors over the weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mixseq.plots import CLAY, broadside, draw_mesh, segmentation_colours, shared_limits
+from mixseq.plots.camera import Limits, View, y_up
+from mixseq.plots.charts import LINES, chart_style, new_page
+from mixseq.plots.layout import Sheet
+from mixseq.segmentation.joints import Decomposition
+from scripts.paper_study.common.poses import Float, Poses
+
+DPI = 80
+CLOSE = 0.13
+"""Half the width of a close-up, in diagonals."""
+
+
+class Panel(NamedTuple):
+    """A mesh ``(V, 3)``, what stands above it, its colours, and the vertex that a close-up is about."""
+
+    title: str
+    points: Float
+    colours: ArrayLike = CLAY
+    close: int | None = None
+
+
+def cut(decomposition: Decomposition) -> Float:
+    """Return colours ``(F, 3)`` of parts, and of joints in red."""
+    return segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
+
+
+def heat(poses: Poses, values: Float, most: float) -> Float:
+    """Return colours ``(F, 3)`` of values at vertices ``(V,)``, from 0 to `most`."""
+    from matplotlib import cm
+
+    of_face = values[poses.sequence.faces].max(axis=1) / most
+    return np.asarray(cm.ScalarMappable(cmap="viridis").cmap(np.clip(of_face, 0, 1)))[:, :3]
+
+
+def gallery(
+    target: Path, poses: Poses, rows: Sequence[Sequence[Panel]], title: str = "", turn: float = 30.0
+) -> None:
+    """Draw rows of meshes with one camera, as a PNG."""
+    up, faces = poses.sequence.up_axis, poses.sequence.faces
+    everything = [panel for row in rows for panel in row]
+    view = broadside(poses.points[0], up, turn)
+    limits = [shared_limits(panel.points, up, view) for panel in everything]
+    low, high = np.array(limits)[:, ::2], np.array(limits)[:, 1::2]
+    size = (high - low).max(axis=0)
+    columns = max(len(row) for row in rows)
+    sheet = Sheet.of(len(rows), columns, float(size[1] / size[0]), title)
+    for axes, row in zip(sheet.panels, rows, strict=True):
+        for ax, panel in zip(axes, row, strict=False):
+            window = _window(panel, poses, view, size)
+            draw_mesh(ax, panel.points, faces, panel.colours, up, view, window)
+            ax.set_title(panel.title, fontsize=9, pad=1)
+    sheet.figure.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def _window(panel: Panel, poses: Poses, view: View, size: Float) -> Limits:
+    """The rectangle that a panel shows: the whole mesh, or what is around a vertex."""
+    left, right, bottom, top = shared_limits(panel.points, poses.sequence.up_axis, view)
+    middle, half = np.array([left + right, bottom + top]) / 2, size / 2
+    if panel.close is not None:
+        middle = (view.rows @ y_up(panel.points[panel.close], poses.sequence.up_axis))[:2]
+        half = size / size[0] * CLOSE * poses.diagonal
+    (x, y), (width, height) = middle, half
+    return float(x - width), float(x + width), float(y - height), float(y + height)
+
+
+def _root(values: Float) -> Float:
+    """Signed square roots: with straight axes the inner bands could not be seen."""
+    return np.sign(values) * np.sqrt(np.abs(values))
+
+
+def _square(values: Float) -> Float:
+    return np.sign(values) * np.square(values)
+
+
+Bands = Mapping[str, Any]
+"""Bands of lengths and of angles, by method: ``{"lengths": (W, shares, 2), "degrees": (W, shares, 2)}``."""
+
+
+def envelopes(target: Path, title: str, weights: Sequence[float], bands: Bands) -> None:
+    """Draw bands of errors over the weight, a column for every method, as a PNG."""
+    names = list(bands)
+    rows = (
+        ("lengths", "relative length error", ("all", "99.9 %", "99 %"), ("#9db8cf", LINES[0], "#123a57")),
+        (
+            "degrees",
+            "dihedral error (degrees)",
+            ("all", "99.99 %", "99.9 %", "99 %"),
+            ("#ecd3ad", "#d6b06e", LINES[1], "#6e4508"),
+        ),
+    )
+    with chart_style():
+        page = new_page(2.5 * len(names) + 1.6, 5.6, title)
+        panels = page.subplots(2, len(names), sharex=True, sharey="row", squeeze=False)
+        for axes, (kind, label, shares, colours) in zip(panels, rows, strict=True):
+            most = np.abs([bands[name][kind] for name in names]).max() or 1.0
+            for ax, name in zip(axes, names, strict=True):
+                values = np.asarray(bands[name][kind])
+                for number, (share, colour) in enumerate(zip(shares, colours, strict=True)):
+                    ax.fill_between(weights, *values[:, number].T, color=colour, linewidth=0, label=share)
+                ax.set_yscale("function", functions=(_root, _square))
+                ax.set_ylim(-most, most)
+                ax.set_xlim(0, 1)
+            axes[0].set_ylabel(label)
+            axes[-1].legend(
+                loc="center left", bbox_to_anchor=(1.0, 0.5), title="share of edges", title_fontsize=8
+            )
+        for ax, name in zip(panels[0], names, strict=True):
+            ax.set_title(name, fontsize=10)
+        for ax in panels[1]:
+            ax.set_xlabel("weight of the second pose")
+        page.savefig(target, format="png", dpi=DPI, metadata={"Software": None})

@@ -1,0 +1,149 @@
+"""The poses that tables and figures blend, and the lengths and angles that blends should have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
+from mixseq.geometry.rigid import kabsch, transform
+from mixseq.segmentation import MotionSettings, segment_by_motion
+from mixseq.sequence import bounding_diagonal
+from mixseq.topology import Topology
+from scripts.benchmarks.common.animations import animation
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Source(NamedTuple):
+    """Which animation a mesh is from, the pair and the six frames that are blended, how many weights are tried.
+
+    Attributes
+    ----------
+    printed : str
+        What the paper calls the mesh, empty if it has no such mesh.
+    """
+
+    animation: str
+    pair: tuple[int, int]
+    six: tuple[int, ...]
+    steps: int
+    printed: str
+
+
+MESHES = {
+    "lion": Source("lion_poses", (2, 5), (1, 2, 3, 4, 5, 6), 20, "lion"),
+    "cat": Source("cat_poses", (1, 3), (1, 2, 4, 5, 6, 7), 20, "cat"),
+    "horse": Source("horse_poses", (1, 3), (1, 2, 3, 4, 5, 6), 20, "horse"),
+    "elephant_gallop": Source("elephant_gallop", (0, 12), (0, 4, 8, 12, 16, 20), 8, "galloping elephant"),
+    "horse_gallop": Source("horse_gallop", (0, 12), (0, 4, 8, 12, 16, 20), 20, "horse"),
+}
+"""The four meshes of the paper that there are data of, and a second pair of its horse. Which frames the paper blends
+is not told; these are far apart."""
+
+ARTICULATED = (
+    "horse_poses", "cat_poses", "lion_poses", "camel_poses", "cheburashka", "cow", "fox_run", "fox_survey",
+    "q_horse_gallop", "q_horse_eating", "q_wolf_gallop", "q_wolf_attack", "q_fox_gallopjump", "q_trex_run",
+    "q_alpaca_gallop", "q_man_run", "q_man_swordslash", "q_woman_run", "robotexpressive_dance", "abc_dembones_bone",
+)  # fmt: skip
+"""All other animations of articulated meshes that there are data of."""
+
+FRAMES = 24
+"""So many frames of an animation, at most, tell of its parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Some poses of a mesh.
+
+    Attributes
+    ----------
+    mesh : str
+        A key of `MESHES`, or the name of an animation.
+    frames : tuple of int
+        Frames of the animation.
+    points : (n, V, 3) float64
+        Their vertices, in units of the file.
+    """
+
+    mesh: str
+    frames: tuple[int, ...]
+    points: Float
+    sequence: mixseq.MeshSequence
+    topology: Topology
+
+    @classmethod
+    def of(cls, mesh: str, frames: tuple[int, ...] | None = None) -> Poses:
+        """Take poses out of an animation, by default the pair of `MESHES`."""
+        sequence = animation(MESHES[mesh].animation)
+        frames = MESHES[mesh].pair if frames is None else frames
+        points = sequence.points[list(frames)].astype(np.float64)
+        return cls(mesh, frames, points, sequence, Topology(sequence.faces, sequence.vertex_count))
+
+    @classmethod
+    def farthest(cls, name: str) -> Poses:
+        """Take the first frame of an animation and the one that is farthest from it, up to rigid motions."""
+        sequence = animation(name)
+        first = sequence.points[0].astype(np.float64)
+        away = [
+            np.square(transform(first, *kabsch(first, frame.astype(np.float64))) - frame).sum()
+            for frame in sequence.points
+        ]
+        frames = (0, int(np.argmax(away)))
+        topology = Topology(sequence.faces, sequence.vertex_count)
+        return cls(name, frames, sequence.points[list(frames)].astype(np.float64), sequence, topology)
+
+    def moved(self, points: Float) -> Poses:
+        """Return the same with other vertices."""
+        return Poses(self.mesh, self.frames, points, self.sequence, self.topology)
+
+    def only(self, *frames: int) -> Poses:
+        """Return other frames of the same animation."""
+        points = self.sequence.points[list(frames)].astype(np.float64)
+        return Poses(self.mesh, frames, points, self.sequence, self.topology)
+
+    @property
+    def title(self) -> str:
+        """Name of the animation and frames."""
+        name = MESHES[self.mesh].animation if self.mesh in MESHES else self.mesh
+        return f"{name} {'-'.join(map(str, self.frames))}"
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the first pose."""
+        return bounding_diagonal(self.points[0]) or 1.0
+
+    @property
+    def telling(self) -> Float:
+        """Frames of the whole animation that tell of the parts, (T, V, 3)."""
+        step = max(1, -(-len(self.sequence) // FRAMES))
+        return self.sequence.points[::step].astype(np.float64)
+
+    def segmented(self, parts: int | None = None) -> Index:
+        """Return the parts ``(F,)`` by motion, over the whole animation."""
+        return segment_by_motion(self.telling, self.topology, parts, MotionSettings())
+
+    @cached_property
+    def lengths(self) -> Float:
+        """Edge lengths ``(n, E)``."""
+        return np.stack([edge_lengths(x, self.topology.edges) for x in self.points])
+
+    @cached_property
+    def angles(self) -> Float:
+        """Dihedral angles ``(n, H)``, from pose to pose by the shorter way round."""
+        return unwrap_angles(np.stack([dihedral_angles(x, self.topology.hinges) for x in self.points]))
+
+    def target(self, weights: Float) -> tuple[Float, Float]:
+        """Return the blended lengths ``(E,)`` and angles ``(H,)``."""
+        return weights @ self.lengths, weights @ self.angles
+
+
+def between(weight: float) -> Float:
+    """Return the weights of two poses, the second of which has this one."""
+    return np.array([1.0 - weight, weight])

@@ -1,0 +1,69 @@
+"""What is known so far: a JSON file for each table or figure, from which its page and the index are written again.
+
+A run may regenerate one table on one mesh; everything else stays as it was, and tells what it was measured on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from scripts.benchmarks.common.report import origin
+from scripts.benchmarks.common.section import markdown_table
+
+OUT = Path("docs/paper")
+Json = dict[str, Any]
+Results = dict[str, Json]
+"""What was measured, by mesh."""
+
+
+def load(name: str) -> Results:
+    """Return the results of a table or figure by mesh."""
+    file = _file(name)
+    results: Results = json.loads(file.read_text()) if file.exists() else {}
+    return results
+
+
+def save(name: str, results: Results) -> None:
+    """Keep them."""
+    file = _file(name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(results, indent=1) + "\n")
+
+
+def _file(name: str) -> Path:
+    return OUT / "results" / f"{name}.json"
+
+
+def stamped(result: Json, seconds: float) -> Json:
+    """Add when and on what something was measured."""
+    now, load = time.strftime("%Y-%m-%d %H:%M"), os.getloadavg()[0]
+    return {**result, "seconds": seconds, "measured": now, "load": load, **origin()}
+
+
+def machine_line(result: Mapping[str, Any]) -> str:
+    """Return the machine that something was measured on, in one line."""
+    return ", ".join(f"{key} {value}" for key, value in result["machine"].items())
+
+
+def origins(results: Results) -> list[str]:
+    """Return the end of a page: when and on what everything was measured."""
+    machines = list(dict.fromkeys(machine_line(result) for result in results.values()))
+    rows = [
+        (
+            mesh,
+            result["measured"],
+            f"{result['seconds']:.0f}",
+            f"{result['load']:.1f}" if "load" in result else "not known",
+            result["commit"],
+            str(1 + machines.index(machine_line(result))),
+        )
+        for mesh, result in results.items()
+    ]
+    table = markdown_table(("mesh", "measured", "s", "load", "commit", "machine"), rows)
+    told = "Load is how many programs wanted a core; where that is more than there are cores, times are too long."
+    return ["## Measured on", table, told, *(f"Machine {n}: {m}." for n, m in enumerate(machines, start=1))]

@@ -1,0 +1,132 @@
+"""Regenerate the paper's tables and figures on our data, in docs/paper.
+
+Usage: scripts/paper [NAME ...] [--mesh MESH ...], all of them without names, on all meshes without meshes. The rest of
+docs/paper stays as it is. --pages writes the pages again from what was measured before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Protocol, cast
+
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.poses import MESHES, Poses
+from scripts.paper_study.common.record import OUT, Json, Results, load, origins, save, stamped
+
+Say = Callable[[str], None]
+
+STAGES = {
+    "table-1": "times of MSGI, DSO and MixIT",
+    "table-2": "dimensions of S_e and S_m",
+    "table-3": "joint width 3, 5, 9",
+    "table-4": "numbers of parts",
+    "figure-9": "six poses",
+    "figures-10-12": "errors over the weight",
+    "figure-13": "errors with joints of width 3 and 5",
+    "figure-14": "a segmentation with too few parts",
+    "figure-15": "segmentation methods",
+    "figure-15-all": "segmentation methods on all articulated animations, skeletons",
+    "figure-16": "vertex noise, local self-intersections",
+    "figure-17": "two far poses of the cat",
+    "figure-18": "LRI and S_m in the three-signal representation",
+}
+"""All tables and figures, modules of stages/, and what each shows."""
+
+
+class Stage(Protocol):
+    """A module of stages/."""
+
+    MESHES: tuple[str, ...]
+
+    def measure(self, poses: Poses, folder: Path, say: Say) -> Json:
+        """Measure one mesh; pictures go to the folder."""
+
+    def page(self, results: Results) -> list[str]:
+        """Return the blocks of the page in Markdown."""
+
+    def verdict(self, results: Results) -> list[str]:
+        """Return what it shows, in sentences for the index."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="scripts/paper", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(STAGES))
+    parser.add_argument("--mesh", action="append", choices=MESHES, default=[])
+    parser.add_argument("--pages", action="store_true", help="only write the pages again")
+    given = parser.parse_args()
+    unknown = [name for name in given.names if name not in STAGES]
+    if unknown:
+        parser.error(f"there is no {unknown[0]}; there are {', '.join(STAGES)}")
+    if not (given.pages or os.environ.get("MIXSEQ_DATA")):
+        parser.error("set MIXSEQ_DATA to the folder with the animations")
+    failures = 0
+    for name in given.names or STAGES:
+        meshes = () if given.pages else (given.mesh or stage(name).MESHES)
+        failures += sum(not measured(name, mesh) for mesh in meshes if mesh in stage(name).MESHES)
+        write(name)
+    write_index()
+    say(f"see {OUT / 'index.md'}" + (f"; {failures} measurements failed" if failures else ""))
+    return 1 if failures else 0
+
+
+def stage(name: str) -> Stage:
+    """Return the module of a table or figure."""
+    module = import_module(f"scripts.paper_study.stages.{name.replace('-', '_')}")
+    return cast(Stage, module)
+
+
+def measured(name: str, mesh: str) -> bool:
+    """Measure a table or figure on a mesh and keep the result; tell whether that went well."""
+    say(f"{name}, {mesh} ...")
+    OUT.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    try:
+        result = stage(name).measure(Poses.of(mesh), OUT, lambda text: say(f"{name}, {mesh}: {text}"))
+    except Exception:
+        traceback.print_exc()
+        say(f"{name}, {mesh} FAILED; what was there before stays")
+        return False
+    results = {**load(name), mesh: stamped(result, time.perf_counter() - start)}
+    save(name, {known: results[known] for known in MESHES if known in results})
+    return True
+
+
+def write(name: str) -> None:
+    """Write the page of a table or figure from its results."""
+    results = load(name)
+    if results:
+        title = name.replace("-", " ").capitalize().replace("s 10 12", "s 10 to 12")
+        blocks = [f"# {title}: {STAGES[name]}", *stage(name).page(results), *origins(results)]
+        (OUT / f"{name}.md").write_text("\n\n".join([*blocks, "[All tables and figures](index.md)"]) + "\n")
+
+
+def write_index() -> None:
+    """Write the page that leads to all others, with what they show."""
+    known: Mapping[str, Results] = {name: load(name) for name in STAGES if load(name)}
+    rows = [(f"[{name}]({name}.md)", STAGES[name], ", ".join(results)) for name, results in known.items()]
+    intro = (Path(__file__).with_name("intro.md")).read_text().strip()
+    shown = [f"- **{name}**: {text}" for name in known for text in stage(name).verdict(known[name])]
+    blocks = [
+        intro,
+        markdown_table(("page", "shows", "measured on"), rows),
+        "## What came out",
+        "\n".join(shown),
+    ]
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "index.md").write_text("\n\n".join(blocks) + "\n")
+
+
+def say(text: str) -> None:
+    """Print a line with the time of day."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""Figure 18: LRI coordinates and S_m as shape spaces of the three-signal representation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mixseq
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.plots import broadside, draw_layout, draw_mesh, shared_limits
+from mixseq.plots.camera import y_up
+from mixseq.plots.charts import chart_style, new_page
+from mixseq.sequence import MeshSequence
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat
+from scripts.paper_study.common.poses import Float, Poses, between
+from scripts.paper_study.common.record import Json, Results
+from scripts.paper_study.stages.figure_14 import MOST, at_vertices
+
+MESHES = ("lion", "cat", "horse", "horse_gallop")
+MOVING = ("horse_gallop",)
+"""Those that are frames of one motion; of the others two poses are taken for a sequence of two frames."""
+
+STEP = 2
+SHORT = 1e-6
+"""Edges shorter than this, in diagonals, count as if they had this length."""
+
+SPACES: dict[str, dict[str, Any]] = {
+    "LRI": {"space": "lri"},
+    "S_m, anchored": {"space": "mixed"},
+    "S_m, free": {"space": "mixed", "placement": "free"},
+}
+
+
+def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    return (_moving if poses.mesh in MOVING else _pair)(poses, folder, say)
+
+
+def _pair(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    """Take two poses for a sequence, and look at what is half way."""
+    header = poses.sequence.header.with_times(np.array([0.0, 1.0]))
+    given = MeshSequence.from_header(header, poses.points)
+    found: Json = {}
+    row, close = [], []
+    shapes = {
+        name: mixseq.fit(given, exact=True, **settings).sample([0.5]).points[0].astype(np.float64)
+        for name, settings in SPACES.items()
+    }
+    lengths, _ = poses.target(between(0.5))
+    edges = poses.topology.edges
+    vertex = int(edges[np.abs(edge_lengths(shapes["LRI"], edges) - lengths).argmax(), 0])
+    for name, points in shapes.items():
+        found[name] = errors(poses, between(0.5), points).summary()
+        row.append(Panel(name, points, heat(poses, at_vertices(poses, points), MOST)))
+        close.append(Panel("close-up", points, close=vertex))
+        say(f"{name}: {text(found[name]['lengths'])}")
+    gallery(folder / f"figure-18-{poses.mesh}.png", poses, [row, close], f"{poses.title}, half way")
+    return {"title": poses.title, "spaces": found}
+
+
+def _moving(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    sequence = poses.sequence
+    keys = np.arange(0, len(sequence), STEP)
+    new = np.setdiff1d(np.arange(keys[-1]), keys)
+    kept = sequence.header.with_times(sequence.times[keys])
+    given = MeshSequence.from_header(kept, sequence.points[keys].astype(np.float64))
+    truth = sequence.points[new].astype(np.float64)
+    found: Json = {}
+    models, rebuilt, bad = {}, {}, {}
+    for name, settings in SPACES.items():
+        models[name] = mixseq.fit(given, exact=True, **settings)
+        rebuilt[name] = models[name].sample(sequence.times[new]).points
+        away = np.linalg.norm(rebuilt[name] - truth, axis=2) / sequence.diagonal
+        bad[name] = np.stack([strains(poses, x, y) for x, y in zip(rebuilt[name], truth, strict=True)])
+        found[name] = {
+            "rms": float(np.sqrt(np.mean(away**2))),
+            "largest": float(away.max()),
+            "lengths": [float(np.quantile(bad[name], share)) for share in (0.99, 0.999, 1.0)],
+            "dim": models[name].space.dim,
+        }
+        say(f"{name}: rms {found[name]['rms']:.2g}, largest {found[name]['largest']:.2g}")
+    number, worst = np.unravel_index(int(bad["LRI"].argmax()), bad["LRI"].shape)
+    vertex = poses.topology.edges[worst, 0]
+    frame = int(new[number])
+    shapes = {name: points[number] for name, points in rebuilt.items()}
+    draw(folder / f"figure-18-{poses.mesh}.png", poses, models, shapes, truth[number], frame, int(vertex))
+    return {"title": poses.title, "keys": len(keys), "frames": len(new), "frame": frame, "spaces": found}
+
+
+def strains(poses: Poses, points: Float, truth: Float) -> Float:
+    """Return by how much edges ``(E,)`` of a frame are too long or too short, relative to the original's."""
+    edges = poses.topology.edges
+    lengths = edge_lengths(truth, edges)
+    return np.abs(edge_lengths(points, edges) - lengths) / np.maximum(lengths, SHORT * poses.diagonal)
+
+
+def draw(
+    target: Path,
+    poses: Poses,
+    models: dict[str, Any],
+    shapes: dict[str, Float],
+    truth: Float,
+    frame: int,
+    vertex: int,
+) -> None:
+    """Draw a row for every space: the layout, a close-up of it, the frame in between and a close-up of that."""
+    sequence = poses.sequence
+    view = broadside(truth, sequence.up_axis)
+    whole = shared_limits(np.stack([truth, *shapes.values()]), sequence.up_axis, view)
+    x, y = (y_up(truth[vertex], sequence.up_axis) @ view.rows.T)[:2]
+    size = CLOSE * poses.diagonal / 2
+    window = (x - size, x + size, y - size, y + size)
+    time = float(sequence.times[frame])
+    with chart_style():
+        page = new_page(
+            13.0, 3.4 * (len(models) + 1), f"Frame {frame} of {sequence.name}, from every {STEP}nd frame"
+        )
+        panels = page.subplots(len(models) + 1, 4, squeeze=False)
+        for axes, (name, model) in zip(panels, models.items(), strict=False):
+            for ax in axes[:2]:
+                draw_layout(ax, model)
+                ax.plot(*model.layout([time]).T, "D", color="#d9331f", ms=7, zorder=5)
+            axes[0].set_title(name, fontsize=11)
+            close_up(axes[1], model, time)
+        for axes, (name, points) in zip(panels, [*shapes.items(), ("the original", truth)], strict=True):
+            for ax, limits in zip(axes[2:], (whole, window), strict=True):
+                draw_mesh(ax, points, sequence.faces, up_axis=sequence.up_axis, view=view, limits=limits)
+            axes[2].set_title(name, fontsize=10)
+        for ax in panels[-1, :2]:
+            ax.set_axis_off()
+        page.savefig(target, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def close_up(ax: Any, model: Any, time: float) -> None:
+    """Show what is between the two frames around a time."""
+    times = model.times
+    after = int(np.searchsorted(times, time))
+    ends = model.layout([times[after - 1], time, times[after]])
+    middle, half = ends.mean(axis=0), 0.8 * np.ptp(ends, axis=0).max()
+    ax.set(
+        xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), title="close-up"
+    )
+
+
+def page(results: Results) -> list[str]:
+    blocks = []
+    for mesh, result in results.items():
+        blocks.append(f"## {mesh}: {result['title']}" if mesh not in MOVING else f"## {mesh}")
+        picture = f"![Frames in between by LRI and S_m, {mesh}](figure-18-{mesh}.png)"
+        spaces = result["spaces"].items()
+        if mesh not in MOVING:
+            blocks += [
+                markdown_table(
+                    ("space", "lengths, 99 / 99.9 / 100 %", "degrees"),
+                    [(name, text(f["lengths"]), text(f["degrees"])) for name, f in spaces],
+                ),
+                "Two poses as a sequence of two frames, the frame half way; errors against the mean lengths "
+                f"and angles. In the upper row length errors, from violet (0) to yellow ({MOST:.0%} and "
+                "more); below a close-up of where an edge is worst with LRI.",
+                picture,
+            ]
+            continue
+        rows = [
+            (name, f"{f['dim']:,}", f"{f['rms']:.2g}", f"{f['largest']:.2g}", text(f["lengths"]))
+            for name, f in spaces
+        ]
+        columns = ("space", "dimension", "rms", "largest", "lengths against the original, 99 / 99.9 / 100 %")
+        blocks += [
+            f"Models of every {STEP}nd frame ({result['keys']} keys), against the {result['frames']} frames between "
+            "them; distances in diagonals.",
+            markdown_table(columns, rows),
+            "Every row: the time signal (the red mark is the frame shown), a close-up of it, the frame in "
+            "between, and a close-up where an edge has the largest error with LRI. Lowest row: the original.",
+            picture,
+        ]
+    return [
+        "The paper shows a character's eye, from a sequence that is not among our data, where LRI leaves "
+        "artefacts and S_m does not, and no numbers.",
+        *blocks,
+        "## Differences",
+        "- On the gallop, the only one of these that is a sequence as in the paper, both spaces do equally "
+        "well, and there is no artefact to see: we do not reproduce the paper's finding there. It is the "
+        "same with every third frame (rms 0.019 with LRI, 0.016 anchored, 0.017 free). The pairs of poses "
+        "were added after that, to see where LRI fails.\n"
+        "- Between far poses the errors of LRI are larger than those of the free S_m on the lion and the "
+        "cat, and about the same on the horse. The anchored S_m, which models use by default, is the worst "
+        "of the three there: it is made for near frames, and trusts where the parts expect vertices. It even "
+        "tears the face of the cat.\n"
+        "- S_m is the paper's here, strips as joints: models have no other joints.",
+    ]
+
+
+def verdict(results: Results) -> list[str]:
+    lines = []
+    for mesh, result in results.items():
+        spaces = result["spaces"].items()
+        if mesh in MOVING:
+            shown = "; ".join(f"{name} {f['rms']:.2g} / {f['largest']:.2g}" for name, f in spaces)
+            lines.append(f"Frames between keys, {mesh}, rms / largest distance in diagonals: {shown}.")
+        else:
+            shown = "; ".join(f"{name} {f['lengths'][1]:.2g}" for name, f in spaces)
+            lines.append(
+                f"Half way between two far poses, {result['title']}, length errors at 99.9 %: {shown}."
+            )
+    return lines

@@ -1,0 +1,63 @@
+"""Figure 9: six poses, each with weight 1/6."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.methods import METHODS
+from scripts.paper_study.common.pictures import Panel, gallery
+from scripts.paper_study.common.poses import MESHES as ALL
+from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.record import Json, Results
+
+MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
+
+
+def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    six = poses.only(*ALL[poses.mesh].six)
+    weights = np.full(6, 1 / 6)
+    labels = six.segmented()
+    found: Json = {}
+    blends = []
+    for name, make in METHODS.items():
+        method = make(six, labels)
+        method.prepare()
+        blend = method.at(weights)
+        found[name] = errors(six, weights, blend.points).summary()
+        blends.append(Panel(name, blend.points))
+        say(f"{name}: {text(found[name]['lengths'])}")
+    given = [Panel(f"frame {frame}", x) for frame, x in zip(six.frames, six.points, strict=True)]
+    rows = [given[:3], given[3:], blends[:3], blends[3:]]
+    gallery(folder / f"figure-9-{poses.mesh}.png", six, rows, f"{six.title}, weights 1/6")
+    return {"title": six.title, "methods": found}
+
+
+def page(results: Results) -> list[str]:
+    blocks = [
+        "Six poses in the two upper rows, their blends with equal weights below. Errors are against the "
+        "means of all six lengths and angles; the paper shows pictures only."
+    ]
+    for mesh, result in results.items():
+        rows = [
+            (name, text(found["lengths"]), text(found["degrees"]))
+            for name, found in result["methods"].items()
+        ]
+        blocks += [
+            f"## {mesh}: {result['title']}",
+            f"![Six poses and their blends, {mesh}](figure-9-{mesh}.png)",
+            markdown_table(("method", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+        ]
+    return blocks
+
+
+def verdict(results: Results) -> list[str]:
+    found = [
+        f"{mesh} {result['methods']['MixIT']['lengths'][1]:.2g} ({result['methods']['DSO']['lengths'][1]:.2g})"
+        for mesh, result in results.items()
+    ]
+    return [f"Length errors at 99.9 % of a blend of six poses by MixIT (by DSO): {', '.join(found)}."]

@@ -1,0 +1,153 @@
+"""Figures 10 to 12: envelopes of the errors over the weight, by method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.along import along, weights_of
+from scripts.paper_study.common.errors import text
+from scripts.paper_study.common.methods import METHODS, Mixed
+from scripts.paper_study.common.pictures import Panel, cut, envelopes, gallery
+from scripts.paper_study.common.poses import MESHES as ALL
+from scripts.paper_study.common.poses import Poses
+from scripts.paper_study.common.record import Json, Results
+
+MESHES = tuple(ALL)
+MIXED = ("MixIT, printed", "MixIT, strips", "MixIT")
+EDGE = ("MSGI", "DSO, from a pose", "DSO")
+FOUR = ("lion", "cat", "horse", "elephant_gallop")
+MINE = ("MixIT", "MixIT, printed")
+MEASURES = {"middle": "w = 0.5", "worst": "worst w"}
+ROUNDING = 0.005
+"""Errors whose ratio is nearer to 1 than this are the same."""
+
+
+def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    labels = poses.segmented()
+    bands: dict[str, Json] = {}
+    found: dict[str, Json] = {}
+    top = [Panel("first pose", poses.points[0]), Panel("second pose", poses.points[1])]
+    middles = []
+    for name, make in METHODS.items():
+        method = make(poses, labels)
+        result = along(poses, method)
+        bands[name], found[name] = result.bands, result.found
+        middles.append(Panel(name, result.middle))
+        if isinstance(method, Mixed):
+            found[name]["rigid"] = rigid_share(method)
+        if isinstance(method, Mixed) and name != "MixIT, printed":
+            top.append(Panel(f"joints of {name}", poses.points[0], cut(method.decomposition)))
+        say(f"{name}: 99.9 % {text([found[name]['worst'][kind][1] for kind in ('lengths', 'degrees')])}")
+    weights = weights_of(poses)
+    rows = [top, middles[:3], middles[3:]]
+    envelopes(folder / f"figures-10-12-{poses.mesh}.png", f"Errors, {poses.title}", weights, bands)
+    gallery(folder / f"figures-10-12-{poses.mesh}-middle.png", poses, rows, f"{poses.title}, w = 0.5")
+    return {"title": poses.title, "weights": len(weights), "methods": found}
+
+
+def rigid_share(method: Mixed) -> float:
+    """Return the share of the vertices that parts hold."""
+    held = np.unique(np.concatenate(method.decomposition.parts))
+    return len(held) / method.poses.sequence.vertex_count
+
+
+def ratios(result: Json, other: str, mine: str = "MixIT", of: str = "worst") -> tuple[float, float]:
+    """Errors of MixIT at 99.9 % over those of another method: lengths and degrees."""
+    a, b = (result["methods"][name][of] for name in (mine, other))
+    return a["lengths"][1] / b["lengths"][1], a["degrees"][1] / b["degrees"][1]
+
+
+def page(results: Results) -> list[str]:
+    blocks = [
+        "Difference between lengths and angles of the blend and the blended lengths and angles, relative for "
+        "lengths and in degrees, over the weight. A band holds all edges, or the 99.9 % or 99 % with the "
+        "smallest errors (for angles 99.99 % as well, as the paper draws it). The axes show square roots, so "
+        "that the inner bands can be seen. Free placement.",
+    ]
+    for mesh, result in results.items():
+        rows = [
+            (
+                name,
+                *(text(found[of][k]) for of in ("middle", "worst") for k in ("lengths", "degrees")),
+                str(found["unconverged"]),
+                f"{found['rigid']:.0%}" if "rigid" in found else "",
+            )
+            for name, found in result["methods"].items()
+        ]
+        blocks += [
+            f"## {mesh}: {result['title']}",
+            f"![Errors over the weight, {mesh}](figures-10-12-{mesh}.png)",
+            markdown_table(
+                (
+                    "method",
+                    "lengths at w = 0.5, 99 / 99.9 / 100 %",
+                    "degrees",
+                    "lengths, worst of all w",
+                    "degrees",
+                    "fits not converged",
+                    "vertices in parts",
+                ),
+                rows,
+            ),
+            f"![The middle by all methods, {mesh}](figures-10-12-{mesh}-middle.png)",
+        ]
+    columns = [f"{mine} / {other}" for mine in MINE for other in EDGE]
+    compared = [
+        (mesh, shown, *(text(ratios(result, other, mine, of)) for mine in MINE for other in EDGE))
+        for mesh, result in results.items()
+        for of, shown in MEASURES.items()
+    ]
+    return [
+        *blocks,
+        "## The paper's claim",
+        "The paper says that MSGI is slightly better on the standing elephant (Figure 10), MixIT on the "
+        "horse (11), DSO on the galloping elephant (12), and prints the curves without numbers. Ratios of "
+        "our errors at 99.9 %, lengths / degrees; below 1 MixIT is better. Two measures, as the answer "
+        "depends on it: *DSO, from a pose* starts from the first pose for every weight, which is far away "
+        "for weights near 1. So its worst weight is a matter of the start, and a start from the nearer pose "
+        "would do better there; at w = 0.5 neither pose is nearer.",
+        markdown_table(("mesh", "errors", *columns), compared),
+        claims(results),
+        "## Why",
+        "- DSO from the linear start is the minimum of the energy that all methods lower, or close to it. "
+        "S_m holds the vertices of its parts to rigid blends, which is a restriction of the same "
+        "minimisation, so it can come close to DSO but not below it, but for single quantiles (the energy is "
+        "a sum of squares, not a quantile).\n"
+        "- The paper's DSO starts from a pose. Where that pose is near, it finds the same minimum as the "
+        "linear start, and MixIT is above it; where it is far, folds stay behind.\n"
+        "- Vertices in parts tells how much of a mesh *MixIT* takes for rigid. Between poses as far apart as "
+        "those of the lion and the cat little is rigid to 1 % of an edge's length, and S_m becomes nearly "
+        "S_e: the errors get smaller, and so does the gain in time and dimension.\n"
+        "- MSGI merges patches without an optimisation of the whole; its errors are at the seams.",
+    ]
+
+
+def claims(results: Results) -> str:
+    """Say on which of the paper's meshes MixIT, ours and as printed, is at or below the methods in S_e."""
+    known = {mesh: results[mesh] for mesh in FOUR if mesh in results}
+    lines = []
+    for mine in MINE:
+        for other in EDGE:
+            for of, shown in MEASURES.items():
+                groups: dict[str, list[str]] = {
+                    "at or below in both on": [],
+                    "in lengths only on": [],
+                    "in angles only on": [],
+                    "above in both on": [],
+                }
+                for mesh, result in known.items():
+                    lengths, degrees = (value <= 1 + ROUNDING for value in ratios(result, other, mine, of))
+                    place = 0 if lengths and degrees else 1 if lengths else 2 if degrees else 3
+                    groups[list(groups)[place]].append(mesh)
+                said = [f"{what} {', '.join(meshes)}" for what, meshes in groups.items() if meshes]
+                lines.append(f"- {mine} against {other}, {shown}: {'; '.join(said)}.")
+    return "\n".join(lines)
+
+
+def verdict(results: Results) -> list[str]:
+    lines = "\n".join(f"  {line}" for line in claims(results).split("\n"))
+    return [f"Errors of lengths and angles at 99.9 %, of the paper's meshes that we have:\n{lines}"]

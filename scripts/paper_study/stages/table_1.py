@@ -1,0 +1,152 @@
+"""Table 1: times of one interpolated frame, w = 0.5, by MSGI, DSO and MixIT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
+from scripts.paper_study.common.poses import MESHES as ALL
+from scripts.paper_study.common.poses import Index, Poses, between
+from scripts.paper_study.common.printed import TABLE_1
+from scripts.paper_study.common.record import Json, Results
+
+MESHES = tuple(ALL)
+RUNS, BUDGET = 5, 25.0
+"""Times are medians of so many runs, or fewer where the seconds are spent."""
+
+EDGE = ("MSGI", "DSO, from a pose", "DSO")
+MIXED = ("MixIT, printed", "MixIT, strips", "MixIT")
+STEPS = ("align", "init", "interpolation", "stitching", "settling")
+
+
+def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    warm = Poses.of("lion")  # compiles
+    parts = warm.segmented()
+    for make in METHODS.values():
+        once(make, warm, parts)
+    clock = Clock()
+    labels = poses.segmented()
+    result: Json = {"segmentation": 1e3 * clock.lap(), "faces": len(poses.sequence.faces)}
+    for name, make in METHODS.items():
+        result[name] = timed(make, poses, labels)
+        say(f"{name}: {result[name]['total']:.0f} ms")
+    return result
+
+
+def once(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> tuple[list[float], int]:
+    """Return seconds of the steps, and iterations."""
+    fresh = poses.moved(poses.points)  # nothing is known of them yet
+    method = make(fresh, labels)
+    clock = Clock()
+    align = 0.0
+    if isinstance(method, Mixed):
+        method.align()
+        align = clock.lap()
+    method.prepare()
+    init = clock.lap()
+    if isinstance(method, Mixed):
+        blend, steps = method.timed(between(0.5))
+    else:
+        blend = method.at(between(0.5))
+        steps = (clock.lap(), 0.0, 0.0)
+    return [align, init, *steps], sum(report.iterations for report in blend.reports)
+
+
+def timed(make: Callable[[Poses, Index], Method], poses: Poses, labels: Index) -> Json:
+    """Return medians in milliseconds; the total is without the alignment, which the initialisation does too."""
+    rows: list[list[float]] = []
+    while not rows or (len(rows) < RUNS and sum(map(sum, rows)) < BUDGET):
+        seconds, iterations = once(make, poses, labels)
+        rows.append(seconds)
+    medians = 1e3 * np.median(rows, axis=0)
+    return {
+        **dict(zip(STEPS, medians.tolist(), strict=True)),
+        "total": float(medians[1:].sum()),
+        "iterations": iterations,
+        "runs": len(rows),
+    }
+
+
+def page(results: Results) -> list[str]:
+    edge: list[tuple[str, ...]] = []
+    mixed: list[tuple[str, ...]] = []
+    for mesh, result in results.items():
+        printed = TABLE_1.get(ALL[mesh].printed)
+        if printed and mesh != "horse_gallop":
+            edge.append((f"**{mesh}**", "MSGI, the paper", f"{printed.msgi_init}", f"{printed.msgi_interpolation}",
+                         "", "", f"{printed.msgi_total}"))  # fmt: skip
+            edge.append((f"**{mesh}**", "DSO, the paper", "", "", f"{printed.dso_iterations}",
+                         f"{printed.dso_iteration}", f"{printed.dso_total}"))  # fmt: skip
+            mixed.append(
+                (f"**{mesh}**", "the paper",
+                 *map(str, (printed.align, printed.init, printed.interpolation, printed.stitching)), "",
+                 str(printed.total), str(printed.speed_up), f"{printed.dso_total / printed.total:.0f}", "")
+            )  # fmt: skip
+        for name in EDGE:
+            row = result[name]
+            steps = "" if name == "MSGI" else str(row["iterations"])
+            each = "" if name == "MSGI" else f"{row['interpolation'] / max(row['iterations'], 1):.0f}"
+            edge.append(
+                (mesh, name, f"{row['init']:.0f}", f"{row['interpolation']:.0f}", steps, each, f"{row['total']:.0f}")
+            )  # fmt: skip
+        for name in MIXED:
+            row = result[name]
+            mixed.append(
+                (mesh, name, *(f"{row[key]:.0f}" for key in STEPS), f"{row['total']:.0f}",
+                 *(f"{result[other]['total'] / row['total']:.1f}" for other in EDGE))
+            )  # fmt: skip
+    return [
+        "Milliseconds for one frame between two poses, w = 0.5; medians of up to 5 runs. Init. is everything "
+        "that is done once for two poses: analysis and factors of the systems, encoding, registration of the "
+        "parts. Align. is the registration alone; it is part of Init., and not added again. As in the paper "
+        "the segmentation is not part of the times.",
+        "## In S_e",
+        markdown_table(("mesh", "method", "Init.", "Interp.", "iterations", "per iteration", "Total"), edge),
+        "## MixIT",
+        markdown_table(
+            (
+                "mesh",
+                "method",
+                "Align.",
+                "Init.",
+                "Interp.",
+                "Stitch.",
+                "Settle",
+                "Total",
+                "MSGI / this",
+                "DSO from a pose / this",
+                "DSO / this",
+            ),
+            mixed,
+        ),
+        "The segmentation by motion takes "
+        + ", ".join(f"{result['segmentation']:.0f} ms on {mesh}" for mesh, result in results.items())
+        + ", over all frames of the animation.",
+        "## Differences",
+        "- The paper's DSO takes 6 to 27 iterations at half a second to half a minute each. Ours solves the "
+        "same systems with a sparse direct solver whose pattern is analysed once, and from the linear start "
+        "it needs few iterations. So what MixIT gains over DSO is far less here than in the paper: the paper "
+        "compares with a slow DSO, and says so itself (Section 3).\n"
+        "- Interp. of *strips* and *MixIT* is the linear start of the joints only; their Gauss-Newton is "
+        "Settle, of parts and joints together. *Printed* has the paper's steps.\n"
+        "- Our Init. is large beside the interpolation: the analysis of sparse patterns, in Python. It is "
+        "done once for any number of frames; the paper's is not.",
+    ]
+
+
+def verdict(results: Results) -> list[str]:
+    lines = []
+    for name in MIXED:
+        gains = [
+            f"{mesh} " + " / ".join(f"{result[edge]['total'] / result[name]['total']:.1f}" for edge in EDGE)
+            for mesh, result in results.items()
+        ]
+        lines.append(f"{name}: {', '.join(gains)}")
+    return [
+        "Times of MSGI / DSO from a pose / DSO from the linear start over that of " + "; ".join(lines) + ". "
+        "The paper prints 3.2 to 8.0 for MSGI on these meshes, and 30 to 98 for DSO."
+    ]

@@ -1,0 +1,75 @@
+"""The paper's tables as data, and the measures of scripts/paper."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from mixseq.topology import Topology
+from scripts.paper_study.common.errors import band, errors, text
+from scripts.paper_study.common.poses import Poses, between
+from scripts.paper_study.common.printed import TABLE_1, TABLE_2, TABLE_3, TABLE_4, edge_dimension
+from scripts.paper_study.main import STAGES
+from tests.meshes import tetrahedron
+
+
+@pytest.mark.parametrize("name", TABLE_1)
+def test_printed_times_add_up(name: str) -> None:
+    row = TABLE_1[name]
+    assert row.msgi_init + row.msgi_interpolation - row.msgi_total in (
+        0,
+        -100,
+    )  # -100 on the standing elephant
+    assert row.align + row.init + row.interpolation + row.stitching == row.total
+    assert row.msgi_total / row.total == pytest.approx(row.speed_up, abs=0.1)
+    assert row.dso_iterations * row.dso_iteration == pytest.approx(row.dso_total, rel=0.002)
+
+
+def test_printed_variants_add_up_but_for_one() -> None:
+    wrong = {
+        key: row.total - (row.align + row.init + row.interpolation + row.stitching)
+        for key, row in [*TABLE_3.items(), *TABLE_4.items()]
+        if row.align + row.init + row.interpolation + row.stitching != row.total
+    }
+    assert wrong == {("horse", 30, 20): 15}  # so it is printed
+
+
+@pytest.mark.parametrize("name", TABLE_2)
+def test_printed_dimensions_of_s_e_count_vertices_too(name: str) -> None:
+    faces, vertices, printed = TABLE_1[name].faces, TABLE_1[name].vertices, TABLE_2[name]
+    boundary = 19 if name == "horse" else 0
+    assert edge_dimension((3 * faces + boundary) // 2, vertices) == printed.edge
+    assert printed.edge / printed.mixed == pytest.approx(printed.ratio, abs=0.05)
+
+
+def test_bands_hold_the_share_that_is_nearest_to_zero() -> None:
+    values = np.array([-3.0, -1.0, 0.5, 9.0])
+    assert band(values, 1.0) == (-3.0, 9.0)
+    assert band(values, 0.75) == (-3.0, 0.5)
+    assert band(values, 0.25) == (0.0, 0.5)
+
+
+def test_errors_of_a_scaled_tetrahedron() -> None:
+    points, faces = tetrahedron()
+    topology = Topology(faces, len(points))
+    frames = np.stack([points, 3.0 * points]).astype(np.float64)
+    sequence = cast(Any, SimpleNamespace(faces=faces))
+    poses = Poses("lion", (0, 1), frames, sequence, topology)
+    right = errors(poses, between(0.5), 2.0 * points)
+    assert right.strain == pytest.approx(0, abs=1e-12) and right.degrees == pytest.approx(0, abs=1e-9)
+    assert errors(poses, between(0.5), 3.0 * points).strain == pytest.approx(0.5)
+    assert errors(poses, between(0.25), 3.0 * points).at(1.0)[0] == pytest.approx(1.0)
+
+
+def test_numbers_have_two_digits_and_no_exponents() -> None:
+    assert text((1e-9, 0.0123, 4.56, 123.4)) == "0 / 0.012 / 4.6 / 123"
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_table_and_figure_has_its_module(name: str) -> None:
+    module = import_module(f"scripts.paper_study.stages.{name.replace('-', '_')}")
+    assert module.MESHES and all(callable(getattr(module, what)) for what in ("measure", "page", "verdict"))
