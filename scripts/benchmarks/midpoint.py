@@ -1,4 +1,4 @@
-"""Midpoints of two poses in S_m: how far lengths and angles are from the means of the two.
+"""Midpoints of two poses: how far lengths and angles are from the means of the two.
 
 Usage: scripts/bench midpoint [NAME FIRST SECOND]
 """
@@ -15,6 +15,8 @@ import numpy as np
 
 import mixseq
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.operations.interpolation import Blend
+from mixseq.spaces.making import SpaceName
 
 PAIRS = (("lion_poses", 2, 5), ("cat_poses", 1, 3), ("horse_poses", 1, 3), ("horse_gallop", 0, 12))
 
@@ -53,6 +55,13 @@ def measure(path: Path, first: int, second: int) -> None:
         start = time.perf_counter()
         points, reports = model.mixed.decode_with_reports(vector)
         show(f"S_m {placement}", points[0], time.perf_counter() - start, reports[0])
+    spaces: tuple[tuple[SpaceName, str], ...] = (("mixed", "interpolate"), ("edge", "interpolate, edge"))
+    for space, method in spaces:
+        blend = Blend.of(sequence, space, among=[first, second])
+        blend.space.prepare()
+        start = time.perf_counter()
+        point, report = blend.at_with_reports([0.5, 0.5])
+        show(method, point, time.perf_counter() - start, report)
 
 
 def envelope(errors: Any) -> str:
