@@ -259,6 +259,21 @@ def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequenc
     return MeshSequence.from_header(header, points)
 
 
+def check_frames(frames: object) -> None:
+    """Refuse what is no sequence.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If it is the name of a file, an array, or anything else without a header.
+    """
+    if not isinstance(getattr(frames, "header", None), SequenceHeader):
+        raise InvalidSequenceError(
+            f"a MeshSequence or an open sequence is expected, not {type(frames).__name__}; read files "
+            "with mixseq.read, make sequences of arrays with MeshSequence.from_arrays"
+        )
+
+
 def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) -> None:
     """Check a block of frames against its header.
 

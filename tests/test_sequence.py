@@ -17,6 +17,7 @@ from mixseq.sequence import (
     SequenceHeader,
     bounding_diagonal,
     check_block,
+    check_frames,
     collect,
     header_fields,
 )
@@ -268,3 +269,9 @@ def test_blocks_are_checked_by_the_frames_they_hold() -> None:
         check_block(header, points(2, 7), first_frame=100)
     with pytest.raises(InvalidSequenceError, match=r"points have shape \(4, 3\)"):
         check_block(header, points()[0], first_frame=0)
+
+
+@pytest.mark.parametrize("wrong", ["walk.npz", np.zeros((2, 3, 3)), None])
+def test_what_is_no_sequence_is_refused(wrong: object) -> None:
+    with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not"):
+        check_frames(wrong)

@@ -26,7 +26,7 @@ from mixseq.pickling import Remade
 from mixseq.progress import Progress, Stages, silent
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.segmentation import MotionSettings
-from mixseq.sequence import Frames, SequenceHeader
+from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
@@ -40,8 +40,8 @@ Float = NDArray[np.float64]
 SHRINK = 0.01
 """Joints go on inside parts where a blend would shorten an edge by more than this share of its length."""
 
-SUM = 1e-9
-"""Weights may add up to one with this error."""
+SUM = 1e-6
+"""Weights may add up to one with this error, that of single precision; they are divided by their sum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +91,7 @@ class Blend(Remade):
         """
         settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
         check_space(space, settings, usual=SpaceSettings(placement="free", shrink=SHRINK))
+        check_frames(poses)
         count = poses.header.frame_count
         blended = np.arange(count) if among is None else np.asarray(among)
         if blended.ndim != 1 or not np.issubdtype(blended.dtype, np.integer) or not len(blended):
@@ -228,6 +229,7 @@ def interpolate(
     >>> mixseq.interpolate(walk, [0.5, 0.5, 0, 0]).shape == walk.points[0].shape
     True
     """
+    check_frames(poses)
     weights = checked_weights(weights, poses.header.frame_count)  # before the work
     used = np.flatnonzero(weights)
     blend = Blend.of(
@@ -273,4 +275,4 @@ def checked_weights(weights: ArrayLike, count: int) -> Float:
             if total
             else "weights add up to 0 and must add up to 1; raise one of them"
         )
-    return numbers
+    return np.asarray(numbers / total)

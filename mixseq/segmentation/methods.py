@@ -73,7 +73,10 @@ def segment(
         faces.
     """
     if method not in METHODS:
-        raise SettingsError(f"there is no segmentation method {method!r}; there are: {', '.join(METHODS)}")
+        raise SettingsError(
+            f"there is no segmentation method {method!r}; there are: {', '.join(METHODS)} "
+            "(labels and skeletons are read by mixseq_io.read_labels)"
+        )
     found = METHODS[method]
     if settings is not None and not isinstance(settings, found.settings):
         raise SettingsError(

@@ -12,7 +12,7 @@ from mixseq.mapping import OrderedMap, on_threads
 from mixseq.progress import Progress, Stages, silent
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings
-from mixseq.sequence import Frames
+from mixseq.sequence import Frames, check_frames
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
@@ -123,6 +123,7 @@ def fit(
     >>> mixseq.compare(walk, mixseq.fit(walk, exact=True).sample()).max_error < 1e-12
     True
     """
+    check_frames(sequence)
     _check(exact, tolerance, rank, knots, pose)
     settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
     check_space(space, settings, usual=SpaceSettings())
@@ -153,7 +154,7 @@ def _check(
         raise SettingsError("tolerance chooses rank and knots; give either tolerance, or rank and knots")
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise SettingsError(f"tolerance is {tolerance}; a positive number is expected (or exact=True)")
-    if rank is not None and rank < 0:
-        raise SettingsError(f"rank is {rank}; zero or more shape modes are expected")
+    if rank is not None and not (isinstance(rank, int | np.integer) and rank >= 0):
+        raise SettingsError(f"rank is {rank}; a whole number of shape modes, zero or more, is expected")
     if pose not in ("modes", "keys"):
         raise SettingsError(f"pose is {pose!r}; 'modes' or 'keys' is expected")

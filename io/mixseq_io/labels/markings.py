@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LABELS, GROUPS, MATERIALS, COLOURS, SKELETON = "labels", "groups", "materials", "colours", "skeleton"
 """Names of sources. Families of USD's subsets that are none of these go by their own names."""
 
+FAMILY = "mixseq"
+"""Family of those of USD's subsets that are parts: the source `LABELS`."""
+
 SMALLEST_JOINT = 0.01
 """Share of the polygons that a joint needs to be a part of its own; the value is ours."""
 

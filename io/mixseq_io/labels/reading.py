@@ -30,7 +30,7 @@ from mixseq.errors import AmbiguousError, FormatError, SettingsError
 from mixseq.polygons import FloatArray, IntArray, Polygons
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq_io.labels.faces import Labels, triangle_labels
-from mixseq_io.labels.markings import COLOURS, LABELS, SKELETON, SMALLEST_JOINT
+from mixseq_io.labels.markings import COLOURS, FAMILY, LABELS, SKELETON, SMALLEST_JOINT
 from mixseq_io.npz import DAMAGE
 from mixseq_io.reader import SequenceReader, reading
 from mixseq_io.registry import PathLike, open_sequence
@@ -109,6 +109,8 @@ def labels_of(
 
 
 def _chosen(file: Path, sources: Sources, wanted: str | None) -> Callable[[], Labels]:
+    if wanted == FAMILY and wanted not in sources:
+        wanted = LABELS  # what the family that `mixseq segment` writes is called here
     if wanted is not None:
         if wanted not in sources:
             raise FormatError(f"{file} has no {wanted!r} to label faces by; {_what_there_is(list(sources))}")

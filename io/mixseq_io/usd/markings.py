@@ -18,6 +18,7 @@ from mixseq.polygons import FloatArray, Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.labels.markings import (
+    FAMILY,
     GROUPS,
     LABELS,
     MATERIALS,
@@ -30,9 +31,6 @@ from mixseq_io.labels.markings import (
 from mixseq_io.usd.meshes import display_name
 from mixseq_io.usd.motion import Track
 from mixseq_io.usd.surface import rows_of_corners, within
-
-FAMILY = "mixseq"
-"""Family of the subsets that are parts."""
 
 NUMBER = "mixseq:part"
 """Number of a part in the custom data of its subset."""

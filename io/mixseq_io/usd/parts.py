@@ -12,7 +12,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from mixseq.polygons import IntArray
-from mixseq_io.usd.markings import FAMILY, NUMBER
+from mixseq_io.labels.markings import FAMILY
+from mixseq_io.usd.markings import NUMBER
 from mixseq_io.usd.paths import identifier
 
 

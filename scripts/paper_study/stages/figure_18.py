@@ -158,7 +158,8 @@ def page(results: Results) -> list[str]:
                     ("space", "lengths, 99 / 99.9 / 100 %", "degrees"),
                     [(name, text(f["lengths"]), text(f["degrees"])) for name, f in spaces],
                 ),
-                "Two poses as a sequence of two frames, the frame half way; errors against the mean lengths "
+                "Two poses as a sequence of two frames, modelled as `fit` does by default, with parts from these two "
+                "and joints at boundaries only; the frame half way; errors against the mean lengths "
                 f"and angles. In the upper row length errors, from violet (0) to yellow ({MOST:.0%} and "
                 "more); below a close-up of where an edge is worst with LRI.",
                 picture,
