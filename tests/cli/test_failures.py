@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -248,7 +249,11 @@ def test_an_interrupt_that_a_library_swallows_comes_again(error: Any, code: int)
         for _ in range(200):
             time.sleep(0.01)
 
+    # A process that was started in the background ignores interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         assert exit_code(work) == code
     except SystemExit as leaving:
         assert leaving.code == code
+    finally:
+        signal.signal(signal.SIGINT, before)
