@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mixseq import segmentation
 from mixseq.segmentation import MethodName, MethodSettings
-from mixseq.sequence import MeshSequence
+from mixseq.sequence import MeshSequence, check_frames
 from mixseq.topology import Topology
 
 
@@ -39,9 +39,12 @@ def segment(
 
     Raises
     ------
+    InvalidSequenceError
+        If it is no sequence.
     SettingsError
         If there is no such method, the settings are another method's, or `parts` is below one or above the number of
         triangles.
     """
+    check_frames(sequence)
     topology = Topology(sequence.faces, sequence.vertex_count)
     return segmentation.segment(sequence.points, topology, method, parts, settings)

@@ -156,8 +156,12 @@ def make_space(
         return GradientSpace(topology, scale, reference)
     if name == "lri":
         return LRISpace(topology, scale, reference)
-    lengths = _mean_lengths(frames, topology, scale, workers, progress)
     shell, edge = settings.shell or ShellSettings(), settings.edge or EdgeSettings()
+    if edge.coarse is not None and edge.coarse >= header.vertex_count:
+        raise SettingsError(
+            f"coarse is {edge.coarse}; the mesh has {header.vertex_count} vertices, a coarse one has fewer"
+        )
+    lengths = _mean_lengths(frames, topology, scale, workers, progress)
     return EdgeSpace(topology, scale, reference, lengths, shell, edge)
 
 

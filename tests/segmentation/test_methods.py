@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.errors import SettingsError
+from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.segmentation import (
     METHODS,
     MethodName,
@@ -233,3 +233,8 @@ def test_parts_of_real_animations(data: Path, name: str, method: MethodName) -> 
     share = share / share.sum()
     faces_of_component = np.bincount(component)[component[np.unique(labels, return_index=True)[1]]]
     assert ((share >= SMALLEST) | (np.bincount(labels) == faces_of_component)).all()
+
+
+def test_what_is_no_sequence_is_refused() -> None:
+    with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not str"):
+        mixseq.segment("walk.npz")  # type: ignore[arg-type]

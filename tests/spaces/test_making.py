@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.sequence import MeshSequence
 from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSpace, SpaceName, SpaceSettings, make_space
@@ -87,3 +88,11 @@ def test_the_first_frame_is_the_unit_in_every_space() -> None:
     points = bending(tube(4, 5), frames=3).astype(np.float32)
     sequence = MeshSequence.from_arrays(points, tube(4, 5)[1])
     assert {make_space(sequence, name).scale for name in SPACES} == {sequence.diagonal}
+
+
+def test_a_coarse_mesh_is_coarser() -> None:
+    settings = SpaceSettings(edge=EdgeSettings(coarse=LONG.vertex_count))
+    with pytest.raises(
+        SettingsError, match=f"the mesh has {LONG.vertex_count} vertices, a coarse one has fewer"
+    ):
+        make_space(LONG, "edge", settings)
