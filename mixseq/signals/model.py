@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,16 @@ MOST_FRAMES = 10_000_000
 """More would be a slip of the rate or of the speed."""
 
 
+class Corrections(Protocol):
+    """Displacements of vertices over time, in the units of the sequence."""
+
+    def at(self, times: Float) -> Float:
+        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
+
+    def rates(self, times: Float) -> Float:
+        """Return their derivatives ``(N, V, 3)`` by time, per second."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model(Remade):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -62,6 +72,8 @@ class Model(Remade):
         offsets, ``O = space.offset_dim``.
     placement : Curve
         Where the parts are: a curve of `ShapeSpace.stored_placement_dim` coordinates.
+    corrections : Corrections, optional
+        Displacements of vertices that signals alone do not reproduce: a compressed sequence keeps its promise by them.
 
     Raises
     ------
@@ -75,6 +87,7 @@ class Model(Remade):
     pose: PoseMap
     shapes: Float
     placement: Curve
+    corrections: Corrections | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", frozen(np.asarray(self.shapes, dtype=np.float64)))
@@ -357,9 +370,13 @@ class Model(Remade):
 
 def _points(model: Model, times: Float) -> Float:
     vectors, offsets = model._at(times)
-    return model.space.decode(vectors, offsets=offsets)
+    points = model.space.decode(vectors, offsets=offsets)
+    return points if model.corrections is None else points + model.corrections.at(times)
 
 
 def _moving_points(model: Model, times: Float) -> tuple[Float, Float]:
     (vectors, offsets), (rates, offset_rates) = model._at(times), model._rates_at(times)
-    return model.space.decode_moving(vectors, rates, offsets, offset_rates)
+    points, speeds = model.space.decode_moving(vectors, rates, offsets, offset_rates)
+    if model.corrections is None:
+        return points, speeds
+    return points + model.corrections.at(times), speeds + model.corrections.rates(times)

@@ -173,6 +173,32 @@ def _deviations(directions: Float, centred: Float) -> Float:
     return np.asarray(directions @ centred / np.sqrt(directions.shape[1]))
 
 
+def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:
+    """Make the pose signal and the key shapes of vectors ``mean + scores @ directions``.
+
+    Parameters
+    ----------
+    scores : (T, r) float64
+        Points of pose space.
+    mean : (D,) float64
+        Vector at its origin.
+    directions : (r, D) float64
+        Change of the vector along every coordinate.
+
+    Returns
+    -------
+    pose : PoseMap
+        From scores to the weights of the key shapes.
+    shapes : (1 + r, D) float64
+        The mean, and it plus one standard deviation along every direction.
+    """
+    sizes = np.sqrt(np.square(scores).mean(axis=0))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    steps = np.diag(1 / sizes)
+    pose = PoseMap(np.eye(len(sizes) + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
+    return pose, np.concatenate([mean[None], mean + sizes[:, None] * directions])
+
+
 def choose_keys(scores: Float) -> Index:
     """Choose frames as key shapes for points of pose space.
 

@@ -1,0 +1,1 @@
+"""Compression: signals as few bytes, with an error that is guaranteed."""

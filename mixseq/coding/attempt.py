@@ -1,0 +1,108 @@
+"""One compression with a given step, and what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.coding.basis import Basis
+from mixseq.coding.coded import Chunk
+from mixseq.coding.corrections import needed, width, write_corrections
+from mixseq.coding.factors import Factors
+from mixseq.coding.graph import SignalGraph
+from mixseq.coding.streams import basis_of, chunks, write_fields, write_tracks
+from mixseq.stored import Stored, blocks_of
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A sequence, coded with one step.
+
+    Attributes
+    ----------
+    step : float
+        The step.
+    rank : int
+        Number of fields that were coded; those that are zero are not in the basis.
+    basis : Basis
+        Fields as a decoder has them.
+    tracks : (T, K, d) float64
+        Tracks as a decoder has them.
+    fields : tuple of bytes
+        Streams of the fields.
+    chunks : tuple of Chunk
+        Streams of the tracks and, if there is a bound, of the corrections.
+    error : float
+        Root of the sum of all squared distances, without corrections.
+    """
+
+    step: float
+    rank: int
+    basis: Basis
+    tracks: Float
+    fields: tuple[bytes, ...]
+    chunks: tuple[Chunk, ...]
+    error: float
+
+    @cached_property
+    def size(self) -> int:
+        """Number of bytes."""
+        return sum(map(len, self.fields)) + sum(len(c.tracks) + len(c.corrections) for c in self.chunks)
+
+
+def attempt(
+    sequence: Stored,
+    factors: Factors,
+    step: float,
+    graph: SignalGraph,
+    bound: float | None = None,
+    dry: bool = False,
+) -> Attempt:
+    """Code a sequence.
+
+    Parameters
+    ----------
+    sequence : Stored
+        The sequence.
+    factors : Factors
+        Its fields.
+    step : float
+        Quantisation step, in the units of the sequence.
+    graph : SignalGraph
+        Of its mesh.
+    bound : float, optional
+        Largest distance of a vertex, in the units of the sequence; by default there are no corrections.
+    dry : bool
+        Leave out the coding: only the error counts.
+    """
+    decoded, fields = write_fields(factors, step, graph, dry)
+    basis = basis_of(factors.name, decoded, len(sequence.points))
+    # Nearest to the sequence with the fields that decoders have: that makes good some of what rounding spoiled.
+    tracks, streams = write_tracks(basis, basis.fit(sequence), step, dry)
+    squares = 0.0
+    for points, block in zip(blocks_of(sequence.points), basis.blocks(tracks), strict=True):
+        squares += float(np.square(points - block).sum())
+    parts = []
+    for frames, stream in zip(chunks(len(tracks)), streams, strict=True):
+        corrections = b"" if bound is None else _corrections(sequence, basis, tracks, frames, bound, graph)
+        parts.append(Chunk(frames.start, len(frames), stream, corrections))
+    return Attempt(step, len(decoded), basis, tracks, fields, tuple(parts), float(np.sqrt(squares)))
+
+
+def _corrections(
+    sequence: Stored, basis: Basis, tracks: Float, frames: range, bound: float, graph: SignalGraph
+) -> bytes:
+    def numbers(frame: int) -> NDArray[np.int64]:
+        one = slice(frame, frame + 1)
+        apart = np.asarray(sequence.points[one] - basis.frames(tracks[one]))
+        return np.asarray(needed(apart, bound)[0])
+
+    return write_corrections((numbers(frame) for frame in frames), graph)
+
+
+__all__ = ["Attempt", "attempt", "width"]

@@ -1,0 +1,91 @@
+r"""Fields and tracks of a compressed sequence, as a decoder has them, and what they are together.
+
+With fields :math:`\hat b_k` and tracks :math:`\hat u_k` a frame is
+
+.. math:: x_t(v) = \sum_k \hat u_k(t)\, \hat b_k(v)
+
+with :math:`\hat b_0 = 1/\sqrt V` of trajectories, and :math:`\hat u_0 = 1/\sqrt T` of shapes, which are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from mixseq.coding.coded import FactorName
+from mixseq.stored import Stored, block_size, blocks_of
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Decoded fields.
+
+    Attributes
+    ----------
+    name : {"trajectories", "shapes"}
+        Which factors.
+    fields : (K, c, V) float64
+        Fields in the units of the sequence; c = 1 of trajectories, whose first field is constant, 3 of shapes.
+    frame_count : int
+        Number T of frames.
+    """
+
+    name: FactorName
+    fields: Float
+    frame_count: int
+
+    @property
+    def norms(self) -> Float:
+        """Norms ``(K,)`` of the fields."""
+        norms: Float = np.sqrt(np.square(self.fields).sum(axis=(1, 2)))
+        return norms
+
+    @property
+    def free(self) -> slice:
+        """Fields whose tracks are coded: all but the mean shape."""
+        return slice(0 if self.name == "trajectories" else 1, None)
+
+    def fit(self, sequence: Stored) -> Float:
+        """Return the tracks ``(T, K, 3 / c)`` of the free fields that are nearest to a sequence, least squares."""
+        scaled = (self.fields / self.norms[:, None, None])[self.free]
+        count = len(scaled)
+        flat = scaled.reshape(count, -1)
+        # Fields are nearly orthogonal; a trace of damping is for those that are the same, after rounding.
+        factor = linalg.cho_factor(flat @ flat.T + 1e-9 * np.eye(count))
+        tracks = []
+        for block in blocks_of(sequence.points):
+            points = block.astype(np.float64)
+            if self.name == "trajectories":
+                right = np.einsum("kv,tvi->kti", flat, points, optimize=True)
+            else:
+                points = points - self._mean
+                right = np.einsum("kiv,tvi->kt", scaled, points, optimize=True)[..., None]
+            solved = linalg.cho_solve(factor, right.reshape(count, -1)).reshape(right.shape)
+            tracks.append(solved.transpose(1, 0, 2))
+        scales = self.norms[self.free]
+        return np.concatenate(tracks) / scales[:, None]
+
+    def frames(self, tracks: Float) -> Float:
+        """Return the frames ``(T, V, 3)`` of tracks ``(T, K, 3 / c)`` of the free fields."""
+        if self.name == "trajectories":
+            return np.asarray(np.einsum("kv,tki->tvi", self.fields[:, 0], tracks, optimize=True))
+        return np.asarray(
+            self._mean + np.einsum("kiv,tk->tvi", self.fields[1:], tracks[..., 0], optimize=True)
+        )
+
+    def blocks(self, tracks: Float) -> Iterator[Float]:
+        """Yield the frames of tracks in blocks of those of `mixseq.stored.blocks_of`."""
+        size = block_size(self.fields.shape[2])
+        for start in range(0, len(tracks), size):
+            yield self.frames(tracks[start : start + size])
+
+    @property
+    def _mean(self) -> Float:
+        mean: Float = self.fields[0].T / np.sqrt(self.frame_count)
+        return mean

@@ -1,0 +1,89 @@
+"""A compressed sequence: streams of bytes, and the few numbers that say how to read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mixseq.sequence import SequenceHeader
+
+FactorName = Literal["trajectories", "shapes"]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive frames, which can be decoded without those of other chunks.
+
+    Attributes
+    ----------
+    first, count : int
+        The frames: ``first`` to ``first + count - 1``.
+    tracks : bytes
+        The time signals at these frames.
+    corrections : bytes
+        What brings vertices below the bound; empty if nothing has to.
+    """
+
+    first: int
+    count: int
+    tracks: bytes
+    corrections: bytes = b""
+
+
+@dataclass(frozen=True)
+class CodingParameters:
+    """What has to be known to decode, all of it plain numbers and strings.
+
+    Attributes
+    ----------
+    factors : {"trajectories", "shapes"}
+        What the fields over the mesh are: see `mixseq.coding.factors`.
+    rank : int
+        Number K of fields that are coded.
+    frame_count : int
+        Number T of frames that were coded; a damaged file may have fewer.
+    step : float
+        Quantisation step, in the units of the sequence.
+    diagonal : float
+        Diagonal of the bounding box of the first frame, in the units of the sequence.
+    max_error : float
+        Largest distance of a vertex from the original at the frames, in diagonals, measured by decoding; a promise.
+    kg_percent : float
+        KG error of all frames, measured.
+    promised : bool
+        Whether `max_error` was asked for: then it is the bound that was asked for, and corrections see to it.
+    correction : float
+        Unit of the corrections, in the units of the sequence; zero if there are none.
+    """
+
+    factors: FactorName
+    rank: int
+    frame_count: int
+    step: float
+    diagonal: float
+    max_error: float
+    kg_percent: float
+    promised: bool
+    correction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Coded:
+    """A compressed sequence, as a file holds it.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    parameters : CodingParameters
+        How to read the streams.
+    fields : tuple of bytes
+        Signals over the mesh, in groups; each group needs those before it, and makes the sequence more accurate.
+    chunks : tuple of Chunk
+        Signals over time: all frames, in order.
+    """
+
+    header: SequenceHeader
+    parameters: CodingParameters
+    fields: tuple[bytes, ...]
+    chunks: tuple[Chunk, ...]

@@ -1,0 +1,45 @@
+"""Compiled loops of `mixseq.coding.entropy`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.compiled import compiled
+
+Int = NDArray[np.int64]
+Float = NDArray[np.float64]
+
+
+@compiled
+def shares(counts: Int, contexts: Int) -> Float:
+    """Return the probabilities ``(n, S)`` of symbols in contexts ``(n,)``: quotients of counts ``(C, S)``."""
+    size = counts.shape[1]
+    whole = np.zeros(len(counts))
+    rows = np.empty((len(contexts), size))
+    for row in range(len(contexts)):
+        context = contexts[row]
+        if whole[context] == 0.0:
+            total = 0
+            for symbol in range(size):
+                total += counts[context, symbol]
+            whole[context] = total
+        for symbol in range(size):
+            rows[row, symbol] = counts[context, symbol] / whole[context]
+    return rows
+
+
+@compiled
+def count(counts: Int, symbols: Int, contexts: Int, weight: int, most: int) -> None:
+    """Add symbols ``(n,)`` to the counts of their contexts, and halve counts that are too many."""
+    for place in range(len(symbols)):
+        counts[contexts[place], symbols[place]] += weight
+    for context in range(len(counts)):
+        total = 0
+        for symbol in range(counts.shape[1]):
+            total += counts[context, symbol]
+        while total > most:
+            total = 0
+            for symbol in range(counts.shape[1]):
+                counts[context, symbol] = (counts[context, symbol] + 1) // 2
+                total += counts[context, symbol]

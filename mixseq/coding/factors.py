@@ -1,0 +1,125 @@
+r"""A sequence as products of signals over the mesh and signals over time.
+
+trajectories
+    :math:`x_t(v) = u_0(t) / \sqrt V + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories, of
+    which one field :math:`b_k` of numbers over the mesh goes with a track :math:`u_k(t)` of three coordinates. A rigid
+    part needs four of them, and has fields that are affine functions of the place. The best for most sequences.
+shapes
+    :math:`x_t(v) = b_0(v) / \sqrt T + \sum_k u_k(t)\, b_k(v)`: principal components of the frames, of which one field
+    of three coordinates goes with a track of numbers. For meshes that have few vertices for their frames' number.
+
+Both are optimal in the least-squares sense. If every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to a
+multiple of the same step, all of them cost and spoil alike: reverse water-filling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from mixseq.coding.coded import FactorName
+from mixseq.stored import Stored
+from mixseq.table import Table, column_blocks, new_table
+
+Int = NDArray[np.int64]
+Float = NDArray[np.float64]
+
+MOST = 3000
+"""Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Fields over the mesh, most important first.
+
+    Attributes
+    ----------
+    name : {"trajectories", "shapes"}
+        Which factors.
+    fields : (K, c, V) float64
+        Fields without those that are constant over the mesh: c = 1 number a vertex of trajectories, 3 of shapes.
+    sizes : (K,) float64
+        Their norms, decreasing (but for the mean of shapes, the first).
+    """
+
+    name: FactorName
+    fields: Float
+    sizes: Float
+
+
+def factor(sequence: Stored, name: FactorName, least: float) -> Factors:
+    """Find the fields of a sequence.
+
+    Parameters
+    ----------
+    sequence : Stored
+        The sequence.
+    name : {"trajectories", "shapes"}
+        Which factors.
+    least : float
+        Fields with a norm below this are left out.
+    """
+    count, vertices = len(sequence.points), sequence.points.shape[1]
+    rows, coordinates = (3, 1) if name == "trajectories" else (1, 3)
+    stride = -(-min(rows * count, coordinates * vertices) // MOST)
+    frames = np.arange(0, count, stride)
+    mean = _mean_shape(sequence, frames) if name == "shapes" else None
+    table = _centred(sequence, frames, mean)
+    most = max(min(len(table) - (mean is not None), vertices), 1)
+    # Each of the frames that were looked at stands for those beside it.
+    flat, sizes = _principal(table, least / np.sqrt(stride), most)
+    fields = np.sqrt(stride) * flat.reshape(len(sizes), vertices, coordinates).transpose(0, 2, 1)
+    sizes = np.sqrt(stride) * sizes
+    if mean is not None:
+        first = np.sqrt(count) * mean.T
+        fields, sizes = np.concatenate([first[None], fields]), np.append(np.linalg.norm(first), sizes)
+    return Factors(name, np.ascontiguousarray(fields), sizes)
+
+
+def _principal(table: Table, least: float, most: int) -> tuple[Float, Float]:
+    """Return the principal components of rows ``(R, W)``, scaled by singular values, and these: no more than `most`."""
+    height, width = table.shape
+    if height <= width:
+        gram = np.zeros((height, height))
+        for _, block in column_blocks(table):
+            gram += block @ block.T
+    else:
+        gram = np.zeros((width, width))
+        for start in range(0, height, width):
+            block = table[start : start + width]
+            gram += block.T @ block
+    values, vectors = linalg.eigh(gram)
+    sizes = np.sqrt(np.maximum(values[::-1], 0.0))
+    kept = max(1, min(int(np.count_nonzero(sizes > least)), most))
+    sizes, basis = sizes[:kept], vectors[:, ::-1][:, :kept].T
+    if height > width:
+        return sizes[:, None] * basis, sizes
+    components = np.empty((kept, width))
+    for columns, block in column_blocks(table):
+        components[:, columns] = basis @ block
+    return components, sizes
+
+
+def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:
+    """Return trajectories without the mean of all vertices ``(3T, V)``, or frames without the mean shape ``(T, 3V)``."""
+    vertices = sequence.points.shape[1]
+    if mean is not None:
+        table = new_table((len(frames), 3 * vertices))
+        for row, frame in enumerate(frames):
+            table[row : row + 1] = (sequence.points[frame : frame + 1][0] - mean).reshape(1, -1)
+        return table
+    table = new_table((3 * len(frames), vertices))
+    for row, frame in enumerate(frames):
+        points = sequence.points[frame : frame + 1][0].astype(np.float64)
+        table[3 * row : 3 * row + 3] = (points - points.mean(axis=0)).T
+    return table
+
+
+def _mean_shape(sequence: Stored, frames: Int) -> Float:
+    total = np.zeros(sequence.points.shape[1:])
+    for frame in frames:
+        total += sequence.points[frame : frame + 1][0]
+    return total / len(frames)

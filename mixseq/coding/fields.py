@@ -1,0 +1,87 @@
+"""Signals over a graph as bytes: fields over a mesh, and tracks over time.
+
+A signal is coded batch by batch from coarse to fine: every value is predicted, what is left is rounded to a whole
+number of steps, and the number is coded in the context of its expected size. Large numbers are cut in two: few bits at
+their end, which are as good as random, and what is left, which the models of the contexts know.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.coding.entropy import Reader, Tables, Writer
+from mixseq.coding.graph import SignalGraph
+from mixseq.coding.prediction import CONTEXTS, GROWTH, Predictor, bounds
+
+Int = NDArray[np.int64]
+Float = NDArray[np.float64]
+
+_FINEST = 8.0
+"""Expected sizes up to this have numbers of their own; above, numbers are halved until they are below."""
+
+_LEAST = 0.15
+"""Expected size in the first context, to begin with."""
+
+
+class FieldCoder:
+    """Codes signals over one graph, one after another, to one or more streams.
+
+    Parameters
+    ----------
+    graph : SignalGraph
+        The graph.
+    """
+
+    def __init__(self, graph: SignalGraph) -> None:
+        self._predictor = Predictor(graph)
+        sizes = np.append(bounds(), bounds()[-1] * GROWTH)
+        self._shifts = np.zeros(CONTEXTS, dtype=np.int64)
+        while (sizes > _FINEST).any():
+            self._shifts += sizes > _FINEST
+            sizes = np.where(sizes > _FINEST, sizes / 2, sizes)
+        self._tables = Tables(np.maximum(sizes, _LEAST))
+
+    def write(self, writer: Writer, targets: Float) -> Float:
+        """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
+        self._predictor.begin()
+        nodes = targets[self._predictor.graph.order]
+        for batch in self._predictor.graph.batches:
+            contexts = self._predictor.contexts(batch)
+            numbers = self._predictor.quantise(batch, nodes)
+            shifts = self._shifts[contexts]
+            writer.put(numbers >> shifts, contexts, self._tables)
+            for shift in _present(shifts):
+                some = shifts == shift
+                writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
+        return self._finished()
+
+    def quantise(self, targets: Float) -> Float:
+        """Return what `write` returns, without coding anything."""
+        self._predictor.begin()
+        graph = self._predictor.graph
+        self._predictor.quantise(slice(0, graph.size), targets[graph.order])
+        return self._finished()
+
+    def read(self, reader: Reader) -> Float:
+        """Return the values ``(N,)`` in steps of the next signal."""
+        self._predictor.begin()
+        for batch in self._predictor.graph.batches:
+            contexts = self._predictor.contexts(batch)
+            shifts = self._shifts[contexts]
+            numbers = reader.get(contexts, self._tables) << shifts
+            for shift in _present(shifts):
+                some = shifts == shift
+                numbers[some] |= reader.get_flat(int(some.sum()), 1 << shift)
+            self._predictor.restore(batch, numbers)
+        return self._finished()
+
+    def _finished(self) -> Float:
+        values = np.empty(self._predictor.graph.size)
+        values[self._predictor.graph.order] = self._predictor.finish()
+        return values
+
+
+def _present(shifts: Int) -> list[int]:
+    """Return which shifts there are, but zero."""
+    return [int(shift) for shift in np.flatnonzero(np.bincount(shifts)[1:]) + 1]

@@ -1,0 +1,65 @@
+"""Compiled loops of `mixseq.coding.graph`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.compiled import compiled
+
+Int = NDArray[np.int64]
+
+
+@compiled
+def independent(nodes: Int, starts: Int, beside: Int, most: int) -> Int:
+    """Return nodes, first come first served, no two of which are neighbours, with at most so many neighbours."""
+    blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
+    chosen = np.empty(len(nodes), dtype=np.int64)
+    count = 0
+    for node in nodes:
+        if blocked[node] or starts[node + 1] - starts[node] > most:
+            continue
+        chosen[count] = node
+        count += 1
+        for place in range(starts[node], starts[node + 1]):
+            blocked[beside[place]] = True
+    return chosen[:count].copy()
+
+
+@compiled
+def collapse(gone: Int, starts: Int, beside: Int, neighbours: Int, counts: Int) -> Int:
+    """Note the neighbours of nodes that go, and return the edges ``(E, 2)`` that close the holes.
+
+    All neighbours of a node are joined to the one of them that has most of the others as neighbours already, or to
+    the one of fewest neighbours among those.
+    """
+    most = neighbours.shape[1]
+    size = 0
+    for node in gone:
+        size += starts[node + 1] - starts[node]
+    new = np.empty((size, 2), dtype=np.int64)
+    mark = np.full(len(starts) - 1, -1, dtype=np.int64)
+    count = 0
+    for node in gone:
+        first, last = starts[node], starts[node + 1]
+        counts[node] = min(last - first, most)
+        for place in range(counts[node]):
+            neighbours[node, place] = beside[first + place]
+        for place in range(first, last):
+            mark[beside[place]] = node
+        best, shared_best, degree_best = beside[first], -1, 0
+        for place in range(first, last):
+            other = beside[place]
+            shared = 0
+            for at in range(starts[other], starts[other + 1]):
+                if mark[beside[at]] == node:
+                    shared += 1
+            degree = starts[other + 1] - starts[other]
+            if shared > shared_best or (shared == shared_best and degree < degree_best):
+                best, shared_best, degree_best = other, shared, degree
+        for place in range(first, last):
+            if beside[place] != best:
+                new[count, 0] = best
+                new[count, 1] = beside[place]
+                count += 1
+    return new[:count].copy()

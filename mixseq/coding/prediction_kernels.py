@@ -1,0 +1,174 @@
+"""Compiled loops of `mixseq.coding.prediction`.
+
+Sums are in a fixed order, of + - * / and roots only: decoders get the same bits on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.compiled import compiled
+
+Int = NDArray[np.int64]
+Float = NDArray[np.float64]
+
+
+@compiled
+def roughness(values: Float, neighbours: Int, counts: Int) -> float:
+    """Return the mean square of the differences of nodes and their first neighbours."""
+    total, pairs = 0.0, 0
+    for node in range(len(values)):
+        if counts[node]:
+            apart = values[node] - values[neighbours[node, 0]]
+            total += apart * apart
+            pairs += 1
+    return total / max(pairs, 1)
+
+
+@compiled
+def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float) -> None:
+    """Add trust times the products of the differences of nodes and neighbours to the Gram matrices."""
+    for node in range(len(values)):
+        place = 0
+        for i in range(counts[node]):
+            one = trust * (values[neighbours[node, i]] - values[node])
+            for j in range(i + 1):
+                gram[node, place] += one * (values[neighbours[node, j]] - values[node])
+                place += 1
+
+
+@compiled
+def solve(gram: Float, ridge: float, start: Float, counts: Int, weights: Float) -> None:
+    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one."""
+    most = start.shape[1]
+    lower = np.zeros((most, most))
+    ones = np.zeros(most)
+    free = np.zeros(most)
+    for node in range(len(counts)):
+        count = counts[node]
+        if count == 0:
+            continue
+        place = 0
+        for i in range(count):  # G + ridge = L L^T
+            for j in range(i + 1):
+                entry = gram[node, place]
+                place += 1
+                if i == j:
+                    entry += ridge
+                for k in range(j):
+                    entry -= lower[i, k] * lower[j, k]
+                lower[i, j] = math.sqrt(max(entry, 1e-12)) if i == j else entry / lower[j, j]
+        for i in range(count):
+            one, other = 1.0, ridge * start[node, i]
+            for k in range(i):
+                one -= lower[i, k] * ones[k]
+                other -= lower[i, k] * free[k]
+            ones[i], free[i] = one / lower[i, i], other / lower[i, i]
+        sum_ones, sum_free = 0.0, 0.0
+        for i in range(count - 1, -1, -1):
+            one, other = ones[i], free[i]
+            for k in range(i + 1, count):
+                one -= lower[k, i] * ones[k]
+                other -= lower[k, i] * free[k]
+            ones[i], free[i] = one / lower[i, i], other / lower[i, i]
+            sum_ones += ones[i]
+            sum_free += free[i]
+        multiplier = (1.0 - sum_free) / sum_ones
+        for i in range(count):
+            weights[node, i] = free[i] + multiplier * ones[i]
+
+
+@compiled
+def quantise(
+    first: int,
+    last: int,
+    targets: Float,
+    margin: float,
+    neighbours: Int,
+    counts: Int,
+    weights: Float,
+    values: Float,
+) -> Int:
+    """Round what predictions leave of targets, write the values that a decoder will have, return the numbers."""
+    numbers = np.empty(last - first, dtype=np.int64)
+    for node in range(first, last):
+        predicted = 0.0
+        for i in range(counts[node]):
+            predicted += weights[node, i] * values[neighbours[node, i]]
+        off = targets[node] - predicted
+        number = math.floor(abs(off) + margin)
+        if off < 0.0:
+            number = -number
+        numbers[node - first] = int(number)
+        values[node] = predicted + number
+    return numbers
+
+
+@compiled
+def restore(
+    first: int, last: int, numbers: Int, neighbours: Int, counts: Int, weights: Float, values: Float
+) -> None:
+    """Write the values of nodes from the numbers that `quantise` returned."""
+    for node in range(first, last):
+        predicted = 0.0
+        for i in range(counts[node]):
+            predicted += weights[node, i] * values[neighbours[node, i]]
+        values[node] = predicted + numbers[node - first]
+
+
+@compiled
+def smooth(activity: Float, ring: Int, starts: Int) -> Float:
+    """Return the means of all nodes' neighbours."""
+    means = np.zeros(len(activity))
+    for node in range(len(activity)):
+        total = 0.0
+        for place in range(starts[node], starts[node + 1]):
+            total += activity[ring[place]]
+        if starts[node + 1] > starts[node]:
+            means[node] = total / (starts[node + 1] - starts[node])
+    return means
+
+
+@compiled
+def surroundings(first: int, last: int, sizes: Float, activity: Float, neighbours: Int, counts: Int) -> Float:
+    """Return the mean size of the numbers at neighbours before `first`, or nodes' own activity if there are none."""
+    means = np.empty(last - first)
+    for node in range(first, last):
+        total, known = 0.0, 0
+        for i in range(counts[node]):
+            if neighbours[node, i] < first:
+                total += sizes[neighbours[node, i]]
+                known += 1
+        means[node - first] = total / known if known else activity[node]
+    return means
+
+
+@compiled
+def contexts(
+    first: int,
+    last: int,
+    sizes: Float,
+    activity: Float,
+    around: Float,
+    shares: Float,
+    bounds: Float,
+    neighbours: Int,
+    counts: Int,
+) -> Int:
+    """Return in which interval between bounds the expected size of every node's number is."""
+    means = surroundings(first, last, sizes, activity, neighbours, counts)
+    places = np.empty(last - first, dtype=np.int64)
+    for node in range(first, last):
+        expected = shares[0] * means[node - first] + shares[1] * activity[node] + shares[2] * around[node]
+        low, high = 0, len(bounds)
+        while low < high:
+            middle = (low + high) // 2
+            if bounds[middle] < expected:
+                low = middle + 1
+            else:
+                high = middle
+        places[node - first] = low
+    return places
