@@ -22,34 +22,45 @@ from mixseq.version import __version__
 
 if TYPE_CHECKING:
     from mixseq import operations
+    from mixseq.coding.compress import compress
     from mixseq.metrics import Comparison, compare
     from mixseq.operations.interpolation import interpolate
     from mixseq.operations.segmenting import segment
+    from mixseq.rigging import Morph, Skin, fit_morph, fit_skin
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
-    from mixseq_io import open_sequence, read, write, write_blocks
+    from mixseq_io import open_sequence, read, write, write_blocks, write_rig
     from mixseq_io.hdf5.model import load, save
+    from mixseq_io.verification import Verification, verify
 
 _HOME = {
     "Comparison": "mixseq.metrics",
     "Curve": "mixseq.signals",
     "MeshSequence": "mixseq.sequence",
     "Model": "mixseq.signals",
+    "Morph": "mixseq.rigging",
     "Polygons": "mixseq.sequence",
     "PoseMap": "mixseq.signals",
     "SequenceHeader": "mixseq.sequence",
+    "Skin": "mixseq.rigging",
     "Topology": "mixseq.topology",
+    "Verification": "mixseq_io.verification",
     "compare": "mixseq.metrics",
+    "compress": "mixseq.coding.compress",
     "fit": "mixseq.signals",
+    "fit_morph": "mixseq.rigging",
+    "fit_skin": "mixseq.rigging",
     "interpolate": "mixseq.operations.interpolation",
     "load": "mixseq_io.hdf5.model",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "save": "mixseq_io.hdf5.model",
     "segment": "mixseq.operations.segmenting",
+    "verify": "mixseq_io.verification",
     "write": "mixseq_io",
     "write_blocks": "mixseq_io",
+    "write_rig": "mixseq_io",
 }
 
 __all__ = [
@@ -57,13 +68,19 @@ __all__ = [
     "Curve",
     "MeshSequence",
     "Model",
+    "Morph",
     "Polygons",
     "PoseMap",
     "SequenceHeader",
+    "Skin",
     "Topology",
+    "Verification",
     "__version__",
     "compare",
+    "compress",
     "fit",
+    "fit_morph",
+    "fit_skin",
     "interpolate",
     "load",
     "open_sequence",
@@ -71,8 +88,10 @@ __all__ = [
     "read",
     "save",
     "segment",
+    "verify",
     "write",
     "write_blocks",
+    "write_rig",
 ]
 
 

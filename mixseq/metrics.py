@@ -150,7 +150,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
     (0.1, 0.331, 0.0)
     """
     header = a.header
-    _check_comparable(header, b.header)
+    check_comparable(header, b.header)
     topology = Topology(header.faces, header.vertex_count)
     strains = _Gathered(header.frame_count * len(topology.edges))
     angles = _Gathered(header.frame_count * len(topology.hinges))
@@ -161,7 +161,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
     squares = spread = diagonal = 0.0
     largest: list[Float] = []
     volumes: list[Float] = []
-    for x, y in _blocks(a, b, max(1, _BLOCK // header.vertex_count)):
+    for x, y in paired_blocks(a, b, max(1, _BLOCK // header.vertex_count)):
         if not largest:
             diagonal = bounding_diagonal(x[0])
         distances = np.einsum("tvi,tvi->tv", x - y, x - y)
@@ -212,7 +212,14 @@ def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | N
     return frames if same.all() else None
 
 
-def _check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
+def check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
+    """Check that two sequences have the same vertices, faces and times.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If they do not; the message says what differs.
+    """
     for what, one, other in (
         ("vertices", a.vertex_count, b.vertex_count),
         ("triangles", len(a.faces), len(b.faces)),
@@ -235,8 +242,14 @@ def _check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
         )
 
 
-def _blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
-    """Yield the points of both, `size` frames at a time, however they are read."""
+def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:
+    """Yield the points of both, `size` frames at a time, however they are read, as float64.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If one ends before the other.
+    """
     x, y = (chain.from_iterable(each.blocks(size)) for each in (a, b))
     while frames := list(islice(x, size)):
         others = list(islice(y, size))

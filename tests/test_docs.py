@@ -28,6 +28,7 @@ from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
 from mixseq.signals.placement import stated_placement, whole_placement
 from mixseq.spaces import EdgeSettings, MixedSpace
+from mixseq.spaces.basis import BasisSpace
 from mixseq_io import FORMATS
 from mixseq_io.formats import capabilities, motions
 from mixseq_io.surface_arrays import SURFACE_ARRAYS
@@ -74,7 +75,9 @@ def rows_of(text: str) -> Iterator[list[str]]:
             yield [cell.strip() for cell in line.strip("|").split("|")]
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md", "docs/editing.md", "docs/resampling.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/tutorial.md", "docs/editing.md", "docs/resampling.md", "docs/engines.md"]
+)
 def test_code_and_commands_run_from_top_to_bottom(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -245,10 +248,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", edge=edge))
+    vertex = mixseq.fit(small, rank=1, space="vertex")
+    fields = BasisSpace(np.eye(small.vertex_count), vertex.space.scale)
+    mixseq.save(path / "basis.h5", replace(vertex, space=fields))
+    mixseq.save(path / "compressed.h5", mixseq.compress(small, max_error=0.01))
     return path
 
 
-MODELS = ("walk.h5", "stated.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5")
+MODELS = ("walk.h5", "stated.h5", "free.h5", "vertex.h5", "gradient.h5", "lri.h5", "edge.h5", "basis.h5")
 
 
 @pytest.mark.parametrize("name", ["sequence.h5", *MODELS])
@@ -283,7 +290,7 @@ def contents(file: h5py.File) -> tuple[dict[str, Any], dict[str, h5py.Dataset]]:
 
 def test_specification_has_nothing_else(folder: Path) -> None:
     known: set[str] = {"mixseq-sequence", "mixseq-model", *(f"surface/{name}" for name in SURFACE_ARRAYS)}
-    for name in ("sequence.h5", *MODELS):
+    for name in ("sequence.h5", "compressed.h5", *MODELS):
         with h5py.File(folder / name) as file:
             for each in contents(file):
                 known |= set(each)

@@ -21,6 +21,7 @@ LAYERS = (
     ("reconstruction",),
     ("spaces",),
     ("signals",),
+    ("coding", "rigging"),
     ("operations",),
     ("metrics", "plots", "creature"),
     ("mixseq_io",),

@@ -27,6 +27,7 @@ from mixseq.cli.options import examples
         "interpolate",
         "segment",
         "compare",
+        "verify",
         "plot",
         "formats",
     ),

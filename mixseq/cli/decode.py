@@ -10,13 +10,15 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, read_sequence, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
+from mixseq.cli.rigs import RigSettings, check_origin, rows
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.mapping import OrderedMap
-    from mixseq.sequence import SequenceHeader
+    from mixseq.progress import Progress
+    from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
 
 
@@ -38,6 +40,8 @@ def _as_seconds(
         "mixseq decode walk.h5 still.obj --times 0.73",
         "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
         "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
+        "mixseq decode walk.h5 walk.glb --as skin --bones 30",
+        "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
     ),
 )
 @click.argument("source", metavar="MODEL", type=FILE)
@@ -59,6 +63,33 @@ def _as_seconds(
     show_default=True,
     help="Also write the velocities of all vertices, for motion blur.",
 )
+@click.option(
+    "--salvage",
+    is_flag=True,
+    help="Of a damaged compressed model, decode what is not damaged, with a warning.",
+)
+@click.option(
+    "--as",
+    "kind",
+    type=click.Choice(["skin", "morph"]),
+    help="Write glTF for engines: a skin over moving bones, or a mesh with few morph targets.",
+)
+@click.option("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
+@click.option(
+    "--correctives",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="E",
+    help="Correct a skin by morph targets, up to this largest error in diagonals.",
+)
+@click.option(
+    "--max-error",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="E",
+    help="Largest error of a morph, in diagonals; without it a morph is exact.",
+)
+@click.option(
+    "--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most."
+)
 @writer_options
 @workers_options
 @quiet_option
@@ -70,6 +101,12 @@ def command(
     start: float | None,
     end: float | None,
     velocities: bool,
+    salvage: bool,
+    kind: str | None,
+    bones: int | None,
+    correctives: float | None,
+    max_error: float | None,
+    max_targets: int | None,
     writing: dict[str, Any],
     workers: AbstractContextManager[OrderedMap],
     quiet: bool,
@@ -77,15 +114,28 @@ def command(
     """Turn a model back into a sequence, at any frame rate.
 
     TARGET's format follows from its extension, see "mixseq formats". It is written while frames are decoded.
+
+    With --as, TARGET is a .glb or .gltf that engines play, fitted to all frames, read back, and compared with them.
+    MODEL may then be a sequence, too.
     """
+    settings = RigSettings(kind, bones, correctives, max_error, max_targets)
+    settings.check(velocities, writing)
     check_target(target, source)
-    model = mixseq.load(source)
-    if times is None:
-        header = _range(model, fps, start, end)
-    elif start is None and end is None:
-        header = model.header_at(times, fps)
-    else:
-        raise SettingsError("--times tells all times; leave out --start and --end")
+    if kind is not None:
+        from mixseq_io.rigs import check_rig_target
+
+        check_rig_target(target)
+        with workers as work, progress_bar(quiet) as progress:
+            sequence = _sequence(source, salvage, times, fps, start, end, progress, work)
+            check_origin(target, sequence)
+            rig = settings.fit(sequence, progress)
+            mixseq.write_rig(target, rig)
+        if not quiet:
+            print_table(rows(target, rig, sequence))
+        announce(target)
+        return
+    model = mixseq.load(source, salvage)
+    header = _chosen(model, times, fps, start, end)
     with workers as work, progress_bar(quiet) as progress:
         write_frames(target, model, header, velocities, writing, progress, work)
     if not quiet:
@@ -97,6 +147,46 @@ def command(
             ]
         )
     announce(target)
+
+
+def _sequence(
+    source: Path,
+    salvage: bool,
+    times: tuple[float, ...] | None,
+    fps: float | None,
+    start: float | None,
+    end: float | None,
+    progress: Progress,
+    workers: OrderedMap,
+) -> MeshSequence:
+    """Decode the chosen frames of a model into memory, or read a sequence."""
+    from mixseq.sequence import collect
+
+    named_as_model = source.suffix.lower() in MODEL_EXTENSIONS and not source.is_file()
+    if not (salvage or is_model(source) or named_as_model):
+        if (times, fps, start, end) != (None, None, None, None):
+            raise SettingsError(
+                f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --start and "
+                "--end, or turn it into a model first, with mixseq encode"
+            )
+        return read_sequence(source, {}, progress)
+    model = mixseq.load(source, salvage)
+    header = _chosen(model, times, fps, start, end)
+    return collect(header, model.blocks(header.times, progress=progress, workers=workers))
+
+
+def _chosen(
+    model: Model,
+    times: tuple[float, ...] | None,
+    fps: float | None,
+    start: float | None,
+    end: float | None,
+) -> SequenceHeader:
+    if times is None:
+        return _range(model, fps, start, end)
+    if start is None and end is None:
+        return model.header_at(times, fps)
+    raise SettingsError("--times tells all times; leave out --start and --end")
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:

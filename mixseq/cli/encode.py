@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 import mixseq
+from mixseq.cli.compressed import aim_options, coding_facts, coding_rows
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.files import Decoded, check_model_target
 from mixseq.cli.info import dimension_rows
@@ -26,8 +27,11 @@ from mixseq.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from mixseq.coding.coded import Coded
     from mixseq.mapping import OrderedMap
     from mixseq.metrics import Comparison
+    from mixseq.sequence import SequenceHeader
+    from mixseq.signals import Model
 
 
 @click.command(
@@ -37,10 +41,13 @@ if TYPE_CHECKING:
         "mixseq encode walk.usdc walk.h5 --exact",
         "mixseq encode walk.usdc walk.h5 --tolerance 0.002 --parts 12",
         "mixseq encode man.glb man.h5 --source skeleton",
+        "mixseq encode walk.usdc small.h5 --max-error 0.001",
+        "mixseq encode walk.usdc small.h5 --size 200kB",
     ),
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
+@aim_options
 @fit_options
 @labels_options
 @click.option(
@@ -68,6 +75,7 @@ if TYPE_CHECKING:
 def command(
     source: Path,
     target: Path,
+    aim: dict[str, Any],
     fitting: dict[str, Any],
     labels: Path | None,
     label_source: str | None,
@@ -82,6 +90,9 @@ def command(
 
     SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file, reproduces
     its frames within the tolerance and can be decoded at any time in between.
+
+    With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
+    fits into that many bytes. The largest error is guaranteed, see "mixseq verify".
     """
     check_model_target(target, source)
     start = perf_counter()
@@ -91,25 +102,41 @@ def command(
         progress_bar(quiet) as progress,
         mixseq.open_sequence(source, **reading) as reader,
     ):
-        if labels is not None or label_source is not None:
-            fitting = fitting | {
-                "parts": parts_given(reader, fitting["parts"], labels, label_source, reading)
-            }
-        model = mixseq.fit(
-            reader, **as_settings(fitting), knots=knots, pose=pose, progress=progress, workers=work
-        )
+        model: Model | Coded
+        if aim:
+            model = mixseq.compress(reader, **_within(aim, reader.header), progress=progress)
+        else:
+            if labels is not None or label_source is not None:
+                fitting = fitting | {
+                    "parts": parts_given(reader, fitting["parts"], labels, label_source, reading)
+                }
+            model = mixseq.fit(
+                reader, **as_settings(fitting), knots=knots, pose=pose, progress=progress, workers=work
+            )
         mixseq.save(target, model)
         seconds = perf_counter() - start
         if check:
             error = mixseq.compare(reader, Decoded(mixseq.load(target), progress, work))
     if not quiet:
-        rows = [
-            *dimension_rows(model),
-            ("size", format_bytes(target.stat().st_size)),
-            ("time", f"{seconds:.1f} s"),
-        ]
+        rows = _rows(model, target)
+        rows["time"] = f"{seconds:.1f} s"
         if error is not None:
-            rows.append(("max error", f"{error.max_error:.2g} of the diagonal, in frame {error.worst_frame}"))
-            rows.append(("KG error", f"{error.kg_percent:.2g} %"))
-        print_table(rows)
+            rows["max error"] = f"{error.max_error:.2g} of the diagonal, in frame {error.worst_frame}"
+            rows["KG error"] = f"{error.kg_percent:.2g} %"
+        print_table(rows.items())
     announce(target)
+
+
+def _within(aim: dict[str, Any], header: SequenceHeader) -> dict[str, Any]:
+    """Return the aim for signals: a size is that of the file."""
+    from mixseq_io.hdf5.coded import room_for_signals
+
+    return {"size": room_for_signals(header, aim["size"])} if "size" in aim else aim
+
+
+def _rows(model: Model | Coded, path: Path) -> dict[str, str]:
+    from mixseq.coding.coded import Coded
+
+    if isinstance(model, Coded):
+        return dict(coding_rows(coding_facts(path, model)))
+    return dict([*dimension_rows(model), ("size", format_bytes(path.stat().st_size))])

@@ -2,7 +2,7 @@
 
 ====  ======================================================================
 0     all is well
-1     the reader of a pipe went away; or an asset of a batch failed
+1     the reader of a pipe went away; an asset of a batch failed; or a bound does not hold
 2     an error that the user can do something about
 130   interrupted by Ctrl-C
 143   terminated by a signal

@@ -27,10 +27,10 @@ def is_model(path: Path) -> bool:
         return False
     import h5py
 
-    from mixseq_io.hdf5.files import MODEL_FORMAT, reading_h5
+    from mixseq_io.hdf5.files import MODEL_FORMAT, kind_of, reading_h5
 
     with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
-        return bool(file.attrs.get("format") == MODEL_FORMAT)
+        return bool(kind_of(file) == MODEL_FORMAT)
     return False
 
 

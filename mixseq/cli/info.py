@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
+from mixseq.cli.compressed import coding_facts, coding_rows
 from mixseq.cli.console import format_bytes, print_json, print_table
 from mixseq.cli.files import is_model
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
@@ -30,10 +31,14 @@ def command(path: Path, as_json: bool, reading: dict[str, Any], quiet: bool) -> 
 
     Of a sequence only the first frame is read.
     """
-    facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size if path.is_file() else None}
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "bytes": {"total": path.stat().st_size if path.is_file() else None},
+    }
     if is_model(path):
         model = mixseq.load(path)
         facts |= {"kind": "model", **_mesh(model.header, model.space.scale), **_dimensions(model)}
+        facts |= _coding(path)
     else:
         with mixseq.open_sequence(path, **reading) as reader:
             first = next(iter(reader.blocks(1)))[0]
@@ -93,6 +98,13 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
     }
 
 
+def _coding(path: Path) -> dict[str, Any]:
+    """Return what is to say of a compressed model, nothing of others."""
+    from mixseq_io.hdf5.coded import is_coded, read_coded
+
+    return coding_facts(path, read_coded(path)) if is_coded(path) else {}
+
+
 def _dimensions(model: Model) -> dict[str, Any]:
     """Count the signals; of S_m also its dimension, and that of S_e: a length and an angle per edge, and a pose."""
     edges = 2 * len(mixseq.Topology(model.header.faces, model.header.vertex_count).edges) + 6
@@ -134,8 +146,10 @@ def _rows(facts: dict[str, Any]) -> Rows:
     ]
     if facts["kind"] == "model":
         rows += _dimension_rows(facts)
-    if facts["bytes"] is not None:
-        rows.append(("size", format_bytes(facts["bytes"])))
+    if "coding" in facts:
+        rows += coding_rows(facts)
+    elif facts["bytes"]["total"] is not None:
+        rows.append(("size", format_bytes(facts["bytes"]["total"])))
     return rows
 
 

@@ -53,8 +53,11 @@ class Basis:
 
     def fit(self, sequence: Stored) -> Float:
         """Return the tracks ``(T, K, 3 / c)`` of the free fields that are nearest to a sequence, least squares."""
-        scaled = (self.fields / self.norms[:, None, None])[self.free]
+        scales = self.norms[self.free]
+        scaled = self.fields[self.free] / scales[:, None, None]
         count = len(scaled)
+        if not count:  # a mean shape, and nothing that moves
+            return np.zeros((len(sequence.points), 0, 1))
         flat = scaled.reshape(count, -1)
         # Fields are nearly orthogonal; a trace of damping is for those that are the same, after rounding.
         factor = linalg.cho_factor(flat @ flat.T + 1e-9 * np.eye(count))
@@ -68,7 +71,6 @@ class Basis:
                 right = np.einsum("kiv,tvi->kt", scaled, points, optimize=True)[..., None]
             solved = linalg.cho_solve(factor, right.reshape(count, -1)).reshape(right.shape)
             tracks.append(solved.transpose(1, 0, 2))
-        scales = self.norms[self.free]
         return np.concatenate(tracks) / scales[:, None]
 
     def frames(self, tracks: Float) -> Float:

@@ -106,15 +106,22 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
             f"{' and '.join(values) or 'nothing'} is given; give one of max_error, kg and size"
         )
     [(name, value)] = values.items()
-    if not (np.isfinite(value) and value > 0):
-        raise SettingsError(f"{name} is {value}; a positive number is expected")
+    least = 1 if name == "size" else 0
+    if not (np.isfinite(value) and value > 0 and value >= least):
+        raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
 
 
 def _with_margin(bound: float, sequence: Stored) -> float:
     """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
     largest = max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(sequence.points))
+    last = largest * 2.0**-40
+    if bound < last:
+        raise SettingsError(
+            f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
+            f"{largest:.3g}; give at least {last:.3g} of these units, or move the sequence to the origin"
+        )
     single = sequence.points.dtype == np.float32
-    rounding = largest * (2.0**-24 * 3**0.5 if single else 2.0**-40)
+    rounding = largest * 2.0**-24 * 3**0.5 if single else last
     return bound - min(1e-9 * bound + rounding, bound / 2)
 
 

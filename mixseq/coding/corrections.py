@@ -104,8 +104,9 @@ def read_corrections(stream: bytes, count: int, run: int, graph: SignalGraph) ->
     if not stream:
         return [_NOTHING] * frames
     number = -(-count // RUN)
-    lengths = np.frombuffer(stream[: 4 * number], dtype="<u4").astype(np.int64)
-    if len(lengths) < number or lengths.sum() + 4 * number != len(stream):
+    head, rest = stream[: 4 * number], len(stream) - 4 * number
+    lengths = np.frombuffer(head if rest >= 0 else b"", dtype="<u4").astype(np.int64)
+    if rest < 0 or lengths.sum() != rest:
         raise FormatError("coded corrections have another length than they say; the file is damaged")
     start = 4 * number + int(lengths[:run].sum())
     return _read_run(stream[start : start + int(lengths[run])], frames, graph)

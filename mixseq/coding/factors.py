@@ -68,7 +68,7 @@ def factor(sequence: Stored, name: FactorName, least: float) -> Factors:
     frames = np.arange(0, count, stride)
     mean = _mean_shape(sequence, frames) if name == "shapes" else None
     table = _centred(sequence, frames, mean)
-    most = max(min(len(table) - (mean is not None), vertices), 1)
+    most = max(min(len(table) - (mean is not None), coordinates * vertices), 1)
     # Each of the frames that were looked at stands for those beside it.
     flat, sizes = _principal(table, least / np.sqrt(stride), most)
     fields = np.sqrt(stride) * flat.reshape(len(sizes), vertices, coordinates).transpose(0, 2, 1)

@@ -42,7 +42,10 @@ def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float
 
 @compiled
 def solve(gram: Float, ridge: float, start: Float, counts: Int, weights: Float) -> None:
-    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one."""
+    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one.
+
+    A trace of G is added to the ridge: matrices of signals of very many steps would be singular, but for rounding.
+    """
     most = start.shape[1]
     lower = np.zeros((most, most))
     ones = np.zeros(most)
@@ -51,18 +54,21 @@ def solve(gram: Float, ridge: float, start: Float, counts: Int, weights: Float) 
         count = counts[node]
         if count == 0:
             continue
+        pull = ridge
+        for i in range(count):
+            pull += 1e-12 * gram[node, i * (i + 3) // 2]
         place = 0
-        for i in range(count):  # G + ridge = L L^T
+        for i in range(count):  # G + pull = L L^T, with pivots that are no smaller than pull
             for j in range(i + 1):
                 entry = gram[node, place]
                 place += 1
                 if i == j:
-                    entry += ridge
+                    entry += pull
                 for k in range(j):
                     entry -= lower[i, k] * lower[j, k]
-                lower[i, j] = math.sqrt(max(entry, 1e-12)) if i == j else entry / lower[j, j]
+                lower[i, j] = math.sqrt(max(entry, pull)) if i == j else entry / lower[j, j]
         for i in range(count):
-            one, other = 1.0, ridge * start[node, i]
+            one, other = 1.0, pull * start[node, i]
             for k in range(i):
                 one -= lower[i, k] * ones[k]
                 other -= lower[i, k] * free[k]

@@ -106,7 +106,9 @@ def read_fields(
 
 def basis_of(name: FactorName, fields: Float, frame_count: int) -> Basis:
     """Return the basis of coded fields ``(K, c, V)``, without those that are zero: they have no tracks."""
-    fields = fields[fields.any(axis=(1, 2))]
+    there = fields.any(axis=(1, 2))
+    there[:1] |= name == "shapes"  # the mean, which may be zero
+    fields = fields[there]
     if name == "trajectories":
         constant = np.full((1, 1, fields.shape[2]), 1 / np.sqrt(fields.shape[2]))
         fields = np.concatenate([constant, fields])

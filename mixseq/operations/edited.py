@@ -42,7 +42,7 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     MixseqWarning
         If nearly all vertices moved.
     """
-    edited = _checked(points, model.header)
+    edited = checked_points(points, model.header)
     space, vector, before = model.space, model.curve([time]), model(time)
     _doubt(before, edited, time)
     shape = space.shape_difference(vector[0], before, edited)
@@ -50,7 +50,8 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     return np.concatenate([shape, offsets[1] - offsets[0]])
 
 
-def _checked(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
+def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:
+    """Return an edited frame ``(V, 3)``, if it is one of this mesh."""
     if isinstance(points, MeshSequence):
         if points.frame_count != 1:
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.operations.edited import edited_difference
+from mixseq.operations.room import with_room
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 
@@ -42,6 +43,8 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
         raise SettingsError(
             f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
         )
+    time = float(model.times[frame])
+    model = with_room(model, time, points)
     shapes = np.array(model.shapes)
-    shapes[key] += edited_difference(model, float(model.times[frame]), points)
+    shapes[key] += edited_difference(model, time, points)
     return replace(model, shapes=shapes)

@@ -56,6 +56,7 @@ def affine(model: Model, scale: float, offset: float) -> Model:
         header=model.header.with_times(times if scale > 0 else times[::-1]),
         time=moved(model.time, scale, offset),
         placement=stated_placement(model.space, moved(placement_of(model), scale, offset)),
+        corrections=None,  # they are of the old times
     )
 
 
@@ -77,6 +78,7 @@ def concatenated(passes: Sequence[Pass], fades: Sequence[Fade]) -> Model:
         header=first.header.with_times(frames_of(passes)),
         time=join([Piece(model.time, start, end) for model, start, end in passes], fades),
         placement=stated_placement(first.space, join(placements, fades)),
+        corrections=None,  # they are of the old times
     )
 
 

@@ -102,7 +102,8 @@ def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
     placement = sampled(blended(whole(times)), drawn.times, ACCURACY, placement_measure(model))
     fps = model.header.fps
     header = model.header.with_times(np.arange(int(np.floor(duration * fps + 1e-6)) + 1) / fps)
-    return replace(model, header=header, time=time, placement=stated_placement(model.space, placement))
+    placement = stated_placement(model.space, placement)
+    return replace(model, header=header, time=time, placement=placement, corrections=None)
 
 
 def cardinal_weights(places: Float) -> Callable[[Float], Float]:

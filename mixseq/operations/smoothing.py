@@ -59,6 +59,7 @@ def smooth(model: Model, seconds: float) -> Model:
         model,
         time=smoothed(model.time, model.times, seconds),
         placement=stated_placement(model.space, placement),
+        corrections=None,  # they would bring back some of what is smoothed
     )
 
 

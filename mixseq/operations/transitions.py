@@ -205,4 +205,5 @@ def _mix(
         header=a.header.with_times(frames_of([Pass(a, start, end)])),
         time=mixed(a.time, b.time),
         placement=stated_placement(a.space, mixed(placement, goes_on)),
+        corrections=None,
     )

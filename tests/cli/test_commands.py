@@ -73,7 +73,7 @@ def test_info_of_a_sequence(run: Run, name: str, bent_bar: MeshSequence) -> None
     assert facts["kind"] == "sequence"
     assert (facts["vertices"], facts["triangles"], facts["frames"], facts["fps"]) == (77, 150, 4, 10)
     assert facts["diagonal"] == pytest.approx(bent_bar.diagonal)
-    assert facts["bytes"] == Path(name).stat().st_size
+    assert facts["bytes"] == {"total": Path(name).stat().st_size}
     assert facts["topology"]["closed"] is True
 
 
@@ -97,7 +97,7 @@ def test_info_of_numbered_files(run: Run, folder: Path) -> None:
     succeed_with_warning(run("convert", "bar.npz", "obj/bar_####.obj"))
     for name in ("obj", "obj/bar_####.obj", "obj/bar_*.obj"):
         facts = json.loads(succeed(run("info", name, "--json", "--input-fps", "10")))
-        assert (facts["frames"], facts["fps"], facts["bytes"]) == (4, 10, None)
+        assert (facts["frames"], facts["fps"], facts["bytes"]) == (4, 10, {"total": None})
 
 
 def test_quiet_info(run: Run) -> None:

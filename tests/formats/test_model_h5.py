@@ -407,7 +407,9 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
     curve = Curve(given.times, np.zeros((2, 0)))
     pose = mixseq.signals.PoseMap(np.ones(1), np.zeros((0, 1)))
     model = Model(given.header, Volumes(), curve, pose, np.ones((1, 3)), curve)
-    with pytest.raises(OutputError, match="the spaces mixed, vertex, gradient, lri, edge, not in Volumes"):
+    with pytest.raises(
+        OutputError, match="the spaces mixed, vertex, gradient, lri, edge, basis, not in Volumes"
+    ):
         mixseq.save(tmp_path / "model.h5", model)
     assert not list(tmp_path.iterdir())
 
@@ -611,8 +613,8 @@ def test_bad_attributes_are_refused(copy: Path, where: str, name: str, value: An
 
 def test_a_newer_version_asks_for_an_upgrade(copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
-        file.attrs["version"] = 4
-    with pytest.raises(FormatError, match=r"has version 4, .* reads up to 3; .*upgrade"):
+        file.attrs["version"] = 5
+    with pytest.raises(FormatError, match=r"has version 5, .* reads up to 4; .*upgrade"):
         mixseq.load(copy)
 
 

@@ -31,7 +31,8 @@ Bounds = tuple[list[float], list[float]]
 Chunk = bytes | memoryview | NDArray[Any]
 
 GENERATOR = f"mixseq {__version__}"
-FLOAT, UNSIGNED_INT = 5126, 5125
+FLOAT = 5126
+_COMPONENTS = {"f4": FLOAT, "u4": 5125, "u2": 5123, "u1": 5121}
 VERTICES, INDICES = 34962, 34963
 
 _LARGEST_GLB = 2**32 - 1
@@ -69,13 +70,21 @@ class Layout:
         return number
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
-        """Add an array ``(n,)`` or ``(n, k)`` of float32 or uint32 with a view of its own; return its accessor."""
+        """Add an array with a view of its own; return its accessor.
+
+        Parameters
+        ----------
+        values : (n,), (n, k) or (n, 16) array
+            Scalars, vectors or matrices column by column, of float32, uint32, uint16 or uint8. Of attributes, rows
+            have a multiple of four bytes, as glTF demands.
+        **properties
+            Of the view: its ``target``.
+        """
         data = np.ascontiguousarray(values)
         view = self.add([data], data.nbytes, **properties)
-        kind = "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}"
-        return self.accessor(
-            view, len(data), kind, component=FLOAT if data.dtype == np.float32 else UNSIGNED_INT
-        )
+        width = 1 if data.ndim == 1 else data.shape[1]
+        kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
+        return self.accessor(view, len(data), kind, component=_COMPONENTS[data.dtype.str[1:]])
 
     def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT) -> int:
         """Add an accessor of what is at an offset in a view; return its number."""
@@ -100,6 +109,11 @@ def append(document: Json, member: str, entry: Json) -> int:
     entries = document.setdefault(member, [])
     entries.append(entry)
     return len(entries) - 1
+
+
+def glb_size(layout: Layout) -> int:
+    """Return the bytes of a .glb of a document; its ``buffers`` are left to the writer."""
+    return 28 + _aligned(len(_encoded(layout.document))) + _aligned(layout.length)
 
 
 class BufferWriter:

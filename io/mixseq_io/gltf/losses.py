@@ -36,7 +36,7 @@ def lost_alone(header: SequenceHeader) -> list[str]:
 
 
 def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> None:
-    """Warn of what is lost, of what is read in another way than it is in the sequence, and of too many frames."""
+    """Warn of what is lost, of what is read in another way than it is in the sequence."""
     warn_of_losses(path, "glTF files", lost)
     if upright(header):
         warn(
@@ -46,6 +46,10 @@ def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> 
     shift = time_shift(header)
     if shift:
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-shift:g} s")
+
+
+def warn_of_many_frames(path: Path, header: SequenceHeader) -> None:
+    """Warn of more frames than browsers show, where each is a morph target."""
     if header.frame_count > _USUAL_LIMIT_OF_FRAMES:
         warn(
             f"{path}: {header.frame_count} frames are as many morph targets; browsers usually show no more than "

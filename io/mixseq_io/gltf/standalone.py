@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
@@ -14,6 +15,7 @@ from mixseq_io.gltf.splitting import Primitive, split_corners
 from mixseq_io.pieces import Piece, split
 
 _LARGEST_EXACT = 2**24
+_LARGEST_SHORT = 2**16 - 1
 
 
 def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
@@ -21,13 +23,18 @@ def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 
     Objects without polygons are left out: glTF has no place for them.
     """
-    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
-    document = layout.document
-    pieces = [piece for piece in split(header) if piece.polygons.counts.size]
-    meshes = [_new_mesh(layout, piece, header.name if len(pieces) == 1 else piece.name) for piece in pieces]
-    root = group(document, [mesh.node for mesh in meshes], header)
-    document["scene"], document["scenes"] = 0, [{"nodes": [root]}]
+    layout, meshes = new_meshes(header)
+    root = group(layout.document, [mesh.node for mesh in meshes], header)
+    layout.document["scene"], layout.document["scenes"] = 0, [{"nodes": [root]}]
     return layout, meshes
+
+
+def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
+    """Return a document with the meshes of a sequence and a node for each, but without a scene."""
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    pieces = [piece for piece in split(header) if piece.polygons.counts.size]
+    names = [header.name if len(pieces) == 1 else piece.name for piece in pieces]
+    return layout, [_new_mesh(layout, piece, name) for piece, name in zip(pieces, names, strict=True)]
 
 
 def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
@@ -92,13 +99,18 @@ def _new_primitive(layout: Layout, primitive: Primitive, piece: Piece) -> Moving
         attributes["TEXCOORD_0"] = layout.add_array(upside_down, target=VERTICES)
     entry: Json = {
         "attributes": attributes,
-        "indices": layout.add_array(primitive.triangles.reshape(-1), target=INDICES),
+        "indices": layout.add_array(_narrow(primitive.triangles.reshape(-1)), target=INDICES),
     }
     if primitive.face_set is not None:
         entry["material"] = _material(layout.document, material_name(primitive.face_set))
     moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
     add_vertex_numbers(layout, moving, piece.vertex_count)
     return moving
+
+
+def _narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
+    """Return indices with two bytes each where that is enough; glTF keeps the largest number for itself."""
+    return indices.astype(np.uint16) if indices.max(initial=0) < _LARGEST_SHORT else indices
 
 
 def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count: int) -> None:

@@ -16,7 +16,7 @@ from mixseq_io.blocks import as_float32, checked, warn
 from mixseq_io.gltf.buffers import Layout, writing_buffer
 from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.losses import lost_alone, warn_of_changes
+from mixseq_io.gltf.losses import lost_alone, warn_of_changes, warn_of_many_frames
 from mixseq_io.gltf.morphs import Morphs, MovingMesh
 from mixseq_io.gltf.standalone import new_scene
 from mixseq_io.reader import reading
@@ -67,6 +67,7 @@ def write_gltf(
     layout, meshes = overlay or new_scene(header)
     lost = [] if overlay else lost_alone(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost])
+    warn_of_many_frames(path, header)
     morphs = Morphs(layout, meshes, header)
     _, numbered = checked(header, blocks, velocities)
     with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:

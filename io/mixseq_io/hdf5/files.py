@@ -35,9 +35,21 @@ def reading_h5(path: Path) -> AbstractContextManager[None]:
     return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
 
 
+def kind_of(file: h5py.File) -> str | None:
+    """Return the root attribute `format`, a string of any length or of a fixed one."""
+    kind = file.attrs.get("format")
+    if isinstance(kind, bytes):
+        return kind.decode("utf-8", "replace")
+    return kind if isinstance(kind, str) else None
+
+
 def check_version(path: Path, file: h5py.File, known: int) -> None:
     """Refuse a file that a newer mixseq wrote."""
-    version = int(file.attrs["version"])
+    refuse_newer(path, int(file.attrs["version"]), known)
+
+
+def refuse_newer(path: Path, version: int, known: int) -> None:
+    """Refuse a version of a file that is above the one that is known."""
     if version > known:
         raise FormatError(
             f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "

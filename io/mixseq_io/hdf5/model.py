@@ -2,59 +2,75 @@
 
 ::
 
-    /                          format = "mixseq-model", version = 2 or 3, created_by, settings (JSON), space,
+    /                          format = "mixseq-model", version = 2, 3 or 4, created_by, settings (JSON), space,
                                name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
     /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; placement, shapes, trust (mixed space); reference (all but vertex space);
-                               reference_lengths (mixed and edge space)
+    /space/                    scale; placement, shapes, trust (mixed space); reference (all but vertex, basis);
+                               reference_lengths (mixed and edge space); fields (basis space)
     /space/links/              parts, pivots, rests, own_weights, weights   (mixed space)
     /signals/time/             frames, times, values
     /signals/pose/             offset, matrix
     /signals/shape/            what vectors consist of, see `shape_blocks`
     /signals/placement/        times, rotations, translations
+
+Compressed models have a layout of their own: `mixseq_io.hdf5.coded`.
 """
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import h5py
 
-from mixseq.errors import FormatError, InvalidSequenceError, OutputError, ReconstructionError, SettingsError
+from mixseq.coding.coded import Coded
+from mixseq.errors import (
+    FormatError,
+    InvalidSequenceError,
+    MixseqWarning,
+    OutputError,
+    ReconstructionError,
+    SettingsError,
+)
 from mixseq.signals.model import Model
 from mixseq.version import __version__
 from mixseq_io.hdf5.arrays import increasing
+from mixseq_io.hdf5.coded import read_coded, write_coded
 from mixseq_io.hdf5.files import (
     MODEL_FORMAT,
     check_version,
     creating_h5,
+    kind_of,
     read_header,
     reading_h5,
     write_header,
 )
+from mixseq_io.hdf5.salvage import check_behind, salvage_coded
 from mixseq_io.hdf5.signals import read_signals, write_signals
 from mixseq_io.hdf5.space import read_space, storable, version_of, write_space
+from mixseq_io.hdf5.streams import CODED_VERSION
 from mixseq_io.hdf5.version1 import read_v1
 from mixseq_io.registry import PathLike
 
-VERSION = 3
+VERSION = CODED_VERSION
 """Files have the first version that knows their space: older mixseqs read what they can."""
 
 SUFFIXES = (".h5", ".hdf5")
 
 
-def save(path: PathLike, model: Model) -> None:
-    """Store a model in an HDF5 file.
+def save(path: PathLike, model: Model | Coded) -> None:
+    """Store a model, or a compressed sequence, in an HDF5 file.
 
     Parameters
     ----------
     path : path-like
         The file; an existing one is replaced when the new one is complete.
-    model : Model
-        What to store; nothing is lost.
+    model : Model or Coded
+        What to store; nothing is lost but the corrections of a compressed model that was loaded, which is told in a
+        `MixseqWarning`.
 
     Raises
     ------
@@ -65,7 +81,19 @@ def save(path: PathLike, model: Model) -> None:
     target = Path(path)
     if target.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{target}: models are HDF5 files; end the name in {' or '.join(SUFFIXES)}")
+    if isinstance(model, Coded):
+        with creating_h5(target) as (file, store):
+            write_coded(file, model)
+            store.check()
+        return
     space = storable(model.space)
+    if model.corrections is not None:
+        warnings.warn(
+            f"{target}: corrections of a compressed model are not stored with signals; frames may be off by more than "
+            "its bound",
+            MixseqWarning,
+            stacklevel=2,
+        )
     with creating_h5(target) as (file, store):
         file.attrs["format"] = MODEL_FORMAT
         file.attrs["version"] = version_of(space)
@@ -77,13 +105,16 @@ def save(path: PathLike, model: Model) -> None:
         store.check()
 
 
-def load(path: PathLike) -> Model:
+def load(path: PathLike, salvage: bool = False) -> Model:
     """Load a model from an HDF5 file.
 
     Parameters
     ----------
     path : path-like
         A file that `save` wrote, of this version or an older one; its signals may have been edited.
+    salvage : bool
+        Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
+        accuracy. Other files are loaded as usual.
 
     Returns
     -------
@@ -96,19 +127,47 @@ def load(path: PathLike) -> Model:
         each other.
     """
     source = Path(path)
+    if salvage and (rest := salvage_coded(source)) is not None:
+        return decoded(source, rest)
+    try:
+        return _load(source)
+    except FormatError:
+        check_behind(source)
+        raise
+
+
+def _load(source: Path) -> Model:
     if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
         raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
     with reading_h5(source), h5py.File(source, "r") as file:
-        kind = file.attrs.get("format")
+        kind = kind_of(file)
         if kind != MODEL_FORMAT:
             raise FormatError(
                 f"{source} is an HDF5 file, but not a mixseq model (format = {kind!r}); make one with mixseq encode"
             )
         check_version(source, file, VERSION)
+        if "coding" in file.attrs:
+            return decoded(source, read_coded(source))
         try:
             return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
         except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
             raise FormatError(f"{source}: {error}; it is damaged") from error
+
+
+def decoded(path: Path, coded: Coded) -> Model:
+    """Return the model of a compressed sequence that was read from a file.
+
+    Raises
+    ------
+    FormatError
+        If its streams contradict each other.
+    """
+    from mixseq.coding.decode import to_model
+
+    try:
+        return to_model(coded)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
 
 
 def _read(path: Path, file: h5py.File) -> Model:

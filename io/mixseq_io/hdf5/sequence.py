@@ -32,6 +32,7 @@ from mixseq_io.hdf5.files import (
     Store,
     check_version,
     creating_h5,
+    kind_of,
     read_header,
     reading_h5,
     whole,
@@ -56,7 +57,7 @@ def open_h5(path: Path) -> SequenceReader:
     """
     with ExitStack() as resources, reading_h5(path):
         file = resources.enter_context(h5py.File(path, "r"))
-        kind = file.attrs.get("format")
+        kind = kind_of(file)
         if kind == MODEL_FORMAT:
             return _ModelReader(path)
         if kind != FORMAT:

@@ -20,14 +20,18 @@ from mixseq.spaces import (
     ShapeSpace,
     VertexSpace,
 )
+from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
 from mixseq_io.hdf5.arrays import Float, floats, integers, put
 from mixseq_io.hdf5.mixed import mixed_blocks, read_mixed_space, write_mixed_space
 from mixseq_io.hdf5.settings import read_scale, read_settings, read_shell, write_settings
 
-StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace
+StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
 Blocks = dict[str, tuple[int, ...]]
 """Names of datasets, in the order of the vector, and the shape of each."""
+
+KNOWN = (*SPACES, BasisSpace.name)
+"""Names of the spaces that files can hold."""
 
 
 def storable(space: ShapeSpace) -> StoredSpace:
@@ -40,12 +44,18 @@ def storable(space: ShapeSpace) -> StoredSpace:
     """
     if isinstance(space, StoredSpace):
         return space
-    raise OutputError(f"files hold models in the spaces {', '.join(SPACES)}, not in {type(space).__name__}")
+    raise OutputError(f"files hold models in the spaces {', '.join(KNOWN)}, not in {type(space).__name__}")
 
 
 def version_of(space: StoredSpace) -> int:
     """Return the first version of the format that knows a space."""
-    return 2 if isinstance(space, MixedSpace | VertexSpace) else 3
+    match space:
+        case MixedSpace() | VertexSpace():
+            return 2
+        case BasisSpace():
+            return 4
+        case _:
+            return 3
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
@@ -53,6 +63,8 @@ def shape_blocks(space: StoredSpace) -> Blocks:
     match space:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
+        case BasisSpace():
+            return {"coefficients": (len(space.fields), 3)}
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
@@ -90,6 +102,8 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     match space:
         case MixedSpace():
             write_mixed_space(file, space)
+        case BasisSpace():
+            put(file, "space/fields", space.fields)
         case GradientSpace() | LRISpace():
             put(file, "space/reference", space.reference)
         case EdgeSpace():
@@ -109,13 +123,15 @@ def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpa
         If the space is not known, or something in it is missing, damaged or contradicts the rest.
     """
     kind = str(file.attrs["space"])
-    if kind not in SPACES:
-        raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(SPACES)} are")
+    if kind not in KNOWN:
+        raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(KNOWN)} are")
     if kind == MixedSpace.name:
         return read_mixed_space(path, file, header)
     scale = read_scale(path, file)
     if kind == VertexSpace.name:
         return VertexSpace(header.vertex_count, scale)
+    if kind == BasisSpace.name:
+        return _read_basis_space(path, file, header.vertex_count, scale)
     topology = Topology(header.faces, header.vertex_count)
     reference = floats(path, file, "space/reference", (header.vertex_count, 3))
     if kind == GradientSpace.name:
@@ -123,6 +139,14 @@ def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpa
     if kind == LRISpace.name:
         return LRISpace(topology, scale, reference)
     return _read_edge_space(path, file, topology, scale, reference)
+
+
+def _read_basis_space(path: Path, file: h5py.File, vertices: int, scale: float) -> BasisSpace:
+    fields = floats(path, file, "space/fields", (None, vertices))
+    zero = ~fields.any(axis=1)
+    if zero.any():
+        raise FormatError(f"{path}: space/fields is zero everywhere in row {int(zero.argmax())}")
+    return BasisSpace(fields, scale)
 
 
 def _read_edge_space(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ INFLUENCES = 4
 
 def main() -> int:
     try:
-        import py_dem_bones  # type: ignore[import-not-found]  # noqa: F401
+        import py_dem_bones  # noqa: F401
     except ImportError:
         print("null")
         return 0
@@ -36,31 +36,47 @@ def decompose(name: str, bones: int) -> dict[str, Any]:
     sequence = animation(name)
     points = sequence.points.astype(np.float64)
     points = (points - points[0].mean(axis=0)) / sequence.diagonal
-    start = "own clustering"
-    timing, (weights, transforms) = _solve(points, sequence.faces, bones, None)
-    if len(weights) < bones:
-        start = "k-means"
-        timing, (weights, transforms) = _solve(points, sequence.faces, bones, _clusters(points, bones))
-    away = points - _skinned(points[0], weights, transforms)
+    found = skinning(points, sequence.faces, bones)
+    away = points - skinned(points[0], found.weights, found.transforms)
     spread = points - points.mean(axis=1, keepdims=True)
     return {
-        "start": start,
-        "bones": len(weights),
-        "seconds": timing.runs,
+        "start": found.start,
+        "bones": len(found.weights),
+        "seconds": found.timing.runs,
         "kg_percent": float(100 * np.linalg.norm(away) / np.linalg.norm(spread)),
         "max_error": float(np.sqrt((away**2).sum(axis=2)).max()),
     }
 
 
-def _solve(points: Float, faces: Any, bones: int, start: Float | None) -> tuple[Timing, tuple[Float, Float]]:
-    """Weights ``(B, V)`` and transforms ``(T, B, 4, 4)``; only the solver is timed."""
-    from py_dem_bones.portable import (  # type: ignore[import-not-found]
+class Skinning(NamedTuple):
+    """Weights ``(B, V)``, transforms ``(T, B, 4, 4)``, seconds of the solver, and how it started."""
+
+    weights: Float
+    transforms: Float
+    timing: Timing
+    start: str
+
+
+def skinning(points: Float, faces: Any, bones: int, runs: int = 3) -> Skinning:
+    """Fit bones to points ``(T, V, 3)``; where its own clustering stops early, from k-means labels."""
+    timing, (weights, transforms) = _solve(points, faces, bones, None, runs)
+    if len(weights) == bones:
+        return Skinning(weights, transforms, timing, "own clustering")
+    timing, (weights, transforms) = _solve(points, faces, bones, _clusters(points, bones), runs)
+    return Skinning(weights, transforms, timing, "k-means")
+
+
+def _solve(
+    points: Float, faces: Any, bones: int, start: Float | None, most: int
+) -> tuple[Timing, tuple[Float, Float]]:
+    """Weights and transforms; only the solver is timed, up to `most` times."""
+    from py_dem_bones.portable import (
         _prepare_solver,
         _read_skinning_result,
     )
 
     runs: list[float] = []
-    while not runs or (len(runs) < 3 and sum(runs) < 30.0):
+    while not runs or (len(runs) < most and sum(runs) < 30.0):
         solver = _prepare_solver(
             points[0], points, bones, faces=faces.tolist(), max_influences=INFLUENCES, iterations=ITERATIONS
         )
@@ -84,7 +100,7 @@ def _clusters(points: Float, bones: int) -> Float:
     return np.asarray(labels == np.arange(bones)[:, None], dtype=np.float64)
 
 
-def _skinned(rest: Float, weights: Float, transforms: Float) -> Float:
+def skinned(rest: Float, weights: Float, transforms: Float) -> Float:
     """Linear blend skinning: the sum over bones of ``w (R x + t)``, frame by frame."""
     homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
     frames = []

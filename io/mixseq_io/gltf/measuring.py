@@ -1,0 +1,103 @@
+r"""How far a glTF file is from the sequence that it was made from, as readers see it.
+
+With the points :math:`x_t(v)` of the sequence, those of the file :math:`y_t(v)`, the centroid :math:`\bar x_t` of a
+frame and the diagonal :math:`D` of the first one:
+
+.. math::
+    e_{max} = \max_{tv} \frac{|y_t(v) - x_t(v)|}{D}, \quad
+    e_{rms} = \frac{1}{D} \sqrt{\frac{1}{TV} \sum_{tv} |y_t(v) - x_t(v)|^2}, \quad
+    KG = 100 \frac{\lVert y - x \rVert_F}{\lVert x - \bar x \rVert_F}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
+from mixseq_io.gltf.buffers import glb_size
+from mixseq_io.gltf.morphs import Morphs, time_shift
+from mixseq_io.gltf.reader import open_gltf
+from mixseq_io.gltf.standalone import new_scene, upright
+from mixseq_io.pieces import split
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Errors of a file: the largest and the root mean square distance in diagonals, and KG in percent."""
+
+    max_error: float
+    rms_error: float
+    kg_percent: float
+
+
+def measure(path: Path, sequence: MeshSequence) -> Measured:
+    """Compare a file that was written of a sequence with it, at the times of its frames.
+
+    Parameters
+    ----------
+    path : Path
+        The file, a scene of its own as `mixseq_io.write_rig` writes it.
+    sequence : MeshSequence
+        What it shall show.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read.
+    """
+    kept = np.concatenate(
+        [
+            np.arange(piece.vertices.start, piece.vertices.stop)
+            for piece in split(sequence.header)
+            if piece.polygons.counts.size
+        ]
+    )
+    turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)), (4, 4))[:3, :3]
+    largest = squares = spread = 0.0
+    for points, shown in _pairs(path, sequence):
+        here = points[kept].astype(np.float64) @ turn  # columns of the file are rows here
+        square = np.square(shown - here).sum(axis=1)
+        largest = max(largest, float(square.max()))
+        squares += float(square.sum())
+        spread += float(np.square(here - here.mean(axis=0)).sum())
+    diagonal = bounding_diagonal(sequence.points[0][kept].astype(np.float64) @ turn)
+    return Measured(
+        max_error=_ratio(np.sqrt(largest), diagonal),
+        rms_error=_ratio(np.sqrt(squares / (sequence.frame_count * len(kept))), diagonal),
+        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+    )
+
+
+def size_as_frames(header: SequenceHeader) -> int:
+    """Return the bytes of a .glb with a morph target for every frame, as `mixseq_io.write` writes it; to some digits.
+
+    Bounds of points are not known here, and take some bytes more or less.
+    """
+    layout, meshes = new_scene(header)
+    Morphs(layout, meshes, header)
+    return glb_size(layout)
+
+
+def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
+    """Yield the points of every frame of a sequence, and those that the file shows then."""
+    with open_gltf(path, prim="/") as reader:
+        there = reader.header.times
+        # The nearest: times are float32 in the file, and a file that stands still has a single frame.
+        nearest = np.searchsorted((there[1:] + there[:-1]) / 2, sequence.times - time_shift(sequence.header))
+        number = 0
+        for block in reader.blocks():
+            for shown in block:
+                for frame in np.flatnonzero(nearest == number):
+                    yield sequence.points[frame], shown.astype(np.float64)
+                number += 1
+
+
+def _ratio(value: float, unit: float) -> float:
+    if value == 0:
+        return 0.0
+    return float(value / unit) if unit > 0 else float("inf")

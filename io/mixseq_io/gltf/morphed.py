@@ -1,0 +1,123 @@
+r"""A base mesh with the targets of a `Morph`, as glTF has them.
+
+A target is displacements ``d_m`` and weights ``w_tm``; both are scaled so that weights stay within [-1, 1], where
+programs have sliders:  ``w d = (w / s) (s d)`` with ``s_m = max_t |w_tm|``. Targets that are never used are left out.
+
+glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before they are normalised. Targets are modes
+here, not shapes to be seen one at a time, so the ``e_m`` are those that come closest to the true normals ``N_t`` of all
+frames: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)`` (least squares).
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.normals import shared_normals
+from mixseq.rigging.rigs import Morph
+from mixseq_io.blocks import as_float32
+from mixseq_io.gltf.buffers import VERTICES, Layout, append
+from mixseq_io.gltf.morphs import MovingMesh
+from mixseq_io.gltf.standalone import new_scene
+from mixseq_io.gltf.tracks import Track, animate
+
+Float = NDArray[np.float64]
+Vectors = NDArray[np.float32]
+
+_ILL_DEFINED = 1e-6
+"""Combinations of weights that are smaller than this, relative to the largest, say nothing of normals; ours."""
+
+
+def morphed_scene(morph: Morph) -> Layout:
+    """Return a document of a mesh with morph targets and the animation of their weights.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If points or times do not fit into float32.
+    """
+    layout, meshes = new_scene(morph.header)
+    animate(layout, morph.header, add_targets(layout, meshes, morph))
+    return layout
+
+
+def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
+    """Give the meshes of a document points, normals and targets.
+
+    Returns
+    -------
+    list of Track
+        The track of the weights, with a value for every target; none if there are no targets.
+    """
+    morph = _scaled(morph)
+    base = as_float32(morph.base[None], 0, "glTF")[0]
+    targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
+    for mesh in meshes:
+        _add(layout, mesh, morph, base, targets)
+    if not len(targets):
+        return []
+    for mesh in meshes:
+        entry = layout.document["meshes"][layout.document["nodes"][mesh.node]["mesh"]]
+        entry["weights"] = morph.weights[0].astype(np.float32).tolist()
+        entry["extras"] = {"targetNames": numbered_names("mode", len(targets))}
+    return [Track([mesh.node for mesh in meshes], "weights", morph.weights.astype(np.float32))]
+
+
+def numbered_names(word: str, count: int) -> list[str]:
+    """Return names that sort as their numbers do.
+
+    Examples
+    --------
+    >>> numbered_names("bone", 2), numbered_names("mode", 101)[-1]
+    (['bone_00', 'bone_01'], 'mode_100')
+    """
+    width = max(2, len(str(count - 1)))
+    return [f"{word}_{number:0{width}d}" for number in range(count)]
+
+
+def _scaled(morph: Morph) -> Morph:
+    largest = np.abs(morph.weights).max(axis=0, initial=0)
+    used = largest > 0
+    scale = largest[used]
+    return replace(
+        morph, targets=morph.targets[used] * scale[:, None, None], weights=morph.weights[:, used] / scale
+    )
+
+
+def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Vectors, targets: Vectors) -> None:
+    normals, normal_targets = _normals(mesh, morph)
+    for each in mesh.primitives:
+        shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
+        for number, (points, directions) in enumerate(shapes):
+            attributes = each.entry["attributes"] if number == 0 else {}
+            here = points[mesh.piece.vertices][each.vertices]
+            attributes["POSITION"] = layout.add_array(here, target=VERTICES)
+            bounds = here.min(axis=0).tolist(), here.max(axis=0).tolist()
+            layout.bounded(attributes["POSITION"], bounds)
+            if each.normals is not None:
+                attributes["NORMAL"] = layout.add_array(directions[each.normals], target=VERTICES)
+            if number > 0:
+                append(each.entry, "targets", attributes)
+
+
+def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Vectors, Vectors]:
+    """Return the normals of the base ``(G, 3)`` and what targets add to them ``(M, G, 3)``, see the module's head."""
+
+    def normals_of(points: Float) -> Vectors:
+        return shared_normals(points[:, mesh.piece.vertices], mesh.piece.polygons, mesh.piece.creases)
+
+    (base,) = normals_of(morph.base[None])
+    targets = np.zeros((len(morph.targets), base.size))
+    if len(targets):
+        inverse = np.linalg.pinv(morph.weights, rcond=_ILL_DEFINED)
+        frame = 0
+        for block in morph.blocks():
+            turned = (normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
+            targets += inverse[:, frame : frame + len(block)] @ turned
+            frame += len(block)
+    return base, targets.reshape(-1, *base.shape).astype(np.float32)

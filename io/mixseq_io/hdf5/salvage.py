@@ -1,0 +1,199 @@
+"""What can be read of a damaged compressed model.
+
+Every stream has a checksum of its own, so damage is known by stream:
+
+===========================  =========================================================================
+damaged                      what is left
+===========================  =========================================================================
+fields of a group            the groups before it: all frames, coarser; the bound does not hold
+tracks of a chunk            all other frames
+corrections of a chunk       all frames; the bound does not hold in those of the chunk
+surface                      everything else
+connectivity, times, index   nothing
+===========================  =========================================================================
+
+HDF5 does not open files that are not all there, or whose own structure is damaged. Index and streams follow each other
+in one run of bytes, and the attribute stands before them, so both are found without HDF5 too.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.coding.coded import Chunk, Coded
+from mixseq.errors import FormatError, MixseqWarning
+from mixseq_io.hdf5.coded import coded_of, is_coded, read_header, read_parameters, read_stored
+from mixseq_io.hdf5.streams import MAGIC, Index, Stored, StoredChunk, read_index
+
+_TEXT = b'{"coding":{'
+"""What the attribute begins with."""
+
+_LONGEST = 1 << 16
+"""Attributes are not longer than this."""
+
+
+def salvage_coded(path: Path) -> Coded | None:
+    """Read what is not damaged of a compressed model; None if the file is, or was, nothing of that kind.
+
+    Whatever is left out is told in a `MixseqWarning`; then `CodingParameters.promised` is false if the bound does not
+    hold for the frames that are left.
+
+    Raises
+    ------
+    FormatError
+        If nothing can be read.
+    """
+    stored = _found(path)
+    if stored is None:
+        return None
+    index = read_index(path, stored)
+    ground = {name: stream.read(stored.streams) for name, stream in index.ground().items()}
+    if ground["surface"] is None:
+        _tell(path, "the surface is damaged and left out: texture coordinates, creases, face sets")
+        ground["surface"] = b""
+    for name in ("connectivity", "times"):
+        if ground[name] is None:
+            raise FormatError(f"{path}: its {name} are damaged, so nothing can be salvaged; restore the file")
+    header = read_header(
+        path, stored, index, {name: data for name, data in ground.items() if data is not None}
+    )
+    parameters = read_parameters(path, stored)
+    groups = _fields(path, stored, index)
+    complete = len(groups) == len(index.fields)
+    chunks, frames, corrected = _chunks(path, stored, index, complete)
+    return Coded(
+        header if len(frames) == header.frame_count else header.with_times(header.times[frames]),
+        parameters if complete and corrected else replace(parameters, promised=False),
+        groups,
+        chunks,
+    )
+
+
+def _fields(path: Path, stored: Stored, index: Index) -> tuple[bytes, ...]:
+    """Return the groups before the first one that is damaged."""
+    groups = []
+    for stream in index.fields:
+        data = stream.read(stored.streams)
+        if data is None:
+            break
+        groups.append(data)
+    there, all_groups = len(groups), len(index.fields)
+    if all_groups and not there:
+        raise FormatError(
+            f"{path}: {index.fields[0].what} are damaged, so nothing can be salvaged; restore the file"
+        )
+    if there < all_groups:
+        _tell(
+            path,
+            f"{index.fields[there].what} are damaged; decoded with {there} of {all_groups} groups, frames are coarser "
+            "than the file promises",
+        )
+    return tuple(groups)
+
+
+def _chunks(
+    path: Path, stored: Stored, index: Index, complete: bool
+) -> tuple[tuple[Chunk, ...], list[int], bool]:
+    """Return the chunks that have tracks, numbered anew, the frames in them, and whether all are corrected.
+
+    Corrections say what is missing to all fields: they are left out unless those are `complete`.
+    """
+    lost: list[StoredChunk] = []
+    coarse: list[StoredChunk] = []
+    chunks: list[Chunk] = []
+    frames: list[int] = []
+    for each in index.chunks:
+        tracks, corrections = each.tracks.read(stored.streams), each.corrections.read(stored.streams)
+        if tracks is None:
+            lost.append(each)
+            continue
+        if corrections is None:
+            coarse.append(each)
+        chunks.append(Chunk(len(frames), each.count, tracks, (corrections or b"") if complete else b""))
+        frames += range(each.first, each.first + each.count)
+    if not chunks:
+        raise FormatError(f"{path}: the tracks of all frames are damaged; restore the file")
+    if lost:
+        _tell(path, f"frames {_ranges(lost)} are damaged and left out")
+    if coarse:
+        _tell(path, f"corrections of frames {_ranges(coarse)} are damaged; the bound does not hold there")
+    return tuple(chunks), frames, not coarse
+
+
+def _ranges(chunks: list[StoredChunk]) -> str:
+    """Name the frames of chunks; those that follow each other as one range."""
+    starts = np.array([each.first for each in chunks])
+    ends = np.array([each.first + each.count for each in chunks])
+    gaps = np.flatnonzero(starts[1:] != ends[:-1]) + 1
+    firsts, lasts = starts[[0, *gaps]], ends[[*(gaps - 1), -1]] - 1
+    return ", ".join(f"{first} to {last}" for first, last in zip(firsts, lasts, strict=True))
+
+
+def check_behind(path: Path) -> None:
+    """Say more of a file that HDF5 cannot read, if it is, or was, a compressed model; do nothing if it is not.
+
+    Raises
+    ------
+    FormatError
+        Names the first stream that is damaged, or says that all are whole.
+    """
+    try:
+        read_stored(path)
+    except FormatError as error:
+        stored = _behind(path) if path.is_file() else None
+        if stored is not None:
+            coded_of(path, stored)
+            raise FormatError(
+                f"{path}: HDF5's own structure is damaged, but no signal is; read it with mixseq decode --salvage"
+            ) from error
+
+
+def _found(path: Path) -> Stored | None:
+    """Read attribute and streams with HDF5 if it can, else look for them in the bytes of the file."""
+    try:
+        return read_stored(path) if is_coded(path) else None
+    except FormatError:
+        if not path.is_file():
+            raise
+    return _behind(path)
+
+
+def _behind(path: Path) -> Stored | None:
+    """Find attribute and streams in the bytes of a file."""
+    data = path.read_bytes()
+    texts = list(_texts(data))
+    for start in _places(data, MAGIC):
+        for text in texts:
+            try:
+                read_index(path, stored := Stored(text, data[start:]))
+            except FormatError:
+                continue
+            return stored
+    return None
+
+
+def _texts(data: bytes) -> Iterator[bytes]:
+    for start in _places(data, _TEXT):
+        text = data[start : start + _LONGEST].decode("latin-1")
+        try:
+            _, end = json.JSONDecoder().raw_decode(text)
+        except ValueError:
+            continue
+        yield data[start : start + end]
+
+
+def _places(data: bytes, what: bytes) -> Iterator[int]:
+    start = data.find(what)
+    while start >= 0:
+        yield start
+        start = data.find(what, start + 1)
+
+
+def _tell(path: Path, what: str) -> None:
+    warnings.warn(f"{path}: {what}", MixseqWarning, stacklevel=2)

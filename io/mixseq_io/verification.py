@@ -1,0 +1,160 @@
+r"""Whether a compressed model keeps its promise.
+
+With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
+original's first frame, the promise is
+
+.. math:: \max_{tv} |A_{tv} - B_{tv}| \le \epsilon\, d
+
+and the KG error is that of `mixseq.metrics`. Frames are decoded and compared a few at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mixseq.errors import FormatError
+from mixseq.metrics import check_comparable, paired_blocks
+from mixseq.progress import Progress, silent
+from mixseq.sequence import FloatArray, Frames, SequenceHeader, bounding_diagonal, check_frames
+from mixseq.signals.model import FRAMES, Model
+from mixseq_io.hdf5.coded import read_coded
+from mixseq_io.hdf5.model import decoded
+from mixseq_io.registry import PathLike
+
+_ROUNDING = 1e-9
+"""A largest error that was only measured, and not asked for, may differ by so much of itself."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What `verify` finds in a file that is not damaged; formulas are at the head of this module.
+
+    Attributes
+    ----------
+    frames, vertices : int
+        What was decoded.
+    bound : float
+        Largest distance of a vertex from the original that the file states, in diagonals.
+    promised : bool
+        Whether that bound was asked for when the sequence was compressed; else it was measured then.
+    max_error : float or None
+        Largest distance of a vertex, in diagonals; None without an original, as all that follow.
+    kg_percent : float or None
+        Karni-Gotsman error.
+    worst_frame, worst_vertex : int or None
+        Where the largest distance is.
+    """
+
+    frames: int
+    vertices: int
+    bound: float
+    promised: bool
+    max_error: float | None = None
+    kg_percent: float | None = None
+    worst_frame: int | None = None
+    worst_vertex: int | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether no vertex is beyond the bound; without an original nothing speaks against it."""
+        slack = 1.0 if self.promised else 1.0 + _ROUNDING
+        return self.max_error is None or self.max_error <= self.bound * slack
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, with None for what is infinite."""
+        plain = {**asdict(self), "holds": self.holds}
+        return {name: None if value == float("inf") else value for name, value in plain.items()}
+
+
+def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
+    """Check a compressed model: its checksums, that every frame decodes, and its bound.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `mixseq.save` wrote of what `mixseq.compress` returned.
+    original : MeshSequence or SequenceReader, optional
+        What was compressed; every vertex of every frame is compared with it.
+    progress : callable, optional
+        Told about every frame.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, or no compressed model, or a frame is not finite.
+    InvalidSequenceError
+        If the original is no sequence, another mesh, or has other frames.
+    """
+    source = Path(path)
+    if original is not None:
+        check_frames(original)
+    coded = read_coded(source)
+    frames = _Checked(source, decoded(source, coded), progress)
+    header, parameters = coded.header, coded.parameters
+    found = Verification(header.frame_count, header.vertex_count, parameters.max_error, parameters.promised)
+    if original is not None:
+        check_comparable(original.header, header)
+        return replace(found, **_errors(original, frames))
+    for _ in frames.blocks():
+        pass
+    return found
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """The frames of a model, all of which have to be finite."""
+
+    path: Path
+    model: Model
+    progress: Progress
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+        return self.model.header
+
+    def blocks(self, size: int = FRAMES) -> Iterator[FloatArray]:
+        """Decode all frames."""
+        first = 0
+        for block in self.model.blocks(self.model.times, size, progress=self.progress):
+            bad = ~np.isfinite(block).all(axis=(1, 2))
+            if bad.any():
+                raise FormatError(
+                    f"{self.path}: frame {first + int(bad.argmax())} is not finite; it is damaged"
+                )
+            yield block
+            first += len(block)
+
+
+def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
+    """Compare every vertex of every frame."""
+    squares = spread = diagonal = worst = 0.0
+    first, where = 0, (0, 0)
+    for x, y in paired_blocks(original, frames, FRAMES):
+        if first == 0:
+            diagonal = bounding_diagonal(x[0])
+        distances = np.square(x - y).sum(axis=2)
+        squares += float(distances.sum())
+        spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+        if distances.max() > worst:
+            worst = float(distances.max())
+            frame, vertex = np.unravel_index(distances.argmax(), distances.shape)
+            where = first + int(frame), int(vertex)
+        first += len(x)
+    return {
+        "max_error": _ratio(np.sqrt(worst), diagonal),
+        "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+        "worst_frame": where[0],
+        "worst_vertex": where[1],
+    }
+
+
+def _ratio(value: float, unit: float) -> float:
+    if value == 0:
+        return 0.0
+    return float(value / unit) if unit > 0 else float("inf")

@@ -1,0 +1,136 @@
+"""What commands have in common about compressed models: how small or how good, and what became of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from mixseq.cli.console import format_bytes
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.coding.coded import Coded
+    from mixseq.sequence import SequenceHeader
+
+Rows = list[tuple[str, str]]
+
+_UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
+_SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
+
+_OF_FITTING = (
+    *("exact", "tolerance", "rank", "space", "parts", "joint_width", "placement", "shrink", "projection"),
+    *("volume", "coarse", "labels", "label_source", "knots", "pose"),
+)
+"""Options of ``mixseq encode`` that are about models that are not compressed."""
+
+
+def as_bytes(context: click.Context, option: click.Parameter, value: str | None) -> int | None:
+    """Read a size such as 2MB, 500kB or 1.5MiB.
+
+    Examples
+    --------
+    >>> [as_bytes(None, None, text) for text in ("2MB", "500 kB", "1.5MiB", "800")]
+    [2000000, 500000, 1572864, 800]
+    """
+    if value is None:
+        return None
+    found = _SIZE.fullmatch(value.strip())
+    unit = found and _UNITS.get(found[2].lower())
+    if not found or not unit or float(found[1]) * unit < 1:
+        raise click.BadParameter(f"{value!r} is not a size such as 2MB, 500kB or 1.5MiB")
+    return int(float(found[1]) * unit)
+
+
+def aim_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add what a compressed model can aim at; the command gets ``aim``: one of the three by name, or nothing.
+
+    Options of fitting beside them are refused.
+    """
+
+    @click.option(
+        "--max-error",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="X",
+        help="Compress: no vertex of any frame is farther off than X diagonals of the bounding box.",
+    )
+    @click.option(
+        "--kg",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="X",
+        help="Compress, to a KG error of X percent.",
+    )
+    @click.option("--size", callback=as_bytes, metavar="SIZE", help="Compress into 2MB, 500kB, 1.5MiB, ...")
+    @wraps(command)
+    def with_options(
+        *args: Any,
+        max_error: float | None,
+        kg: float | None,
+        size: int | None,
+        **settings: Any,
+    ) -> None:
+        aims = {"max_error": max_error, "kg": kg, "size": size}
+        aim = {name: value for name, value in aims.items() if value is not None}
+        _check_aim(click.get_current_context(), [name.replace("_", "-") for name in aim])
+        command(*args, aim=aim, **settings)
+
+    return with_options
+
+
+def _check_aim(context: click.Context, names: list[str]) -> None:
+    if len(names) > 1:
+        raise SettingsError(
+            f"give one of --{' and --'.join(names)}, not {len(names)}: each follows from the other"
+        )
+    for option in context.command.params if names else ():
+        given = option.name and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+        if given and option.name in _OF_FITTING:
+            raise SettingsError(
+                f"{option.opts[0]} is for models that are not compressed; leave it out, or leave out --{names[0]}"
+            )
+
+
+def coding_facts(path: Path, coded: Coded) -> dict[str, Any]:
+    """Return bytes, rates and errors of a compressed model that is in a file."""
+    from dataclasses import asdict
+
+    from mixseq_io.hdf5.coded import coded_sizes
+
+    sizes = coded_sizes(path)
+    return {
+        "bytes": sizes,
+        "coding": {
+            **asdict(coded.parameters),
+            "groups": len(coded.fields),
+            "chunks": len(coded.chunks),
+            "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
+        },
+    }
+
+
+def bits(size: int, header: SequenceHeader) -> float:
+    """Return bits per vertex and frame."""
+    return 8 * size / (header.vertex_count * header.frame_count)
+
+
+def coding_rows(facts: dict[str, Any]) -> Rows:
+    """Rows of a table about what `coding_facts` returned."""
+    sizes, coding = facts["bytes"], facts["coding"]
+    stated = "at most " if coding["promised"] else ""
+    return [
+        *(
+            (name, f"{format_bytes(sizes[name])}, {coding['bits'][name]:.3g} bits per vertex and frame")
+            for name in ("signals", "total")
+        ),
+        (
+            "of it",
+            f"{format_bytes(sizes['connectivity'])} faces, {format_bytes(sizes['container'])} container",
+        ),
+        ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
+        ("KG error", f"{coding['kg_percent']:.3g} %"),
+    ]

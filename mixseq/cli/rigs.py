@@ -1,0 +1,99 @@
+"""Skins and morphs on the command line: fitted, written, and measured as they were written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mixseq
+from mixseq.errors import OutputError, SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.progress import Progress
+    from mixseq.rigging.rigs import Morph, Skin
+    from mixseq.sequence import MeshSequence
+
+_ONLY_FOR = {"bones": "skin", "correctives": "skin", "max_error": "morph", "max_targets": "skin or morph"}
+_USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """What is asked of a skin or a morph; None is the default of the fit.
+
+    Attributes
+    ----------
+    kind : {"skin", "morph"} or None
+        What to write; None for a sequence.
+    bones : int or None
+        Number of bones.
+    correctives, max_error : float or None
+        Largest error of a vertex in diagonals, of a skin by its correctives, and of a morph.
+    max_targets : int or None
+        Number of morph targets at most.
+    """
+
+    kind: str | None
+    bones: int | None
+    correctives: float | None
+    max_error: float | None
+    max_targets: int | None
+
+    def check(self, velocities: bool, writing: Mapping[str, Any]) -> None:
+        """Refuse options that exclude each other.
+
+        Raises
+        ------
+        SettingsError
+            If there are some; the message names them.
+        """
+        for name, kinds in _ONLY_FOR.items():
+            if getattr(self, name) is not None and (self.kind is None or self.kind not in kinds):
+                option = f"--{name.replace('_', '-')}"
+                raise SettingsError(f"{option} is for --as {kinds}; leave it out, or give both")
+        if self.kind is not None:
+            for name in ["velocities"] * velocities + list(writing):
+                if name in _USELESS:
+                    raise SettingsError(
+                        f"a {self.kind} has no place for {_USELESS[name]}; leave out --{name}, or --as"
+                    )
+
+    def fit(self, sequence: MeshSequence, progress: Progress) -> Skin | Morph:
+        """Fit the skin or the morph to a sequence."""
+        targets = {} if self.max_targets is None else {"max_targets": self.max_targets}
+        if self.kind == "morph":
+            return mixseq.fit_morph(sequence, self.max_error, **targets, progress=progress)
+        return mixseq.fit_skin(sequence, self.bones, self.correctives, **targets, progress=progress)
+
+
+def check_origin(target: Path, sequence: MeshSequence) -> None:
+    """Refuse to write over the file that a sequence once came from."""
+    origin = sequence.surface.origin
+    if origin is not None and target.exists() and Path(origin.path).exists() and target.samefile(origin.path):
+        raise OutputError(
+            f"{target} is the file that the sequence came from, which would be lost; give another name"
+        )
+
+
+def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:
+    """Read a file back and tell what is in it, and how far it is from the sequence."""
+    from mixseq.cli.console import format_bytes
+    from mixseq.rigging.rigs import Skin
+    from mixseq_io.gltf.measuring import measure, size_as_frames
+
+    found = measure(path, sequence)
+    first, last = rig.header.times[[0, -1]]
+    frames = (
+        f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rig.header.fps:g} frames per second"
+    )
+    return [
+        ("keys", frames),
+        *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),
+        ("morph targets", f"{len(rig.targets)}"),
+        ("max error", f"{found.max_error:.4g} diagonals"),
+        ("rms error", f"{found.rms_error:.4g} diagonals"),
+        ("KG error", f"{found.kg_percent:.4g} %"),
+        ("every frame", f"would be {format_bytes(size_as_frames(sequence.header))} as a morph target each"),
+    ]

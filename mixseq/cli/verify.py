@@ -1,0 +1,74 @@
+"""``mixseq verify``."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import print_json, print_table, progress_bar
+from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq_io.verification import Verification
+
+
+@click.command("verify", epilog=examples("mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json"))
+@click.argument("path", metavar="FILE", type=FILE)
+@click.argument("original", required=False, type=FILE)
+@json_option
+@reader_options
+@quiet_option
+@click.pass_context
+def command(
+    context: click.Context,
+    path: Path,
+    original: Path | None,
+    as_json: bool,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Check a compressed model: that it is not damaged, and that its bound holds.
+
+    FILE is what "mixseq encode --max-error", --kg or --size wrote. All checksums are checked and all frames decoded.
+    With ORIGINAL every vertex of every frame is compared with the bound. The exit code is 0 if it holds, 1 if not,
+    2 if FILE is damaged.
+    """
+    if reading and original is None:
+        raise SettingsError(f"{next(iter(reading))!r} tells how to read ORIGINAL, but there is none; name it")
+    with ExitStack() as resources:
+        progress = resources.enter_context(progress_bar(quiet))
+        frames = None
+        if original is not None:
+            frames = resources.enter_context(mixseq.open_sequence(original, **reading))
+        found = mixseq.verify(path, frames, progress=progress)
+    if as_json:
+        print_json(
+            {"file": str(path), "original": None if original is None else str(original)} | found.as_dict()
+        )
+    elif not quiet:
+        print_table(_rows(found))
+    if not found.holds:
+        context.exit(1)
+
+
+def _rows(found: Verification) -> list[tuple[str, str]]:
+    rows = [
+        ("intact", f"{found.frames:,} frames of {found.vertices:,} vertices"),
+        ("bound", f"{found.bound:.6g} of the diagonal, {'asked for' if found.promised else 'as measured'}"),
+    ]
+    if found.max_error is None:
+        return rows
+    return [
+        *rows,
+        (
+            "max error",
+            f"{found.max_error:.6g} of the diagonal, of vertex {found.worst_vertex} in frame {found.worst_frame}",
+        ),
+        ("KG error", f"{found.kg_percent:.4g} %"),
+        ("bound holds", "yes" if found.holds else "no"),
+    ]

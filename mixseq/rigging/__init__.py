@@ -1,0 +1,12 @@
+"""Skins and morph targets fitted to sequences, for engines.
+
+`rigs` says what they are, `fit` makes them: `decomposition` alternates `bones`, how they move, and `weights` (with
+`kernels`), how vertices follow them; `correctives` fits targets.
+"""
+
+from __future__ import annotations
+
+from mixseq.rigging.fit import fit_morph, fit_skin
+from mixseq.rigging.rigs import Morph, Skin
+
+__all__ = ["Morph", "Skin", "fit_morph", "fit_skin"]

@@ -1,0 +1,136 @@
+r"""Bones: where they start, and how they move given the weights of vertices.
+
+Given weights, the motions :math:`M_{tb} = (R_{tb}, T_{tb})` of a frame minimise
+:math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2`. One bone after the other takes the best rigid motion of
+what the others leave, :math:`q_t(v) = x_t(v) - \sum_{c \ne b} w_{vc} M_{tc} \tilde r_v` (Le and Deng 2012):
+
+.. math::
+    R_{tb} = \operatorname*{nearest\ rotation\ to} \sum_v w_{vb} (q_v - w_{vb} \bar q)(r_v - \bar r)^T, \quad
+    T_{tb} = \bar q - R_{tb} \bar r, \quad
+    \bar r = \frac{\sum_v w_{vb}^2 r_v}{\sum_v w_{vb}^2}, \quad \bar q = \frac{\sum_v w_{vb} q_v}{\sum_v w_{vb}^2}
+
+All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
+:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that a sweep over the bones costs nothing per vertex.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import aligning_rotations, kabsch, nearest_rotations
+from mixseq.rigging.weights import Binding
+from mixseq.segmentation.rigid_error import Moments, moments
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SWEEPS = 10
+"""Sweeps over the bones between two rounds of weights; the value is ours."""
+
+HELD = 1e-9
+"""How strongly a rotation holds to the one before, relative to what turns it: it decides where points are on a line."""
+
+
+def move(tracks: Float, binding: Binding, motions: Float, sweeps: int = SWEEPS) -> Float:
+    """Fit the motions of bones.
+
+    Parameters
+    ----------
+    tracks : (V, 3T) float64
+        Positions of every vertex, frame by frame.
+    binding : Binding
+        How vertices follow the bones.
+    motions : (B, 4, 3T) float64
+        Transposed motions to start from; bones that no vertex follows keep theirs.
+    sweeps : int
+        How often every bone is moved.
+    """
+    bones, frames = len(motions), motions.shape[2] // 3
+    rows = binding.matrix(bones)
+    seen = np.asarray(rows.T @ tracks).reshape(bones, 4, -1)
+    products = np.asarray((rows.T @ rows).todense()).reshape(bones, 4, 4 * bones)
+    result = motions.copy()
+    flat = result.reshape(4 * bones, -1)
+    own = [products[b, :, 4 * b : 4 * b + 4] for b in range(bones)]
+    for _ in range(sweeps):
+        for b in np.flatnonzero([m[3, 3] > 0 for m in own]).tolist():
+            left = (seen[b] - products[b] @ flat + own[b] @ result[b]).reshape(4, frames, 3)
+            source, target = own[b][3, :3] / own[b][3, 3], left[3] / own[b][3, 3]
+            covariance = left[:3].transpose(1, 2, 0) - left[3][:, :, None] * source
+            spread = np.trace(own[b][:3, :3]) - own[b][3, 3] * (source @ source)
+            before = result[b].reshape(4, frames, 3)[:3].transpose(1, 2, 0)
+            turn = aligning_rotations(covariance + HELD * max(spread, HELD) * before)
+            result[b] = transposed(turn, target - turn @ source)
+    return result
+
+
+def transposed(rotations: Float, translations: Float) -> Float:
+    """Return rotations ``(T, 3, 3)`` and translations ``(T, 3)`` as a transposed motion ``(4, 3T)``."""
+    whole = np.concatenate([rotations, translations[:, :, None]], axis=2)
+    return whole.transpose(2, 0, 1).reshape(4, -1)
+
+
+def on_rotations(motions: Float) -> Float:
+    """Return transposed motions ``(B, 4, 3T)`` whose rotations are the nearest ones to those given."""
+    parts = motions.reshape(len(motions), 4, -1, 3).transpose(0, 2, 3, 1)  # (B, T, 3, 4)
+    turns = nearest_rotations(parts[..., :3])
+    return np.stack([transposed(turn, part[..., 3]) for turn, part in zip(turns, parts, strict=True)])
+
+
+def motion_of(tracks: Float, rest: Float, vertices: Index) -> Float:
+    """Return the best rigid motion ``(4, 3T)`` of some vertices."""
+    some = tracks[vertices].reshape(len(vertices), -1, 3).swapaxes(0, 1)
+    return transposed(*kabsch(rest[vertices], some))
+
+
+def vertex_labels(faces: Index, labels: Index, vertex_count: int) -> Index:
+    """Return the label ``(V,)`` that most triangles at a vertex have, the lowest of several; 0 where there is none."""
+    votes = np.zeros((vertex_count, int(labels.max()) + 1), dtype=np.int64)
+    np.add.at(votes, (faces.reshape(-1), np.repeat(labels, 3)), 1)
+    return np.asarray(votes.argmax(axis=1), dtype=np.int64)
+
+
+def merged(tracks: Float, labels: Index, count: int) -> Index:
+    """Merge bones, the pair whose common rigid motion costs least first, until at most `count` are left.
+
+    Bones that do not touch may be merged: wheels of one axle, or components that never move apart.
+    """
+    labels = np.unique(labels, return_inverse=True)[1]
+    x = tracks.reshape(len(tracks), -1, 3)
+    sums: dict[int, Moments] = {}
+    for bone in range(int(labels.max()) + 1):
+        own = x[labels == bone]
+        sums[bone] = moments(own[:, 0], own, np.ones(len(own)))
+    errors = {bone: m.error() for bone, m in sums.items()}
+    costs: dict[tuple[int, int], float] = {}
+    while len(sums) > count:
+        for i in sums:
+            for j in sums:
+                if i < j and (i, j) not in costs:
+                    costs[i, j] = (sums[i] + sums[j]).error() - errors[i] - errors[j]
+        keep, drop = min(costs, key=lambda pair: (costs[pair], pair))
+        labels[labels == drop] = keep
+        sums[keep] += sums.pop(drop)
+        errors[keep] = sums[keep].error()
+        costs = {pair: cost for pair, cost in costs.items() if not {keep, drop} & set(pair)}
+    return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.int64)
+
+
+def seeded(tracks: Float, binding: Binding, count: int, size: int) -> Float:
+    """Return the motions ``(n, 4, 3T)`` of at most `count` new bones, where vertices are worst explained.
+
+    A seed is the vertex of the largest error and the `size` vertices that stay nearest to it in all frames.
+    """
+    errors = binding.errors.copy()
+    found = []
+    for _ in range(count):
+        worst = int(errors.argmax())
+        if errors[worst] <= 0:
+            break
+        off = tracks - tracks[worst]
+        near = np.argpartition(np.einsum("vi,vi->v", off, off), min(size, len(off)) - 1)[:size]
+        found.append(motion_of(tracks, binding.rest, np.sort(near)))
+        errors[near] = 0.0
+        errors[worst] = 0.0
+    return np.stack(found) if found else np.zeros((0, 4, tracks.shape[1]))

@@ -1,0 +1,298 @@
+r"""Sequences as engines play them: a skin over moving bones, or a base mesh with morph targets.
+
+*Linear blend skinning.* Bone b at frame t turns about its pivot :math:`p_b` by the rotation :math:`R_{tb}` and takes
+the pivot to :math:`c_{tb}`; a vertex follows at most four bones, and the rest shape may be corrected before:
+
+.. math::
+
+    x_t(v) = \sum_{i=1}^4 w_{vi} \Bigl( R_{tb} \bigl( r_v + \sum_m a_{tm} d_{mv} - p_b \bigr) + c_{tb} \Bigr),
+    \quad b = b_{vi}, \quad w_{vi} \ge 0, \quad \sum_i w_{vi} = 1
+
+*Morph targets.* :math:`x_t(v) = x_0(v) + \sum_m w_{tm} d_m(v)`.
+
+Both stream their frames as a `mixseq.sequence.MeshSequence` does, so that `mixseq.compare` and writers take them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.polygons import frozen
+from mixseq.sequence import FloatArray, SequenceHeader
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+INFLUENCES = 4
+"""Bones that a vertex follows at most: what engines and the core of glTF 2.0 have a place for."""
+
+_SUM = 1e-6  # weights and quaternions may miss a length of one by this much
+_MISS = 1e-3  # of a frame: what people type may miss the first and last time by it
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A mesh that follows moving bones; the formula is at the head of this module.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    rest : (V, 3) float64
+        Rest shape r, in the file's units.
+    pivots : (B, 3) float64
+        Points p that the bones turn about, in the rest shape.
+    rotations : (T, B, 4) float64
+        Unit quaternions x, y, z, w; along the frames without jumps of sign.
+    translations : (T, B, 3) float64
+        Where the pivots are, c.
+    influences : (V, 4) int64
+        Bone of every weight.
+    weights : (V, 4) float64
+        Not negative, rows add to one.
+    targets : (M, V, 3) float64
+        Displacements d of the rest shape, added before skinning.
+    target_weights : (T, M) float64
+        How much of every target, a.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If arrays do not fit each other, a bone does not exist, a weight is negative, or weights or quaternions do not
+        have the length one.
+    """
+
+    header: SequenceHeader
+    rest: Float
+    pivots: Float
+    rotations: Float
+    translations: Float
+    influences: Index
+    weights: Float
+    targets: Float
+    target_weights: Float
+
+    def __post_init__(self) -> None:
+        t, v, b, m = (self.header.frame_count, self.header.vertex_count, len(self.pivots), len(self.targets))
+        _take(self, "rest", (v, 3))
+        _take(self, "pivots", (b, 3))
+        _take(self, "rotations", (t, b, 4))
+        _take(self, "translations", (t, b, 3))
+        _take(self, "weights", (v, INFLUENCES))
+        _take(self, "targets", (m, v, 3))
+        _take(self, "target_weights", (t, m))
+        object.__setattr__(self, "influences", frozen(np.asarray(self.influences, dtype=np.int64)))
+        if self.influences.shape != (v, INFLUENCES):
+            raise InvalidSequenceError(
+                f"influences have shape {self.influences.shape}; ({v}, {INFLUENCES}) is expected"
+            )
+        outside = (self.influences < 0) | (self.influences >= b)
+        if outside.any():
+            vertex, column = np.argwhere(outside)[0]
+            raise InvalidSequenceError(
+                f"vertex {vertex} follows bone {self.influences[vertex, column]}, but bones are 0 to {b - 1}"
+            )
+        off = (self.weights < 0).any(axis=1) | (np.abs(self.weights.sum(axis=1) - 1) > _SUM)
+        if off.any():
+            vertex = int(np.argmax(off))
+            raise InvalidSequenceError(
+                f"the weights of vertex {vertex} are {self.weights[vertex].tolist()}; "
+                "numbers that are not negative and add to one are expected"
+            )
+        lengths = np.linalg.norm(self.rotations, axis=2)
+        if (np.abs(lengths - 1) > _SUM).any():
+            frame, bone = np.argwhere(np.abs(lengths - 1) > _SUM)[0]
+            raise InvalidSequenceError(
+                f"frame {frame}: the quaternion of bone {bone} has length {lengths[frame, bone]:g}; "
+                "unit quaternions are expected"
+            )
+
+    @property
+    def bone_count(self) -> int:
+        """Number of bones B."""
+        return len(self.pivots)
+
+    def blocks(self, size: int = 16) -> Iterator[Float]:
+        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
+        for start in range(0, self.header.frame_count, size):
+            frames = range(start, min(start + size, self.header.frame_count))
+            yield np.stack([self._frame(frame) for frame in frames])
+
+    def points(self) -> Float:
+        """Return all frames ``(T, V, 3)``."""
+        return np.concatenate(list(self.blocks()))
+
+    def resampled(self, times: ArrayLike, fps: float | None = None) -> Skin:
+        """Return the same skin at other times.
+
+        Rotations turn at a constant rate from frame to frame, by the shorter way (spherical linear interpolation,
+        Shoemake 1985); pivots and weights of targets move straight. That is what engines do between keys, and by it
+        the result is what they show of the original keys.
+
+        Parameters
+        ----------
+        times : (n,) array_like
+            Seconds, increasing, between the first and the last frame.
+        fps : float, optional
+            Frames per second of the time line; that of the header if not given.
+
+        Raises
+        ------
+        SettingsError
+            If a time is before the first frame or after the last one.
+        InvalidSequenceError
+            If times do not increase.
+        """
+        header = self.header.with_times(times, fps)
+        before, after, share = _between(self.header, header.times)
+        p, q = self.rotations[before], self.rotations[after]
+        q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
+        return replace(
+            self,
+            header=header,
+            rotations=without_sign_jumps(_slerp(p, q, share[:, None, None])),
+            translations=_mixed(self.translations, before, after, share),
+            target_weights=_mixed(self.target_weights, before, after, share),
+        )
+
+    def _frame(self, frame: int) -> Float:
+        """Points ``(V, 3)`` of a frame: every vertex is moved by the weighted mean of its bones' matrices."""
+        turn = rotation_matrices(self.rotations[frame])
+        shift = self.translations[frame] - np.einsum("bij,bj->bi", turn, self.pivots)
+        motions = np.concatenate([turn, shift[:, :, None]], axis=2)
+        shape = self.rest + np.einsum("m,mvi->vi", self.target_weights[frame], self.targets)
+        blended = np.zeros((len(shape), 3, 4))
+        for column in range(INFLUENCES):
+            blended += self.weights[:, column, None, None] * motions[self.influences[:, column]]
+        return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], shape) + blended[:, :, 3])
+
+
+@dataclass(frozen=True, eq=False)
+class Morph:
+    """A mesh that is a sum of shapes; the formula is at the head of this module.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    base : (V, 3) float64
+        The shape that targets are added to, in the file's units.
+    targets : (M, V, 3) float64
+        Displacements of the base.
+    weights : (T, M) float64
+        How much of every target.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If arrays do not fit each other.
+    """
+
+    header: SequenceHeader
+    base: Float
+    targets: Float
+    weights: Float
+
+    def __post_init__(self) -> None:
+        t, v, m = self.header.frame_count, self.header.vertex_count, len(self.targets)
+        _take(self, "base", (v, 3))
+        _take(self, "targets", (m, v, 3))
+        _take(self, "weights", (t, m))
+
+    def blocks(self, size: int = 16) -> Iterator[Float]:
+        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
+        flat = self.targets.reshape(len(self.targets), self.base.size)
+        for start in range(0, self.header.frame_count, size):
+            moved = self.weights[start : start + size] @ flat
+            yield self.base + moved.reshape(-1, *self.base.shape)
+
+    def points(self) -> Float:
+        """Return all frames ``(T, V, 3)``."""
+        return np.concatenate(list(self.blocks()))
+
+    def resampled(self, times: ArrayLike, fps: float | None = None) -> Morph:
+        """Return the same morph at other times; weights move straight from frame to frame.
+
+        Raises
+        ------
+        SettingsError
+            If a time is before the first frame or after the last one.
+        InvalidSequenceError
+            If times do not increase.
+        """
+        header = self.header.with_times(times, fps)
+        return replace(
+            self, header=header, weights=_mixed(self.weights, *_between(self.header, header.times))
+        )
+
+
+def rotation_matrices(quaternions: FloatArray) -> Float:
+    """Return the rotation matrices ``(..., 3, 3)`` of unit quaternions ``(..., 4)`` in the order x, y, z, w."""
+    x, y, z, w = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def without_sign_jumps(quaternions: FloatArray) -> Float:
+    """Choose the signs of quaternions ``(T, ..., 4)``: w is not negative at first, then each is near the one before.
+
+    A quaternion and its negative are the same rotation, but engines that mix them as numbers turn the long way round.
+    """
+    q = np.array(quaternions, dtype=np.float64)
+    flips = np.ones(q.shape[:-1])
+    flips[:1] = np.where(q[:1, ..., 3] < 0, -1.0, 1.0)
+    flips[1:] = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0)
+    return np.asarray(q * np.cumprod(flips, axis=0)[..., None])
+
+
+def _slerp(p: Float, q: Float, share: Float) -> Float:
+    """Turn from unit quaternions p to q, less than half a turn of the four-sphere apart, by a share of the way."""
+    # The angle from chords, which is accurate for small angles too.
+    angle = 2 * np.arctan2(
+        np.linalg.norm(p - q, axis=-1, keepdims=True), np.linalg.norm(p + q, axis=-1, keepdims=True)
+    )
+    sine = np.sin(angle)
+    straight = sine < 1e-8
+    safe = np.where(straight, 1.0, sine)
+    first = np.where(straight, 1 - share, np.sin((1 - share) * angle) / safe)
+    second = np.where(straight, share, np.sin(share * angle) / safe)
+    turned = first * p + second * q
+    return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True))
+
+
+def _between(header: SequenceHeader, times: Float) -> tuple[Index, Index, Float]:
+    """Find the frames before and after every time, and the share of the way from one to the other."""
+    own, slack = header.times, _MISS / header.fps
+    if len(times) and (times[0] < own[0] - slack or times[-1] > own[-1] + slack):
+        raise SettingsError(
+            f"times from {times[0]:g} s to {times[-1]:g} s leave those of the frames, "
+            f"{own[0]:g} s to {own[-1]:g} s; ask for times between them"
+        )
+    before = np.clip(np.searchsorted(own, times, side="right") - 1, 0, max(len(own) - 2, 0))
+    after = np.minimum(before + 1, len(own) - 1)
+    span = np.where(after > before, own[after] - own[before], 1.0)
+    return before, after, np.clip((times - own[before]) / span, 0.0, 1.0)
+
+
+def _mixed(values: Float, before: Index, after: Index, share: Float) -> Float:
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1 - share) * values[before] + share * values[after])
+
+
+def _take(rig: object, name: str, shape: tuple[int, ...]) -> None:
+    """Replace an array of a rig by a read-only one of float64, or refuse it."""
+    array = np.ascontiguousarray(getattr(rig, name), dtype=np.float64)
+    if array.shape != shape:
+        raise InvalidSequenceError(f"{name} have shape {array.shape}; {shape} is expected")
+    if not np.isfinite(array).all():
+        raise InvalidSequenceError(f"{name} have entries that are not finite")
+    object.__setattr__(rig, name, frozen(array))

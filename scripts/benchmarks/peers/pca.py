@@ -1,0 +1,168 @@
+r"""Principal components, spatially predicted: the peer to beat.
+
+Fields and tracks (`components`) are quantised with one step s, tracks in units of the singular value, which is the
+optimum of rate and distortion (reverse water-filling). The decoder gives the tracks their length, 1, again. A component
+is kept if it is worth its bits, :math:`D_i > \lambda R_i` with the slope of uniform quantisation
+:math:`\lambda = s^2 \ln 2 / 6`. Fields are predicted over the connectivity (`prediction`), tracks by their differences
+in time, each by what makes it smallest; then lzma. Rates are those of real bytes, errors those of decoded points.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+import mixseq
+from scripts.benchmarks.peers.coder import KG_SWEEP, Float, Int, spread
+from scripts.benchmarks.peers.components import Space, components, to_points
+from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width
+from scripts.benchmarks.peers.prediction import prediction
+
+STEPS = 16
+SLOPE = np.log(2) / 6
+
+_HEAD = struct.Struct("<IId3f")  # frames, components, step, mean point
+_ORDERS = 3  # differences in time of order 0, 1 and 2
+
+
+class Pca:
+    """PCA in one of the two spaces."""
+
+    packages: tuple[str, ...] = ()
+
+    def __init__(self, space: Space) -> None:
+        self.name: str = space
+        self.title = f"PCA in {space} space"
+        self._space = space
+
+    def settings(self, sequence: mixseq.MeshSequence) -> Iterable[float]:
+        """Return steps: from where few components have all of the error to where all of them share it."""
+        found = components(sequence.points, self._space)
+        size = spread(sequence.points) / 100
+        coarse = size * max(KG_SWEEP) * np.sqrt(12 / found.fields.shape[1]) / 2
+        fine = size * min(KG_SWEEP) * np.sqrt(12 / (found.fields.size + found.tracks.size))
+        return (float(step) for step in np.geomspace(coarse, fine, STEPS))
+
+    def encode(self, sequence: mixseq.MeshSequence, setting: float) -> bytes:
+        frames, vertices = len(sequence), sequence.vertex_count
+        centre = sequence.points.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+        found = components(sequence.points - centre.astype(np.float64), self._space)
+        over_mesh = prediction(mixseq.Topology(sequence.faces, vertices))
+
+        # The mean of the rows moves all vertices: it is the track of a constant field of length 1.
+        tracks = [_differences(_whole(found.mean * np.sqrt(vertices), setting), frames)]
+        fields = []
+        for track, field in zip(found.tracks.T, found.fields, strict=True):
+            track_q, field_q = _whole(track, setting), _whole(field, setting)
+            if not (track_q.any() and field_q.any()):
+                continue
+            values = field_q.reshape(-1, vertices).T
+            predicted = [
+                over_mesh.residuals(values, k)[over_mesh.order].T for k in range(len(over_mesh.weights))
+            ]
+            in_time, in_space = _differences(track_q, frames), _smallest(predicted)
+            gained = np.square(field).sum()
+            for values, whole in ((track, track_q), (field, field_q)):
+                gained -= np.square(values - setting * whole).sum()
+            if gained > SLOPE * setting**2 * (in_time.bits + in_space.bits):
+                tracks.append(in_time)
+                fields.append(in_space)
+        return _HEAD.pack(frames, len(fields), setting, *centre) + to_lzma(_written(tracks + fields))
+
+    def signals(self, mesh: mixseq.Topology, data: bytes) -> int:
+        return len(data)
+
+    def decode(self, mesh: mixseq.Topology, data: bytes) -> Float:
+        frames, count, step, *centre = _HEAD.unpack_from(data)
+        rows, columns = (
+            (frames, 3 * mesh.vertex_count) if self._space == "shape" else (3 * frames, mesh.vertex_count)
+        )
+        streams = _read(from_lzma(data[_HEAD.size :]), [rows] * (count + 1) + [columns] * count)
+
+        mean, *tracks = [_sums(values.reshape(-1, frames), order) for order, values in streams[: count + 1]]
+        u = np.array(tracks, np.float64).reshape(count, rows)
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        fields = _fields(mesh, streams[count + 1 :]).reshape(count, columns)
+        matrix = u.T @ (step * fields) + (mean * (step / np.sqrt(mesh.vertex_count)))[:, None]
+        return np.asarray(to_points(matrix, self._space, frames) + np.array(centre))
+
+
+class _Stream(NamedTuple):
+    """A field or a track as it is written: by which prediction, what is left, and about how many bits that takes."""
+
+    choice: int
+    residuals: Int
+    bits: float
+
+
+def _whole(values: Float, step: float) -> Int:
+    return np.rint(values / step).astype(np.int64)
+
+
+def _smallest(candidates: Sequence[Int]) -> _Stream:
+    bits = [_bits(each) for each in candidates]
+    best = int(np.argmin(bits))
+    return _Stream(best, candidates[best], bits[best])
+
+
+def _bits(values: Int) -> float:
+    r"""Estimate the bits of integers by the entropy of the two-sided geometric distribution of their mean size.
+
+    :math:`P(k) = \frac{1-\theta}{1+\theta} \theta^{|k|}` has :math:`E|k| = m = 2\theta / (1 - \theta^2)`.
+    """
+    m = float(np.abs(values).mean())
+    if m == 0:
+        return 0.0
+    theta = (np.sqrt(1 + m * m) - 1) / m
+    return float(values.size * (np.log2((1 + theta) / (1 - theta)) - m * np.log2(theta)))
+
+
+def _differences(track: Int, frames: int) -> _Stream:
+    """Take the differences of the order that makes a track, or three one after the other, smallest."""
+    found = [track.reshape(-1, frames)]
+    for _ in range(_ORDERS - 1):
+        found.append(np.diff(found[-1], axis=1, prepend=0))
+    return _smallest(found)
+
+
+def _sums(values: Int, order: int) -> Int:
+    """Undo differences: ``(n, T)`` to all values in one row."""
+    for _ in range(order):
+        values = np.cumsum(values, axis=1)
+    return values.reshape(-1)
+
+
+def _fields(mesh: mixseq.Topology, streams: Sequence[tuple[int, Int]]) -> Int:
+    """Undo the prediction of fields, those with the same predictor together: ``(K, c V)``."""
+    over_mesh = prediction(mesh)
+    fields = np.empty((len(streams), 0 if not streams else streams[0][1].size), np.int64)
+    choices = np.array([choice for choice, _ in streams], np.int64)
+    for choice in np.unique(choices):
+        chosen = np.flatnonzero(choices == choice).tolist()
+        stacked = np.concatenate([streams[i][1].reshape(-1, mesh.vertex_count) for i in chosen])
+        residuals = np.empty(stacked.shape[::-1], np.int64)
+        residuals[over_mesh.order] = stacked.T
+        fields[chosen] = over_mesh.values(residuals, choice).T.reshape(len(chosen), -1)
+    return fields
+
+
+def _written(streams: Sequence[_Stream]) -> bytes:
+    """Write for each stream its choice and its width, then the planes of all."""
+    widths = [width(each.residuals) for each in streams]
+    table = bytes(
+        number for each, size in zip(streams, widths, strict=True) for number in (each.choice, size)
+    )
+    return table + b"".join(planes(each.residuals, size) for each, size in zip(streams, widths, strict=True))
+
+
+def _read(body: bytes, lengths: Sequence[int]) -> list[tuple[int, Int]]:
+    """Undo `_written`: the choice and the values of each stream."""
+    at, streams = 2 * len(lengths), []
+    for i, length in enumerate(lengths):
+        choice, size = body[2 * i], body[2 * i + 1]
+        streams.append((choice, numbers(body[at : at + size * length], size)))
+        at += size * length
+    return streams

@@ -1,0 +1,301 @@
+"""Compressed models on the command line: encode, info, decode, verify, and every other command that opens models."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.cli.compressed import as_bytes
+from mixseq.sequence import MeshSequence
+from mixseq_io.hdf5.coded import read_coded
+from mixseq_io.hdf5.streams import Index, Stream, read_index
+from tests.meshes import bar
+
+Run = Callable[..., Result]
+
+
+def succeed(result: Result) -> str:
+    assert (result.exit_code, result.stderr) == (0, "")
+    return result.stdout
+
+
+def rows(text: str) -> dict[str, str]:
+    return {
+        name: value.strip()
+        for name, _, value in (line.partition("  ") for line in text.splitlines())
+        if value
+    }
+
+
+@pytest.fixture
+def small(run: Run, folder: Path) -> Path:
+    succeed(run("encode", "bar.npz", "small.h5", "--max-error", "0.001", "-q"))
+    return folder / "small.h5"
+
+
+def damage(path: Path, stream: Callable[[Index], Stream]) -> None:
+    """Flip a bit in the middle of a stream."""
+    import h5py
+
+    from mixseq_io.hdf5.coded import read_stored
+
+    chosen = stream(read_index(path, read_stored(path)))
+    with h5py.File(path) as file:
+        at = file["streams"].id.get_offset() + chosen.start + chosen.size // 2
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+
+
+# encode ---------------------------------------------------------------------------------------------------
+
+
+def test_encode_to_an_error(run: Run, bent_bar: MeshSequence) -> None:
+    text = succeed(run("encode", "bar.npz", "new.h5", "--max-error", "0.001"))
+    table = rows(text)
+    assert table["signals"].endswith("bits per vertex and frame")
+    assert table["total"].endswith("bits per vertex and frame")
+    assert table["max error"] == "at most 0.001 of the diagonal"
+    assert table["KG error"].endswith(" %")
+    assert table["time"].endswith(" s")
+    assert text.splitlines()[-1].startswith("wrote new.h5 (")
+    assert mixseq.compare(bent_bar, mixseq.load("new.h5").sample()).max_error <= 0.001
+
+
+def test_encode_to_an_error_and_check(run: Run) -> None:
+    table = rows(succeed(run("encode", "bar.usdc", "old.h5", "--max-error", "0.0001", "--check")))
+    error, _, rest = table["max error"].partition(" ")
+    assert 0 < float(error) <= 0.0001
+    assert rest.startswith("of the diagonal, in frame ")
+
+
+def test_encode_to_a_kg_error(run: Run) -> None:
+    succeed(run("encode", "bar.npz", "new.h5", "--kg", "0.5"))
+    assert mixseq.verify("new.h5", mixseq.read("bar.npz")).kg_percent == pytest.approx(0.5, rel=0.2)
+
+
+def test_encode_to_a_size(run: Run) -> None:
+    succeed(run("encode", "bar.npz", "new.h5", "--size", "3kB"))
+    assert Path("new.h5").stat().st_size <= 3000
+    found = mixseq.verify("new.h5", mixseq.read("bar.npz"))
+    assert found.holds
+    assert not found.promised
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--max-error 0.001 --kg 1", "give one of --max-error and --kg, not 2"),
+        ("--max-error 0.001 --kg 1 --size 1MB", "give one of --max-error and --kg and --size, not 3"),
+        ("--max-error 0", "--max-error.*0.* is not in the range"),
+        ("--kg -1", "--kg.*-1.* is not in the range"),
+        ("--size lots", "--size.*'lots' is not a size such as 2MB, 500kB or 1.5MiB"),
+        ("--size 0MB", "'0MB' is not a size"),
+        (
+            "--kg 1 --tolerance 0.1",
+            "--tolerance is for models that are not compressed; leave it out, or leave out --kg",
+        ),
+        ("--max-error 0.1 --exact", "--exact is for models .* leave out --max-error"),
+        ("--size 1MB --parts 3", "--parts is for models"),
+        ("--size 1MB --rank 3", "--rank is for models"),
+        ("--size 1MB --space vertex", "--space is for models"),
+        ("--size 1MB --knots 3", "--knots is for models"),
+        ("--size 1MB --pose keys", "--pose is for models"),
+        ("--size 1MB --labels bar.usdc", "--labels is for models"),
+        ("--size 1MB --source skeleton", "--source is for models"),
+        ("--size 1MB --volume 1", "--volume is for"),
+    ],
+)
+def test_encode_refuses(
+    run: Run, contents: Callable[[], dict[str, bytes | None]], options: str, message: str
+) -> None:
+    before = contents()
+    result = run("encode", "bar.npz", "old.h5", *options.split())
+    assert result.exit_code == 2
+    assert result.stderr.startswith("mixseq: error: ")
+    assert result.stderr.count("\n") == 1
+    assert re.search(message, result.stderr), result.stderr
+    assert contents() == before
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("2MB", 2_000_000),
+        ("500kB", 500_000),
+        ("500KB", 500_000),
+        ("1.5MiB", 1_572_864),
+        ("64 KiB", 65_536),
+        ("1gb", 10**9),
+        (".5GiB", 2**29),
+        ("800", 800),
+        ("800B", 800),
+    ],
+)
+def test_sizes(text: str, size: int) -> None:
+    option = click.Option(["--size"])
+    assert as_bytes(click.Context(click.Command("encode")), option, text) == size
+
+
+@pytest.mark.parametrize("text", ["", "MB", "-1MB", "1e6", "1.2.3kB", "1TB", "1 iB", "1ki", "0.5", "nan"])
+def test_what_is_no_size(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="is not a size such as"):
+        as_bytes(click.Context(click.Command("encode")), click.Option(["--size"]), text)
+
+
+# info -----------------------------------------------------------------------------------------------------
+
+
+def test_info(run: Run, small: Path) -> None:
+    table = rows(succeed(run("info", "small.h5")))
+    assert table["model"] == "bar"
+    assert table["max error"] == "at most 0.001 of the diagonal"
+    assert {"signals", "total", "KG error", "space"} <= set(table)
+    facts = json.loads(succeed(run("info", "small.h5", "--json")))
+    sizes, coding = facts["bytes"], facts["coding"]
+    assert sizes["total"] == small.stat().st_size
+    assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
+    assert sizes["container"] < 6000
+    assert coding["bits"]["signals"] == pytest.approx(8 * sizes["signals"] / (4 * 77))
+    assert coding["bits"]["total"] == pytest.approx(8 * sizes["total"] / (4 * 77))
+    assert (coding["max_error"], coding["promised"]) == (0.001, True)
+    assert (facts["kind"], facts["vertices"], facts["frames"]) == ("model", 77, 4)
+
+
+def test_info_of_what_is_not_compressed_says_nothing_of_it(run: Run) -> None:
+    facts = json.loads(succeed(run("info", "model.h5", "--json")))
+    assert facts["bytes"] == {"total": Path("model.h5").stat().st_size}
+    assert "coding" not in facts
+
+
+# decode and salvage ---------------------------------------------------------------------------------------
+
+
+def test_decode(run: Run, small: Path, bent_bar: MeshSequence) -> None:
+    succeed(run("decode", "small.h5", "new.npz"))
+    assert mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error <= 0.001
+    succeed(run("decode", "small.h5", "new.h5", "--fps", "20", "--velocities"))
+    assert mixseq.read("new.h5").frame_count == 7
+
+
+def test_damaged_files_are_refused_and_salvaged(run: Run, folder: Path) -> None:
+    walk = bar(5, 5, 260)  # more than one chunk
+    mixseq.save("long.h5", mixseq.compress(walk, max_error=0.01))
+    first = read_coded(Path("long.h5")).chunks[1].first
+    damage(Path("long.h5"), lambda index: index.chunks[1].tracks)
+    result = run("decode", "long.h5", "old.npz")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(
+        f"mixseq: error: long.h5: the tracks of frames {first} to 259 are damaged; "
+    )
+    assert Path("old.npz").read_bytes() == b"somebody's work"
+    result = run("decode", "long.h5", "new.npz", "--salvage")
+    assert result.exit_code == 0
+    told = f"mixseq: warning: long.h5: frames {first} to 259 are damaged and left out\n"
+    assert result.stderr == told
+    left = mixseq.read("new.npz")
+    assert left.frame_count == first
+    distances = np.linalg.norm(left.points - walk.points[:first], axis=2)
+    assert distances.max() <= 0.01 * walk.diagonal
+
+
+# verify ---------------------------------------------------------------------------------------------------
+
+
+def test_verify(run: Run, small: Path) -> None:
+    table = rows(succeed(run("verify", "small.h5")))
+    assert table == {"intact": "4 frames of 77 vertices", "bound": "0.001 of the diagonal, asked for"}
+    table = rows(succeed(run("verify", "small.h5", "bar.npz")))
+    assert table["bound holds"] == "yes"
+    assert " of the diagonal, of vertex " in table["max error"]
+    facts = json.loads(succeed(run("verify", "small.h5", "bar.npz", "--json")))
+    assert facts["holds"] is True
+    assert 0 < facts["max_error"] <= facts["bound"] == 0.001
+    assert succeed(run("verify", "small.h5", "bar.npz", "-q")) == ""
+    facts = json.loads(succeed(run("verify", "small.h5", "--json")))
+    assert (facts["original"], facts["max_error"], facts["holds"]) == (None, None, True)
+
+
+def test_verify_says_no(run: Run, small: Path) -> None:
+    coded = read_coded(small)
+    mixseq.save(small, replace(coded, parameters=replace(coded.parameters, max_error=1e-9)))
+    result = run("verify", "small.h5", "bar.npz")
+    assert (result.exit_code, result.stderr) == (1, "")
+    assert rows(result.stdout)["bound holds"] == "no"
+    result = run("verify", "small.h5", "bar.npz", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["holds"] is False
+
+
+def test_verify_finds_damage(run: Run, small: Path) -> None:
+    damage(small, lambda index: index.chunks[0].tracks)
+    result = run("verify", "small.h5")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("mixseq: error: small.h5: the tracks of frames 0 to ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("verify none.h5", "none.h5 does not exist"),
+        ("verify bar.npz", "bar.npz"),
+        ("verify model.h5", "model.h5 is no compressed model; make one with mixseq encode --max-error"),
+        ("verify bar_sequence.h5", "bar_sequence.h5 is no compressed model"),
+        ("verify cut_model.h5", "cut_model.h5"),
+        ("verify small.h5 none.npz", "none.npz"),
+        ("verify small.h5 other.npz", "the reference has 4 vertices, the other sequence 77"),
+        ("verify small.h5 --prim /", "'prim' tells how to read ORIGINAL, but there is none"),
+    ],
+)
+def test_verify_refuses(run: Run, small: Path, arguments: str, message: str) -> None:
+    result = run(*arguments.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+# Everything else that opens models ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "compare bar.npz small.h5",
+        "convert small.h5 new.npz",
+        "resample small.h5 new.h5 --fps 20",
+        "plot small.h5 new.png",
+        "encode small.h5 new.h5 --exact",
+        "encode small.h5 new.h5 --kg 1",
+        "interpolate small.h5 new.npz --pose 0 --pose 3 --steps 3",
+    ],
+)
+def test_other_commands_take_compressed_models(run: Run, small: Path, arguments: str) -> None:
+    result = run(*arguments.split())
+    assert result.exit_code == 0, result.output
+
+
+def test_edits_of_compressed_models_are_ordinary_models(run: Run, small: Path) -> None:
+    Path("edit.toml").write_text('[[edit]]\noperation = "reverse"\n')
+    result = run("edit", "small.h5", "new.h5", "--script", "edit.toml")
+    assert result.exit_code == 0, result.output
+    assert "coding" not in json.loads(succeed(run("info", "new.h5", "--json")))
+    got, small_points = mixseq.load("new.h5").sample().points, mixseq.load("small.h5").sample().points
+    assert np.abs(got - small_points[::-1]).max() < 0.002 * mixseq.read("bar.npz").diagonal
+
+
+def test_a_batch_leaves_compressed_models_alone(run: Run, small: Path) -> None:
+    Path("caches").mkdir()
+    small.rename("caches/small.h5")
+    Path("bar.npz").rename("caches/bar.npz")
+    result = run("batch", "caches", "--out", "models")
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in Path("models").glob("*.h5")) == ["bar.h5"]

@@ -1,0 +1,139 @@
+"""``mixseq decode --as``: from models and sequences to skins and morphs, with errors that are those of the file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+from mixseq.sequence import MeshSequence
+from tests.cli.test_commands import rows, succeed
+from tests.formats.gltf_files import Gltf
+
+Run = Callable[..., Result]
+
+
+def number(text: str) -> float:
+    """The first number of a cell."""
+    found = re.match(r"\s*([-+.\de]+)", text)
+    assert found, text
+    return float(found[1])
+
+
+def test_a_model_becomes_a_skin(run: Run, bent_bar: MeshSequence) -> None:
+    table = rows(succeed(run("decode", "model.h5", "bar.glb", "--as", "skin", "--bones", "2")))
+    file = Gltf(Path("bar.glb"))
+    assert len(file.json["skins"][0]["joints"]) == 2 == number(table["bones"])
+    assert number(table["morph targets"]) == 0
+    found = mixseq.compare(bent_bar, mixseq.read("bar.glb"))
+    assert number(table["max error"]) == pytest.approx(found.max_error, rel=1e-3)
+    assert number(table["rms error"]) == pytest.approx(found.rms_error, rel=1e-3)
+    assert number(table["KG error"]) == pytest.approx(found.kg_percent, rel=1e-3)
+    assert found.max_error < 0.05
+
+
+def test_a_model_becomes_a_morph(run: Run, bent_bar: MeshSequence) -> None:
+    table = rows(succeed(run("decode", "model.h5", "bar.glb", "--as", "morph", "--max-error", "1e-4")))
+    assert "bones" not in table
+    assert number(table["morph targets"]) == len(Gltf(Path("bar.glb")).primitives("bar")[0]["targets"])
+    assert mixseq.compare(bent_bar, mixseq.read("bar.glb")).max_error <= 1.001e-4
+
+
+def test_correctives_bring_a_skin_under_an_error(run: Run, bent_bar: MeshSequence) -> None:
+    options = ("--as", "skin", "--bones", "2", "--correctives", "0.002")
+    table = rows(succeed(run("decode", "model.h5", "bar.glb", *options)))
+    assert number(table["morph targets"]) > 0
+    assert mixseq.compare(bent_bar, mixseq.read("bar.glb")).max_error <= 0.002001
+
+
+@pytest.mark.parametrize("kind", ["skin", "morph"])
+@pytest.mark.parametrize("source", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
+def test_a_sequence_is_fitted_as_it_is(run: Run, source: str, kind: str, bent_bar: MeshSequence) -> None:
+    succeed(run("decode", source, "out.glb", "--as", kind))
+    back = mixseq.read("out.glb")
+    np.testing.assert_allclose(back.times, bent_bar.times, atol=1e-9)
+    assert back.vertex_count == bent_bar.vertex_count
+
+
+def test_keys_are_at_the_rate_that_is_asked_for(run: Run) -> None:
+    table = rows(succeed(run("decode", "model.h5", "out.glb", "--as", "skin", "--bones", "2", "--fps", "20")))
+    assert table["keys"].strip() == "7 from 0 to 0.3 s at 20 frames per second"
+    np.testing.assert_allclose(mixseq.read("out.glb").times, np.arange(7) / 20, atol=1e-9)
+    table = rows(succeed(run("decode", "model.h5", "out.gltf", "--as", "morph", "--times", "0.05,0.25")))
+    assert table["keys"].strip().startswith("2 from 0.05 to 0.25 s")
+    assert "buffers" in json.loads(Path("out.gltf").read_text())
+
+
+def test_quiet_tells_only_the_file(run: Run) -> None:
+    text = succeed(run("decode", "model.h5", "out.glb", "--as", "skin", "-q"))
+    assert re.fullmatch(r"wrote out.glb \([^)]*\)\n", text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("out.glb", "--bones", "3"), "--bones is for --as skin; leave it out, or give both"),
+        (("out.glb", "--correctives", "0.1"), "--correctives is for --as skin"),
+        (("out.glb", "--max-error", "0.1"), "--max-error is for --as morph"),
+        (("out.glb", "--max-targets", "3"), "--max-targets is for --as skin or morph"),
+        (("out.glb", "--as", "skin", "--max-error", "0.1"), "--max-error is for --as morph"),
+        (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),
+        (("out.glb", "--as", "morph", "--correctives", "0.1"), "--correctives is for --as skin"),
+        (
+            ("out.glb", "--as", "skin", "--velocities"),
+            "a skin has no place for velocities; leave out --velocities",
+        ),
+        (
+            ("out.glb", "--as", "skin", "--onto", "bar.usdc"),
+            "no place for other files to build on; leave out --onto",
+        ),
+        (("out.glb", "--as", "skin", "--clips", "3"), "no place for clips; leave out --clips, or --as"),
+        (("out.usdc", "--as", "skin"), "skins and morphs are written as glTF; end the name in .glb or .gltf"),
+        (("out.glb", "--as", "skin", "--times", "0", "--end", "1"), "leave out --start and --end"),
+        (("nowhere/out.glb", "--as", "skin"), "does not exist; make it first"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    run: Run,
+    contents: Callable[[], dict[str, bytes | None]],
+    arguments: tuple[str, ...],
+    message: str,
+) -> None:
+    before = contents()
+    result = run("decode", "model.h5", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert contents() == before
+
+
+@pytest.mark.parametrize("option", [("--fps", "10"), ("--times", "0"), ("--start", "0"), ("--end", "1")])
+def test_times_of_a_sequence_are_its_own(run: Run, option: tuple[str, str]) -> None:
+    result = run("decode", "bar.npz", "out.glb", "--as", "skin", *option)
+    assert result.exit_code == 2
+    assert "bar.npz is a sequence, whose frames are fitted as they are; leave out --fps" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "source", ["missing.h5", "missing.usdc", "notes.txt", "cut_model.h5", "cut_bar.usdc"]
+)
+def test_sources_that_cannot_be_read(run: Run, source: str) -> None:
+    result = run("decode", source, "out.glb", "--as", "skin")
+    assert result.exit_code == 2
+    assert source in result.stderr
+    assert not Path("out.glb").exists()
+
+
+def test_the_file_that_a_sequence_came_from_stays(run: Run) -> None:
+    mixseq.write("origin.glb", mixseq.read("bar.npz"))
+    succeed(run("convert", "origin.glb", "copy.h5"))
+    before = Path("origin.glb").read_bytes()
+    result = run("decode", "copy.h5", "origin.glb", "--as", "skin")
+    assert result.exit_code == 2
+    assert "is the file that the sequence came from, which would be lost; give another name" in result.stderr
+    assert Path("origin.glb").read_bytes() == before

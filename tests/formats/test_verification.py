@@ -1,0 +1,112 @@
+"""Whether `verify` tells a promise that is kept from one that is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.coding.coded import Coded
+from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.sequence import MeshSequence
+from mixseq_io.hdf5.coded import coded_sizes, read_coded
+
+BOUND = 1e-3
+
+
+@pytest.fixture(scope="module")
+def coded(bent_bar: MeshSequence) -> Coded:
+    coded: Coded = mixseq.compress(bent_bar, max_error=BOUND)
+    return coded
+
+
+@pytest.fixture
+def path(tmp_path: Path, coded: Coded) -> Path:
+    file = tmp_path / "small.h5"
+    mixseq.save(file, coded)
+    return file
+
+
+def test_without_an_original_all_frames_are_decoded(path: Path) -> None:
+    told: list[int] = []
+    found = mixseq.verify(path, progress=lambda done, total, what: told.append(done))
+    assert (found.frames, found.vertices, found.bound, found.promised) == (4, 77, BOUND, True)
+    assert (found.max_error, found.kg_percent, found.worst_frame, found.worst_vertex) == 4 * (None,)
+    assert found.holds
+    assert told[-1] == 4
+
+
+def test_with_an_original_every_vertex_is_compared(path: Path, bent_bar: MeshSequence) -> None:
+    found = mixseq.verify(path, bent_bar)
+    expected = mixseq.compare(bent_bar, mixseq.load(path).sample())
+    assert found.holds
+    assert found.max_error == pytest.approx(expected.max_error)
+    assert found.kg_percent == pytest.approx(expected.kg_percent)
+    assert found.worst_frame == expected.worst_frame
+    assert 0 < expected.max_error <= BOUND
+
+
+def test_the_worst_vertex_is_found(path: Path, bent_bar: MeshSequence) -> None:
+    points = np.array(bent_bar.points)
+    points[2, 17] += [0, 0.3, 0.4]
+    found = mixseq.verify(path, bent_bar.with_points(points))
+    assert (found.worst_frame, found.worst_vertex, found.holds) == (2, 17, False)
+    assert found.max_error == pytest.approx(0.5 / bent_bar.diagonal, abs=BOUND)
+    assert found.as_dict()["holds"] is False
+
+
+def test_a_bound_is_met_to_the_last_digit(path: Path, bent_bar: MeshSequence, coded: Coded) -> None:
+    error = mixseq.verify(path, bent_bar).max_error
+    assert error is not None
+    for bound, promised, holds in (
+        (error, True, True),
+        (np.nextafter(error, 0), True, False),
+        (np.nextafter(error, 0), False, True),  # measured when it was written, maybe in another order
+        (error * (1 - 1e-6), False, False),
+    ):
+        parameters = replace(coded.parameters, max_error=float(bound), promised=promised)
+        mixseq.save(path, replace(coded, parameters=parameters))
+        assert mixseq.verify(path, bent_bar).holds is holds
+
+
+def test_originals_stream(path: Path, bent_bar: MeshSequence) -> None:
+    file = path.with_name("bar.npz")
+    mixseq.write(file, bent_bar)
+    with mixseq.open_sequence(file) as reader:
+        assert mixseq.verify(path, reader) == mixseq.verify(path, bent_bar)
+
+
+def test_still_meshes_have_no_kg_error_to_speak_of(path: Path, bent_bar: MeshSequence) -> None:
+    point = bent_bar.with_points(np.zeros_like(bent_bar.points))
+    found = mixseq.verify(path, point)
+    assert not found.holds
+    assert found.as_dict()["max_error"] is found.as_dict()["kg_percent"] is None
+
+
+def test_what_is_no_original_is_refused(path: Path, bent_bar: MeshSequence) -> None:
+    with pytest.raises(InvalidSequenceError, match=r"read files with mixseq\.read"):
+        mixseq.verify(path, "bar.npz")  # type: ignore[arg-type]
+    later = MeshSequence.from_header(bent_bar.header.with_times(bent_bar.times + 1), bent_bar.points)
+    with pytest.raises(InvalidSequenceError, match="frame 0 is at 1 s in the reference, at 0 s"):
+        mixseq.verify(path, later)
+
+
+def test_damage_is_refused(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-len(read_coded(path).chunks[-1].corrections) - 5] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match=r"small\.h5: the (tracks|corrections) of frames .* are damaged"):
+        mixseq.verify(path)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["fox_run", "q_wolf_gallop"])
+def test_bounds_of_real_animations_hold(name: str, data: Path, tmp_path: Path) -> None:
+    original = mixseq.read(data / "npz" / f"{name}.npz")
+    file = tmp_path / "small.h5"
+    mixseq.save(file, mixseq.compress(original, max_error=BOUND))
+    assert mixseq.verify(file, original).holds
+    assert coded_sizes(file)["container"] < 1200

@@ -1,0 +1,161 @@
+"""Weights and motions, held against searches of all there are."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from mixseq.rigging.bones import merged, motion_of, move, seeded, transposed, vertex_labels
+from mixseq.rigging.correctives import principal_shapes
+from mixseq.rigging.weights import Binding, bind
+from tests.meshes import rotation
+
+Float = NDArray[np.float64]
+
+
+def random_bones(bones: int, frames: int, seed: int = 3) -> Float:
+    rng = np.random.default_rng(seed)
+    turns = np.stack([[rotation(rng.normal(size=3)) for _ in range(frames)] for _ in range(bones)])
+    return np.stack([transposed(turn, rng.normal(size=(frames, 3))) for turn in turns])
+
+
+def unbound(rest: Float) -> Binding:
+    zeros = np.zeros((len(rest), 4))
+    return Binding(rest, zeros.astype(np.int64), zeros, zeros[:, 0])
+
+
+def shown(motions: Float, binding: Binding) -> Float:
+    return np.asarray(binding.matrix(len(motions)) @ motions.reshape(-1, motions.shape[2]))
+
+
+def best_of_all(columns: Float, track: Float) -> float:
+    """The least squared error with four bones or fewer, weights not negative with sum one, by trying all."""
+    heavy = 1e5
+    errors = []
+    for chosen in combinations(range(columns.shape[1]), 4):
+        a = np.concatenate([columns[:, chosen], np.full((1, 4), heavy)])
+        w = nnls(a, np.append(track, heavy))[0]
+        errors.append(float(np.sum((columns[:, chosen] @ w - track) ** 2)))
+    return min(errors)
+
+
+def test_weights_are_nearly_the_best_there_are() -> None:
+    rng = np.random.default_rng(0)
+    motions, rest = random_bones(7, 5), rng.normal(size=(60, 3))
+    tracks = rng.normal(size=(60, 15))
+    binding = bind(tracks, motions, unbound(rest), free_rest=False)
+    np.testing.assert_allclose(np.sum((shown(motions, binding) - tracks) ** 2, axis=1), binding.errors)
+    homogeneous = np.concatenate([rest, np.ones((60, 1))], axis=1)
+    best = np.array(
+        [best_of_all(np.einsum("bit,i->tb", motions, homogeneous[v]), tracks[v]) for v in range(60)]
+    )
+    assert (binding.errors > best * (1 - 1e-6)).all()
+    assert np.median(binding.errors / best) < 1 + 1e-6  # one out at a time finds most of them
+    assert (binding.errors < 1.2 * best).all()
+
+
+def test_known_weights_are_found() -> None:
+    rng = np.random.default_rng(1)
+    motions, rest = random_bones(9, 8), rng.normal(size=(50, 3))
+    known = Binding(
+        rest,
+        np.stack([rng.permutation(9)[:4] for _ in range(50)]),
+        rng.dirichlet(np.ones(4), size=50),
+        np.zeros(50),
+    )
+    found = bind(shown(motions, known), motions, unbound(rest), free_rest=False)
+    np.testing.assert_allclose(
+        found.matrix(9).toarray()[:, 3::4], known.matrix(9).toarray()[:, 3::4], atol=1e-6
+    )
+
+
+def test_known_rest_positions_and_motions_are_found() -> None:
+    rng = np.random.default_rng(2)
+    motions, rest = random_bones(3, 8), rng.normal(size=(50, 3))
+    known = Binding(rest, np.tile([0, 1, 2, 0], (50, 1)), np.zeros((50, 4)), np.zeros(50))
+    known.weights[:, :3] = rng.dirichlet(np.ones(3), size=50)
+    tracks = shown(motions, known)
+    off = Binding(rest + 1e-3 * rng.normal(size=rest.shape), known.influences, known.weights, known.errors)
+    for _ in range(300):
+        off = bind(tracks, motions, off)
+    np.testing.assert_allclose(off.rest, rest, atol=1e-6)
+    moved = move(tracks, known, random_bones(3, 8, seed=9), sweeps=500)
+    np.testing.assert_allclose(moved, motions, atol=1e-6)
+
+
+def test_errors_never_grow() -> None:
+    rng = np.random.default_rng(4)
+    motions, binding = random_bones(4, 6), unbound(rng.normal(size=(80, 3)))
+    tracks = rng.normal(size=(80, 18))
+    past = np.inf
+    for _ in range(8):
+        binding = bind(tracks, motions, binding)
+        motions = move(tracks, binding, motions)
+        now = float(np.sum((shown(motions, binding) - tracks) ** 2))
+        assert now <= min(past, binding.errors.sum()) * (1 + 1e-9)
+        past = now
+
+
+def test_bones_that_no_vertex_follows_keep_still() -> None:
+    rng = np.random.default_rng(5)
+    motions = random_bones(3, 4)
+    binding = unbound(rng.normal(size=(20, 3)))
+    binding.weights[:, 0] = 1.0  # all on bone 0
+    moved = move(rng.normal(size=(20, 12)), binding, motions)
+    np.testing.assert_array_equal(moved[1:], motions[1:])
+    np.testing.assert_allclose(moved[0], motion_of(rng_tracks(), binding.rest, np.arange(20)), atol=1e-9)
+
+
+def rng_tracks() -> Float:
+    """The tracks of the test above: the second thing that its generator draws."""
+    rng = np.random.default_rng(5)
+    rng.normal(size=(20, 3))
+    return np.asarray(rng.normal(size=(20, 12)))
+
+
+def test_bones_that_move_together_are_merged_first() -> None:
+    rng = np.random.default_rng(6)
+    rest = rng.normal(size=(40, 3))
+    motions = random_bones(2, 5)
+    labels = np.repeat(np.arange(4), 10)
+    binding = unbound(rest)
+    binding.weights[:, 0] = 1.0
+    binding.influences[:, 0] = np.array([0, 1, 0, 1])[labels]
+    np.testing.assert_array_equal(merged(shown(motions, binding), labels, 2), np.array([0, 1, 0, 1])[labels])
+    assert merged(shown(motions, binding), labels, 1).max() == 0
+    np.testing.assert_array_equal(merged(shown(motions, binding), labels, 9), labels)
+
+
+def test_bones_are_seeded_where_vertices_are_worst_explained() -> None:
+    rng = np.random.default_rng(7)
+    rest = np.concatenate([0.1 * rng.normal(size=(20, 3)), 0.1 * rng.normal(size=(10, 3)) + 5])
+    motions = random_bones(2, 4)
+    known = unbound(rest)
+    known.weights[:, 0] = 1.0
+    known.influences[20:] = 1
+    tracks = shown(motions, known)
+    alone = bind(tracks, motions[:1], unbound(rest), free_rest=False)
+    found = seeded(tracks, alone, 1, 5)
+    np.testing.assert_allclose(found[0], motions[1], atol=1e-6)
+    assert len(seeded(tracks, unbound(rest), 3, 5)) == 0
+
+
+def test_labels_of_vertices_are_those_of_most_faces() -> None:
+    faces = np.array([[0, 1, 2], [2, 1, 3], [2, 3, 4]])
+    assert vertex_labels(faces, np.array([1, 0, 0]), 6).tolist() == [1, 0, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3])
+def test_principal_shapes_are_as_many_as_there_are(rank: int) -> None:
+    rng = np.random.default_rng(8)
+    displacements = np.einsum("tm,mvi->tvi", rng.normal(size=(6, rank)), rng.normal(size=(rank, 10, 3)))
+    shapes, weights = principal_shapes(displacements)
+    assert len(shapes) == rank
+    np.testing.assert_allclose(np.einsum("tm,mvi->tvi", weights, shapes), displacements, atol=1e-12)
+    sizes = np.linalg.norm(shapes, axis=(1, 2)) * np.linalg.norm(weights, axis=0)
+    assert (np.diff(sizes) <= 0).all()
+    assert (weights.max(axis=0) == 1).all() if rank else weights.shape == (6, 0)
