@@ -60,7 +60,8 @@ class Basis:
             return np.zeros((len(sequence.points), 0, 1))
         flat = scaled.reshape(count, -1)
         # Fields are nearly orthogonal; a trace of damping is for those that are the same, after rounding.
-        factor = linalg.cho_factor(flat @ flat.T + 1e-9 * np.eye(count))
+        gram = flat @ flat.T
+        factor = linalg.cho_factor(gram + 1e-9 * np.eye(count))
         tracks = []
         for block in blocks_of(sequence.points):
             points = block.astype(np.float64)
@@ -69,8 +70,10 @@ class Basis:
             else:
                 points = points - self._mean
                 right = np.einsum("kiv,tvi->kt", scaled, points, optimize=True)[..., None]
-            solved = linalg.cho_solve(factor, right.reshape(count, -1)).reshape(right.shape)
-            tracks.append(solved.transpose(1, 0, 2))
+            right = right.reshape(count, -1)
+            solved = linalg.cho_solve(factor, right)
+            solved += linalg.cho_solve(factor, right - gram @ solved)  # takes back what the damping took
+            tracks.append(solved.reshape(count, len(points), -1).transpose(1, 0, 2))
         return np.concatenate(tracks) / scales[:, None]
 
     def frames(self, tracks: Float) -> Float:

@@ -6,8 +6,8 @@ rounded to multiples of
 .. math:: w = 2 \varepsilon / \sqrt 3
 
 in every coordinate. What is left is at most :math:`w / 2` in each, so at most :math:`\varepsilon` in all. Everywhere
-else there is no correction. Which vertices have one is told frame by frame, in contexts of the vertices around them and of
-the frame before: where a few modes too few make an error, it lasts a while.
+else there is no correction. Which vertices have one is told frame by frame, in contexts of the vertices around them
+and of the frame before: where a few modes too few make an error, it lasts a while.
 """
 
 from __future__ import annotations

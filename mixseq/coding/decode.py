@@ -15,12 +15,14 @@ from mixseq.coding.coded import Chunk, Coded
 from mixseq.coding.corrections import RUN, Correction, read_corrections
 from mixseq.coding.graph import SignalGraph, mesh_graph
 from mixseq.coding.streams import basis_of, read_fields, read_tracks
+from mixseq.errors import FormatError
 from mixseq.pickling import Remade
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import NEGLIGIBLE, straight_modes
 from mixseq.spaces import ShapeSpace, VertexSpace
 from mixseq.spaces.basis import BasisSpace
+from mixseq.threads import one_blas_thread
 
 Int = NDArray[np.int64]
 Float = NDArray[np.float64]
@@ -49,10 +51,13 @@ def to_model(coded: Coded) -> Model:
     """
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
-    basis = decode_basis(coded, graph)
-    tracks = np.concatenate([decode_tracks(coded, chunk, basis) for chunk in coded.chunks])
-    space, scores, mean, directions = _affine(basis, tracks, parameters.diagonal)
-    pose, shapes = straight_modes(scores, mean, directions)
+    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is not finite is damaged
+        basis = decode_basis(coded, graph)
+        tracks = np.concatenate([decode_tracks(coded, chunk, basis) for chunk in coded.chunks])
+        if not (np.isfinite(basis.norms).all() and np.isfinite(tracks).all()):
+            raise FormatError("coded signals are not finite; the file is damaged")
+        space, scores, mean, directions = _affine(basis, tracks, parameters.diagonal)
+        pose, shapes = straight_modes(scores, mean, directions)
     corrections = None
     if any(chunk.corrections for chunk in coded.chunks):
         corrections = CodedCorrections(
@@ -67,6 +72,8 @@ def decode_basis(coded: Coded, graph: SignalGraph) -> Basis:
     parameters = coded.parameters
     coordinates = 1 if parameters.factors == "trajectories" else 3
     fields = read_fields(coded.fields, parameters.rank, coordinates, parameters.step, graph)
+    if parameters.factors == "shapes" and not len(fields):
+        raise FormatError("the first fields are missing, without which there is no shape; the file is damaged")
     return basis_of(parameters.factors, fields, parameters.frame_count)
 
 
@@ -154,13 +161,14 @@ class CodedCorrections(Remade):
     def _run(self, chunk: int, run: int) -> list[Correction]:
         # Threads go through the frames in order, so that the last few runs are all they need.
         with self._lock:
-            if (chunk, run) not in self._cache:
+            decoded = self._cache.get((chunk, run))
+            if decoded is None:
                 stream = self.chunks[chunk]
                 decoded = read_corrections(stream.corrections, stream.count, run, self._graph)
                 self._cache[chunk, run] = decoded
                 while len(self._cache) > _KEPT:
                     self._cache.pop(next(iter(self._cache)))
-            return self._cache[chunk, run]
+            return decoded
 
     @cached_property
     def _starts(self) -> Int:

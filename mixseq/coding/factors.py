@@ -104,7 +104,7 @@ def _principal(table: Table, least: float, most: int) -> tuple[Float, Float]:
 
 
 def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:
-    """Return trajectories without the mean of all vertices ``(3T, V)``, or frames without the mean shape ``(T, 3V)``."""
+    """Return trajectories without the mean of all vertices (3T, V), or frames without the mean shape (T, 3V)."""
     vertices = sequence.points.shape[1]
     if mean is not None:
         table = new_table((len(frames), 3 * vertices))

@@ -17,6 +17,9 @@ from mixseq.coding.prediction import CONTEXTS, GROWTH, Predictor, bounds
 Int = NDArray[np.int64]
 Float = NDArray[np.float64]
 
+_SMALL = 0.6
+"""In contexts of expected sizes up to this, few numbers have symbols of their own, which is quicker."""
+
 _FINEST = 8.0
 """Expected sizes up to this have numbers of their own; above, numbers are halved until they are below."""
 
@@ -36,11 +39,13 @@ class FieldCoder:
     def __init__(self, graph: SignalGraph) -> None:
         self._predictor = Predictor(graph)
         sizes = np.append(bounds(), bounds()[-1] * GROWTH)
+        self._small = int(np.count_nonzero(sizes <= _SMALL))
+        self._small_tables = Tables(np.maximum(sizes[: self._small], _LEAST), 3)
         self._shifts = np.zeros(CONTEXTS, dtype=np.int64)
         while (sizes > _FINEST).any():
             self._shifts += sizes > _FINEST
             sizes = np.where(sizes > _FINEST, sizes / 2, sizes)
-        self._tables = Tables(np.maximum(sizes, _LEAST))
+        self._tables = Tables(sizes, 15)
 
     def write(self, writer: Writer, targets: Float) -> Float:
         """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
@@ -49,11 +54,9 @@ class FieldCoder:
         for batch in self._predictor.graph.batches:
             contexts = self._predictor.contexts(batch)
             numbers = self._predictor.quantise(batch, nodes)
-            shifts = self._shifts[contexts]
-            writer.put(numbers >> shifts, contexts, self._tables)
-            for shift in _present(shifts):
-                some = shifts == shift
-                writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
+            small = contexts < self._small
+            writer.put(numbers[small], contexts[small], self._small_tables)
+            self._write_large(writer, numbers[~small], contexts[~small])
         return self._finished()
 
     def quantise(self, targets: Float) -> Float:
@@ -68,13 +71,25 @@ class FieldCoder:
         self._predictor.begin()
         for batch in self._predictor.graph.batches:
             contexts = self._predictor.contexts(batch)
-            shifts = self._shifts[contexts]
-            numbers = reader.get(contexts, self._tables) << shifts
-            for shift in _present(shifts):
-                some = shifts == shift
-                numbers[some] |= reader.get_flat(int(some.sum()), 1 << shift)
+            small = contexts < self._small
+            numbers = np.empty(len(contexts), dtype=np.int64)
+            numbers[small] = reader.get(contexts[small], self._small_tables)
+            numbers[~small] = self._read_large(reader, contexts[~small])
             self._predictor.restore(batch, numbers)
         return self._finished()
+
+    def _write_large(self, writer: Writer, numbers: Int, contexts: Int) -> None:
+        shifts = self._shifts[contexts]
+        writer.put(numbers >> shifts, contexts, self._tables)
+        for shift, some in _shifted(shifts):
+            writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
+
+    def _read_large(self, reader: Reader, contexts: Int) -> Int:
+        shifts = self._shifts[contexts]
+        numbers = reader.get(contexts, self._tables) << shifts
+        for shift, some in _shifted(shifts):
+            numbers[some] |= reader.get_flat(int(some.sum()), 1 << shift)
+        return numbers
 
     def _finished(self) -> Float:
         values = np.empty(self._predictor.graph.size)
@@ -82,6 +97,8 @@ class FieldCoder:
         return values
 
 
-def _present(shifts: Int) -> list[int]:
-    """Return which shifts there are, but zero."""
-    return [int(shift) for shift in np.flatnonzero(np.bincount(shifts)[1:]) + 1]
+def _shifted(shifts: Int) -> list[tuple[int, NDArray[np.bool_]]]:
+    """Return which shifts ``(n,)`` there are, but zero, and where."""
+    if not shifts.any():
+        return []
+    return [(int(shift), shifts == shift) for shift in np.flatnonzero(np.bincount(shifts)[1:]) + 1]

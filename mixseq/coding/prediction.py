@@ -72,10 +72,9 @@ class Predictor:
     """
 
     def __init__(self, graph: SignalGraph) -> None:
-        most = graph.neighbours.shape[1]
         self.graph = graph
         self._weights = graph.weights.copy()
-        self._gram = np.zeros((graph.size, most * (most + 1) // 2))
+        self._gram = np.zeros(int((graph.counts * (graph.counts + 1) // 2).sum()))
         self._ridge = 0.0
         self._known = 0
         self._activity = np.zeros(graph.size)

@@ -30,13 +30,18 @@ def roughness(values: Float, neighbours: Int, counts: Int) -> float:
 
 @compiled
 def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float) -> None:
-    """Add trust times the products of the differences of nodes and neighbours to the Gram matrices."""
+    """Add trust times the products of the differences of nodes and neighbours to the Gram matrices.
+
+    Of every node's matrix the lower triangle is there, row by row; one node's after the other's.
+    """
+    apart = np.zeros(neighbours.shape[1])
+    place = 0
     for node in range(len(values)):
-        place = 0
         for i in range(counts[node]):
-            one = trust * (values[neighbours[node, i]] - values[node])
+            apart[i] = values[neighbours[node, i]] - values[node]
+            one = trust * apart[i]
             for j in range(i + 1):
-                gram[node, place] += one * (values[neighbours[node, j]] - values[node])
+                gram[place] += one * apart[j]
                 place += 1
 
 
@@ -44,42 +49,46 @@ def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float
 def solve(gram: Float, ridge: float, start: Float, counts: Int, weights: Float) -> None:
     """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one.
 
-    A trace of G is added to the ridge: matrices of signals of very many steps would be singular, but for rounding.
+    1e-12 of the trace of G is added to the ridge: matrices of signals of very many steps are singular but for rounding.
     """
     most = start.shape[1]
     lower = np.zeros((most, most))
+    inverse = np.zeros(most)  # of the diagonal: divisions are slow
     ones = np.zeros(most)
     free = np.zeros(most)
+    place = 0
     for node in range(len(counts)):
         count = counts[node]
         if count == 0:
             continue
         pull = ridge
         for i in range(count):
-            pull += 1e-12 * gram[node, i * (i + 3) // 2]
-        place = 0
-        for i in range(count):  # G + pull = L L^T, with pivots that are no smaller than pull
-            for j in range(i + 1):
-                entry = gram[node, place]
-                place += 1
-                if i == j:
-                    entry += pull
-                for k in range(j):
-                    entry -= lower[i, k] * lower[j, k]
-                lower[i, j] = math.sqrt(max(entry, pull)) if i == j else entry / lower[j, j]
+            pull += 1e-12 * gram[place + i * (i + 3) // 2]
+        # G + pull = L L^T with pivots that are not below pull, and L (ones, free) = (1, pull start)
         for i in range(count):
             one, other = 1.0, pull * start[node, i]
+            for j in range(i):
+                entry = gram[place]
+                place += 1
+                for k in range(j):
+                    entry -= lower[i, k] * lower[j, k]
+                entry *= inverse[j]
+                lower[i, j] = entry
+                one -= entry * ones[j]
+                other -= entry * free[j]
+            entry = gram[place] + pull
+            place += 1
             for k in range(i):
-                one -= lower[i, k] * ones[k]
-                other -= lower[i, k] * free[k]
-            ones[i], free[i] = one / lower[i, i], other / lower[i, i]
+                entry -= lower[i, k] * lower[i, k]
+            inverse[i] = 1.0 / math.sqrt(max(entry, pull))
+            ones[i], free[i] = one * inverse[i], other * inverse[i]
         sum_ones, sum_free = 0.0, 0.0
         for i in range(count - 1, -1, -1):
             one, other = ones[i], free[i]
             for k in range(i + 1, count):
                 one -= lower[k, i] * ones[k]
                 other -= lower[k, i] * free[k]
-            ones[i], free[i] = one / lower[i, i], other / lower[i, i]
+            ones[i], free[i] = one * inverse[i], other * inverse[i]
             sum_ones += ones[i]
             sum_free += free[i]
         multiplier = (1.0 - sum_free) / sum_ones

@@ -96,12 +96,12 @@ def read_fields(
 ) -> Float:
     """Return the fields ``(K, c, V)`` of streams; of the groups that are there, if some are missing at the end."""
     coder = FieldCoder(graph)
-    fields = []
+    fields: list[Float] = []
     for group, stream in zip(groups(rank), streams, strict=False):
         reader = Reader(stream)
         for _ in range(group.start, group.stop):
             fields.append(np.stack([coder.read(reader) for _ in range(coordinates)]))
-    return step * np.array(fields)
+    return step * np.array(fields).reshape(-1, coordinates, graph.size)
 
 
 def basis_of(name: FactorName, fields: Float, frame_count: int) -> Basis:

@@ -12,6 +12,7 @@ from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
+from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 
@@ -58,17 +59,17 @@ class BasisSpace(ShapeSpace):
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.encode`: the coefficients nearest to the frames, in the least-squares sense."""
         vectors = np.empty((len(points), self.dim))
-        for row, frame in zip(vectors, points, strict=True):
-            row[:] = (self._inverse @ (self.fields @ frame.astype(np.float64))).reshape(-1)
+        with one_blas_thread():
+            for row, frame in zip(vectors, points, strict=True):
+                row[:] = (self._inverse @ (self.fields @ frame.astype(np.float64))).reshape(-1)
         return vectors / self.scale
 
     def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
         """Implement `ShapeSpace.decode`."""
         points = np.empty((len(vectors), self.fields.shape[1], 3))
-        for frame, vector in zip(
-            points, vectors, strict=True
-        ):  # one by one: the same bits whatever is asked with it
-            frame[:] = self.fields.T @ (self.scale * vector.reshape(-1, 3))
+        with one_blas_thread():
+            for frame, vector in zip(points, vectors, strict=True):  # the same bits whatever is asked with it
+                frame[:] = self.fields.T @ (self.scale * vector.reshape(-1, 3))
         return points
 
     def decode_moving(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from scripts.benchmarks.common.rate_report import OURS, Measured
-from scripts.benchmarks.common.rates import Measure
+from scripts.benchmarks.common.rates import Measure, staircase
 
 COLUMNS = 3
 LOOKS = {
@@ -45,12 +45,12 @@ def draw_curves(sequences: Sequence[Measured], titles: Mapping[str, str], folder
         for ax, each in zip(axes.flat, sequences, strict=False):
             for name in [name for name in LOOKS if each.points.get(name)]:
                 colour, marker = LOOKS[name]
-                points = sorted((getattr(point, measure), point.bits) for point in each.points[name])
-                ax_points = [(x, y) for x, y in points if low <= x <= high and y > 0]
-                if ax_points:
+                points = staircase(each.points[name], measure)
+                shown = [(error, bits) for error, bits in points if low <= error <= high]
+                if shown:
                     bold = name == OURS
                     (lines[name],) = ax.plot(
-                        *zip(*ax_points, strict=True),
+                        *zip(*shown, strict=True),
                         color=colour,
                         marker=marker,
                         markersize=5 if bold else 3.5,

@@ -43,13 +43,17 @@ def rate(points: Iterable[Point], measure: Measure, target: float) -> float | No
     With a target larger than all errors it is the rate of the cheapest point, which keeps the target; None if no point
     reaches it.
     """
-    best = np.inf
-    stairs: list[tuple[float, float]] = []
-    for error, bits in sorted((getattr(point, measure), point.bits) for point in points):
-        if bits < best:
-            stairs.append((error, bits))
-            best = bits
+    stairs = staircase(points, measure)
     if not stairs or stairs[0][0] > SLACK * target:
         return None
     error, bits_at = np.array(stairs).T
     return float(np.interp(np.log(target), np.log(np.maximum(error, 1e-300)), bits_at))
+
+
+def staircase(points: Iterable[Point], measure: Measure) -> list[tuple[float, float]]:
+    """Return errors and bits of the points that none beats in both, by growing error."""
+    stairs: list[tuple[float, float]] = []
+    for error, bits in sorted((getattr(point, measure), point.bits) for point in points):
+        if not stairs or bits < stairs[-1][1]:
+            stairs.append((error, bits))
+    return stairs
