@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,9 @@ FACTOR = 1.5
 
 SHAPES = 2.0
 """Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
+
+NEARLY = 1.15
+"""Where sizes of both kinds of factors are so near, both are tried with several steps."""
 
 FACTORS: tuple[FactorName, ...] = ("trajectories", "shapes")
 
@@ -159,47 +163,47 @@ class _Search:
         self._rounds += 1
         return attempt(self._sequence, factors, step, self._graph, bound, dry)
 
-    def _first(self, error: float, bound: float | None = None) -> _Tried:
-        """Try both kinds of factors with steps that should make an error, and return the better ones."""
+    def _first(self, error: float, bound: float | None = None) -> list[_Tried]:
+        """Try both kinds of factors with steps that should make an error; return those that may be the best."""
         tried: list[_Tried] = []
-        numbers = np.inf
+        bits = np.inf
         for name in FACTORS:
             factors = factor(self._sequence, name, _least(self._sequence, name, error))
             step = _guess(factors, error)
-            if _bits(factors, step) < SHAPES * numbers:
+            if _bits(factors, step) < SHAPES * bits:
                 tried.append(_Tried(factors, self._try(factors, step, bound)))
-            numbers = _bits(factors, step)
-        if bound is not None:
-            return min(tried, key=lambda one: one.last.size)
-        # Sizes where errors would be the same.
-        return min(tried, key=lambda one: one.last.size * (one.last.error / error) ** SLOPE)
+            bits = _bits(factors, step)
+        # With corrections errors are the same, without them sizes are as they would be if errors were.
+        sizes = [one.last.size * (1.0 if bound else (one.last.error / error) ** SLOPE) for one in tried]
+        return [one for one, size in zip(tried, sizes, strict=True) if size < NEARLY * min(sizes)]
 
     def with_error(self, error: float) -> Attempt:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
-        tried = self._first(error)
-        best = _closest(
-            lambda step: self._try(tried.factors, step, dry=True),
-            lambda one: error / one.error,
-            tried.last,
-            1.0,
-        )
-        if best is None:
+        found: list[Attempt] = []
+        for tried in self._first(error):
+            attempt_with, room = partial(self._try, tried.factors, dry=True), lambda one: error / one.error
+            best = _closest(attempt_with, room, tried.last, 1.0)
+            if best is not None:
+                found.append(best if best is tried.last else self._try(tried.factors, best.step))
+        if not found:
             raise SettingsError("so small an error cannot be reached; give a larger one, or max_error")
-        return best if best is tried.last else self._try(tried.factors, best.step)
+        return min(found, key=lambda one: one.size)
 
     def with_size(self, size: int) -> Attempt:
         """Find the finest step that fits into a number of bytes."""
-        tried = self._first(0.002 * _spread(self._sequence))
-        best = _closest(
-            lambda step: self._try(tried.factors, step), lambda one: size / one.size, tried.last, -SLOPE
-        )
-        if best is None:
+        found: list[Attempt] = []
+        for tried in self._first(0.002 * _spread(self._sequence)):
+            attempt_with, room = partial(self._try, tried.factors), lambda one: size / one.size
+            best = _closest(attempt_with, room, tried.last, -SLOPE)
+            if best is not None:
+                found.append(best)
+        if not found:
             raise SettingsError(f"the signals do not fit into {size} bytes; give more")
-        return best
+        return min(found, key=lambda one: one.error)
 
     def within(self, bound: float) -> Attempt:
         """Find the cheapest of some steps with corrections that keep a bound, in the units of the sequence."""
-        tried = self._first(RATIO * bound * self._count**0.5, bound)
+        tried = min(self._first(RATIO * bound * self._count**0.5, bound), key=lambda one: one.last.size)
         best = tried.last
         for direction in (FACTOR, 1 / FACTOR):
             found = False

@@ -73,7 +73,9 @@ def decode_basis(coded: Coded, graph: SignalGraph) -> Basis:
     coordinates = 1 if parameters.factors == "trajectories" else 3
     fields = read_fields(coded.fields, parameters.rank, coordinates, parameters.step, graph)
     if parameters.factors == "shapes" and not len(fields):
-        raise FormatError("the first fields are missing, without which there is no shape; the file is damaged")
+        raise FormatError(
+            "the first fields are missing, without which there is no shape; the file is damaged"
+        )
     return basis_of(parameters.factors, fields, parameters.frame_count)
 
 

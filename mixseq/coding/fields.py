@@ -34,10 +34,12 @@ class FieldCoder:
     ----------
     graph : SignalGraph
         The graph.
+    coordinates : int
+        Number of signals that belong together: coordinates of a field, or of a track.
     """
 
-    def __init__(self, graph: SignalGraph) -> None:
-        self._predictor = Predictor(graph)
+    def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
+        self._predictor = Predictor(graph, coordinates)
         sizes = np.append(bounds(), bounds()[-1] * GROWTH)
         self._small = int(np.count_nonzero(sizes <= _SMALL))
         self._small_tables = Tables(np.maximum(sizes[: self._small], _LEAST), 3)

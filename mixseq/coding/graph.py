@@ -11,7 +11,7 @@ Only the connectivity says what the levels are, so that nothing of them has to b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -75,6 +75,16 @@ class SignalGraph:
         """Number N of nodes."""
         return len(self.order)
 
+    def with_more(self, nodes: Int, sizes: Int) -> SignalGraph:
+        """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, at first without weight."""
+        neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
+        rows = np.arange(self.size)
+        for place in range(nodes.shape[1]):
+            some = sizes > place
+            neighbours[rows[some], self.counts[some] + place] = nodes[some, place]
+        weights = np.concatenate([self.weights, np.zeros((self.size, nodes.shape[1]))], axis=1)
+        return replace(self, neighbours=neighbours, counts=self.counts + sizes, weights=weights)
+
 
 def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     """Return the graph of a mesh: vertices and edges.
@@ -124,16 +134,17 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
 def path_graph(count: int) -> SignalGraph:
     """Return the graph of consecutive frames: first and last, those in the middle, and so on by halves.
 
-    A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange).
+    A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange), and
+    from the two nearest that are known besides.
 
     Parameters
     ----------
     count : int
         Number of frames, at least one.
     """
-    neighbours = np.zeros((count, 4), dtype=np.int64)
+    neighbours = np.zeros((count, 6), dtype=np.int64)
     counts = np.zeros(count, dtype=np.int64)
-    weights = np.zeros((count, 4))
+    weights = np.zeros((count, 6))
     known = np.unique([0, count - 1])
     levels = [known]
     if count > 1:
@@ -145,9 +156,11 @@ def path_graph(count: int) -> SignalGraph:
         for node in new:
             place = int(np.searchsorted(known, node))
             beside = known[max(place - 2, 0) : place + 2]
-            neighbours[node, : len(beside)] = beside
-            counts[node] = len(beside)
             weights[node, : len(beside)] = _lagrange(beside, int(node))
+            others = np.setdiff1d(np.append(known, new[new < node]), beside)
+            others = others[np.argsort(np.abs(others - node), kind="stable")][: 6 - len(beside)]
+            counts[node] = len(beside) + len(others)
+            neighbours[node, : counts[node]] = np.append(beside, others)
         known = np.union1d(known, new)
         levels.append(new)
     frames = np.arange(count)

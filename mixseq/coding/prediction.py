@@ -12,6 +12,10 @@ square difference of neighbours), lets large signals teach as much as small ones
 errors of the signals, in units of the quantisation step, and :math:`w^0` are weights from the graph alone. Where
 the signals that are known are affine functions, so is the prediction: the parallelogram rule is a case of it.
 
+Nodes resemble each other, too: after the first signals every node is joined to the nodes before it that have been most
+like it, wherever they are. So vertices of one rigid part that are far apart, or of several components, predict each
+other, and so do frames of one pose in a motion that comes back to it.
+
 Numbers that are coded are what prediction leaves, in steps, rounded: the mean of the context they are coded in is told
 by what is known around them (sizes of numbers of the same signal at neighbours, and of earlier signals here and there).
 The constants are ours, chosen on seven sequences of the test data.
@@ -38,6 +42,15 @@ MARGIN = 0.45
 
 MEMORY = 0.4
 """Share of the past in the activity of a node."""
+
+SIMILAR = 4
+"""So many nodes that are most like a node are joined to it."""
+
+LOOKS = (4, 8, 16)
+"""When so many signals are known, times their coordinates, these nodes are looked for."""
+
+THOROUGH = 1024
+"""So many nodes, the first, look at all nodes before them, later ones only near those of their neighbours."""
 
 SELDOM = 3
 """Weights are new after every signal, after 16 signals after every other, after 24 after every third, and so on."""
@@ -69,14 +82,18 @@ class Predictor:
     ----------
     graph : SignalGraph
         The graph.
+    coordinates : int
+        Number of signals that belong together.
     """
 
-    def __init__(self, graph: SignalGraph) -> None:
+    def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
+        self._looks = tuple(coordinates * known for known in LOOKS)
         self.graph = graph
+        self._plain = graph
         self._weights = graph.weights.copy()
-        self._gram = np.zeros(int((graph.counts * (graph.counts + 1) // 2).sum()))
+        self._gram = _empty_gram(graph)
         self._ridge = 0.0
-        self._known = 0
+        self._signals: list[Float] = []
         self._activity = np.zeros(graph.size)
         self._around = np.zeros(graph.size)
         self._bounds = bounds()
@@ -131,17 +148,47 @@ class Predictor:
         restore(batch.start, batch.stop, numbers, graph.neighbours, graph.counts, self._weights, self.values)
         self._sizes[batch] = np.abs(numbers)
 
+    def _look(self) -> None:
+        """Join every node to those before it that are most like it in all signals that are known."""
+        from mixseq.coding.similar_kernels import nearest
+
+        plain = self._plain
+        found = np.zeros((plain.size, SIMILAR), dtype=np.int64)
+        sizes = np.zeros(plain.size, dtype=np.int64)
+        values = np.ascontiguousarray(np.array(self._signals).T)
+        nearest(values, plain.neighbours, plain.counts, THOROUGH, SIMILAR, found, sizes)
+        self.graph = plain.with_more(found, sizes)
+        self._weights = self.graph.weights.copy()
+        self._gram = _empty_gram(self.graph)
+        self._ridge = 0.0
+        for signal in self._signals:
+            self._learn(signal)
+
+    def _learn(self, signal: Float) -> None:
+        from mixseq.coding.prediction_kernels import learn, roughness
+
+        graph = self.graph
+        trust = 1.0 / (1.0 + roughness(signal, graph.neighbours, graph.counts) / ROUGH)
+        learn(signal, trust, graph.neighbours, graph.counts, self._gram)
+        self._ridge += RIDGE * trust
+
     def finish(self) -> Float:
         """Learn from the signal whose last batch is done, and return its values ``(N,)`` in steps."""
-        from mixseq.coding.prediction_kernels import learn, roughness, smooth, solve
+        from mixseq.coding.prediction_kernels import smooth, solve
 
         graph = self.graph
         self._activity = MEMORY * self._activity + (1 - MEMORY) * self._sizes
         self._around = smooth(self._activity, graph.ring, graph.ring_starts)
-        trust = 1.0 / (1.0 + roughness(self.values, graph.neighbours, graph.counts) / ROUGH)
-        learn(self.values, trust, graph.neighbours, graph.counts, self._gram)
-        self._ridge += RIDGE * trust
-        self._known += 1
-        if _renews(self._known):
-            solve(self._gram, self._ridge, graph.weights, graph.counts, self._weights)
+        self._signals.append(self.values)
+        self._learn(self.values)
+        known = len(self._signals)
+        if known in self._looks:
+            self._look()
+        if known in self._looks or _renews(known):
+            solve(self._gram, self._ridge, self.graph.weights, self.graph.counts, self._weights)
         return self.values
+
+
+def _empty_gram(graph: SignalGraph) -> Float:
+    """Room for the lower triangles of all nodes' Gram matrices."""
+    return np.zeros(int((graph.counts * (graph.counts + 1) // 2).sum()))

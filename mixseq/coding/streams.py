@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 GROUP = 12
 """Fields in the first stream."""
 
-CHUNK = 128
+CHUNK = 512
 """A chunk has about so many frames."""
 
 ZEROS = 3
@@ -70,7 +70,7 @@ def write_fields(
     streams : tuple of bytes
         Streams of the groups.
     """
-    coder = FieldCoder(graph)
+    coder = FieldCoder(graph, factors.fields.shape[1])
     fields: list[Float] = []
     streams: list[bytes] = []
     zeros = 0
@@ -95,7 +95,7 @@ def read_fields(
     streams: tuple[bytes, ...], rank: int, coordinates: int, step: float, graph: SignalGraph
 ) -> Float:
     """Return the fields ``(K, c, V)`` of streams; of the groups that are there, if some are missing at the end."""
-    coder = FieldCoder(graph)
+    coder = FieldCoder(graph, coordinates)
     fields: list[Float] = []
     for group, stream in zip(groups(rank), streams, strict=False):
         reader = Reader(stream)
@@ -106,7 +106,7 @@ def read_fields(
 
 def basis_of(name: FactorName, fields: Float, frame_count: int) -> Basis:
     """Return the basis of coded fields ``(K, c, V)``, without those that are zero: they have no tracks."""
-    there = fields.any(axis=(1, 2))
+    there: NDArray[np.bool_] = np.any(fields, axis=(1, 2))
     there[:1] |= name == "shapes"  # the mean, which may be zero
     fields = fields[there]
     if name == "trajectories":
@@ -121,7 +121,7 @@ def write_tracks(basis: Basis, tracks: Float, step: float, dry: bool = False) ->
     decoded = np.empty_like(tracks)
     streams = []
     for chunk in chunks(len(tracks)):
-        coder, writer = FieldCoder(path_graph(len(chunk))), Writer()
+        coder, writer = FieldCoder(path_graph(len(chunk)), tracks.shape[2]), Writer()
         frames = slice(chunk.start, chunk.stop)
         for place, coordinate in np.ndindex(tracks.shape[1:]):
             numbers = tracks[frames, place, coordinate] * scales[place]
@@ -135,7 +135,7 @@ def read_tracks(basis: Basis, stream: bytes, count: int, step: float) -> Float:
     """Return the tracks ``(n, K, d)`` of the free fields in a chunk of `count` frames."""
     scales = basis.norms[basis.free] / step
     dim = 3 if basis.name == "trajectories" else 1
-    coder, reader = FieldCoder(path_graph(count)), Reader(stream)
+    coder, reader = FieldCoder(path_graph(count), dim), Reader(stream)
     tracks = np.empty((count, len(scales), dim))
     for place, coordinate in np.ndindex(tracks.shape[1:]):
         tracks[:, place, coordinate] = coder.read(reader) / scales[place]
