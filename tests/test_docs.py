@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import mixseq
 from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
+from mixseq.coding.coded import CodingParameters
 from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
@@ -76,7 +78,11 @@ def rows_of(text: str) -> Iterator[list[str]]:
 
 
 @pytest.mark.parametrize(
-    "name", ["README.md", "docs/tutorial.md", "docs/editing.md", "docs/resampling.md", "docs/engines.md"]
+    "name",
+    [
+        "README.md",
+        *(f"docs/{name}.md" for name in ("tutorial", "editing", "resampling", "engines", "compression")),
+    ],
 )
 def test_code_and_commands_run_from_top_to_bottom(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -229,6 +235,20 @@ def test_defaults_are_those_of_the_code(name: str, heading: str, settings: Any) 
             assert stated == (default or "none"), field.name
         else:
             assert float(stated) == default, field.name
+
+
+def test_constants_of_the_specification_are_those_of_the_code() -> None:
+    stated = list(rows_of(page("docs/file-format.md").partition("\n### Constants\n")[2]))[2:]
+    assert len(stated) > 30
+    for what, values, place in stated:
+        module, _, name = place.strip("`").partition(".")
+        constant = getattr(import_module(f"mixseq.coding.{module}"), name)
+        assert [float(value) for value in values.split(",")] == list(np.atleast_1d(constant)), what
+
+
+def test_specification_has_every_parameter_of_the_coding() -> None:
+    explained = {name for row in rows("docs/file-format.md") for name in re.findall(r"^\*(\w+)\*$", row[0])}
+    assert explained == {field.name for field in fields(CodingParameters)}
 
 
 @pytest.fixture(scope="module")

@@ -39,6 +39,8 @@ class Attempt:
         Streams of the tracks and, if there is a bound, of the corrections.
     error : float
         Root of the sum of all squared distances, without corrections.
+    bound : float, optional
+        What corrections are for.
     """
 
     step: float
@@ -48,6 +50,7 @@ class Attempt:
     fields: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]
     error: float
+    bound: float | None = None
 
     @cached_property
     def size(self) -> int:
@@ -91,7 +94,7 @@ def attempt(
     for frames, stream in zip(chunks(len(tracks)), streams, strict=True):
         corrections = b"" if bound is None else _corrections(sequence, basis, tracks, frames, bound, graph)
         parts.append(Chunk(frames.start, len(frames), stream, corrections))
-    return Attempt(step, len(decoded), basis, tracks, fields, tuple(parts), float(np.sqrt(squares)))
+    return Attempt(step, len(decoded), basis, tracks, fields, tuple(parts), float(np.sqrt(squares)), bound)
 
 
 def _corrections(

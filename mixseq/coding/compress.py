@@ -131,11 +131,12 @@ def _with_margin(bound: float, sequence: Stored) -> float:
 
 def _spread(sequence: Stored) -> float:
     """Root of the sum of all squared distances from the centroids of the frames."""
-    squares = 0.0
+    squares = largest = 0.0
     for block in blocks_of(sequence.points):
         points = block.astype(np.float64)
         squares += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
-    if not squares:
+        largest = max(largest, float(np.abs(points).max()))
+    if squares <= np.prod(sequence.points.shape) * (2.0**-40 * largest) ** 2:
         raise SettingsError("all vertices are at one place, and have no KG error; give max_error")
     return float(np.sqrt(squares))
 
@@ -181,12 +182,15 @@ class _Search:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
         found: list[Attempt] = []
         for tried in self._first(error):
-            attempt_with, room = partial(self._try, tried.factors, dry=True), lambda one: error / one.error
+            attempt_with, room = (
+                partial(self._try, tried.factors, dry=True),
+                lambda one: error / max(one.error, 1e-9 * error),
+            )
             best = _closest(attempt_with, room, tried.last, 1.0)
             if best is not None:
                 found.append(best if best is tried.last else self._try(tried.factors, best.step))
-        if not found:
-            raise SettingsError("so small an error cannot be reached; give a larger one, or max_error")
+        if not found:  # frames were left out of the factors: corrections make good for them
+            return self.within(error / self._count**0.5)
         return min(found, key=lambda one: one.size)
 
     def with_size(self, size: int) -> Attempt:
@@ -245,7 +249,7 @@ def _least(sequence: Stored, name: FactorName, error: float) -> float:
 
 def _guess(factors: Factors, error: float) -> float:
     """Return the step whose error is about a given one: s^2 / 12 for every number above it, all of those below."""
-    count = factors.fields[0].size
+    count = factors.fields.shape[1] * factors.fields.shape[2]
     low, high = 1e-12 * error, error
     for _ in range(60):
         step = float(np.sqrt(low * high))
@@ -257,7 +261,7 @@ def _guess(factors: Factors, error: float) -> float:
 
 def _bits(factors: Factors, step: float) -> float:
     """Return how many bits fields would cost if nothing were known of them but their norms."""
-    count = factors.fields[0].size
+    count = factors.fields.shape[1] * factors.fields.shape[2]
     return float(count * np.log2(np.maximum(factors.sizes / (step * count**0.5), 1.0)).sum())
 
 
@@ -274,7 +278,7 @@ def _checked(sequence: Stored, best: Attempt, unit: float, bound: float | None) 
             max_error=0.0,
             kg_percent=0.0,
             promised=bound is not None,
-            correction=0.0 if bound is None else width(_with_margin(bound * unit, sequence)),
+            correction=0.0 if best.bound is None else width(best.bound),
         ),
         best.fields,
         best.chunks,
@@ -293,6 +297,7 @@ def _checked(sequence: Stored, best: Attempt, unit: float, bound: float | None) 
         raise ReconstructionError(
             f"a vertex is off by {error:.3g} diagonals after decoding, more than {bound:g}; please report this"
         )
-    kg_percent = 100 * float(np.sqrt(squares / spread)) if spread else 0.0
+    rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
+    kg_percent = 100 * float(np.sqrt(squares / spread)) if spread > rounding else 0.0
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
     return replace(coded, parameters=parameters)

@@ -14,6 +14,7 @@ multiple of the same step, all of them cost and spoil alike: reverse water-filli
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,10 @@ MOST = 3000
 """Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
 
 
+_AT_ONCE = 128
+"""So many fields are computed at once."""
+
+
 @dataclass(frozen=True, eq=False)
 class Factors:
     """Fields over the mesh, most important first.
@@ -39,14 +44,14 @@ class Factors:
     ----------
     name : {"trajectories", "shapes"}
         Which factors.
-    fields : (K, c, V) float64
+    fields : (K, c, V) table of float64
         Fields without those that are constant over the mesh: c = 1 number a vertex of trajectories, 3 of shapes.
     sizes : (K,) float64
         Their norms, decreasing (but for the mean of shapes, the first).
     """
 
     name: FactorName
-    fields: Float
+    fields: Table
     sizes: Float
 
 
@@ -70,17 +75,23 @@ def factor(sequence: Stored, name: FactorName, least: float) -> Factors:
     table = _centred(sequence, frames, mean)
     most = max(min(len(table) - (mean is not None), coordinates * vertices), 1)
     # Each of the frames that were looked at stands for those beside it.
-    flat, sizes = _principal(table, least / np.sqrt(stride), most)
-    fields = np.sqrt(stride) * flat.reshape(len(sizes), vertices, coordinates).transpose(0, 2, 1)
-    sizes = np.sqrt(stride) * sizes
-    if mean is not None:
-        first = np.sqrt(count) * mean.T
-        fields, sizes = np.concatenate([first[None], fields]), np.append(np.linalg.norm(first), sizes)
-    return Factors(name, np.ascontiguousarray(fields), sizes)
+    sizes, blocks = _principal(table, least / np.sqrt(stride), most)
+    first = [] if mean is None else [np.sqrt(count) * mean.T]
+    fields = new_table((len(first) + len(sizes), coordinates, vertices))
+    for row, field in enumerate(first):
+        fields[row : row + 1] = field[None]
+    done = len(first)
+    for block in blocks:
+        cubes = np.sqrt(stride) * block.reshape(-1, vertices, coordinates).transpose(0, 2, 1)
+        fields[done : done + len(cubes)] = cubes
+        done += len(cubes)
+    return Factors(
+        name, fields, np.append([np.linalg.norm(field) for field in first], np.sqrt(stride) * sizes)
+    )
 
 
-def _principal(table: Table, least: float, most: int) -> tuple[Float, Float]:
-    """Return the principal components of rows ``(R, W)``, scaled by singular values, and these: no more than `most`."""
+def _principal(table: Table, least: float, most: int) -> tuple[Float, Iterator[Float]]:
+    """Return the singular values of rows ``(R, W)``, `most` of them, and their components scaled by them, in blocks."""
     height, width = table.shape
     if height <= width:
         gram = np.zeros((height, height))
@@ -94,13 +105,19 @@ def _principal(table: Table, least: float, most: int) -> tuple[Float, Float]:
     values, vectors = linalg.eigh(gram)
     sizes = np.sqrt(np.maximum(values[::-1], 0.0))
     kept = max(1, min(int(np.count_nonzero(sizes > least)), most))
-    sizes, basis = sizes[:kept], vectors[:, ::-1][:, :kept].T
+    basis = vectors[:, ::-1][:, :kept].T
     if height > width:
-        return sizes[:, None] * basis, sizes
-    components = np.empty((kept, width))
-    for columns, block in column_blocks(table):
-        components[:, columns] = basis @ block
-    return components, sizes
+        return sizes[:kept], iter([sizes[:kept, None] * basis])
+    return sizes[:kept], _projected(table, basis)
+
+
+def _projected(table: Table, basis: Float) -> Iterator[Float]:
+    for start in range(0, len(basis), _AT_ONCE):
+        some = basis[start : start + _AT_ONCE]
+        components = np.empty((len(some), table.shape[1]))
+        for columns, block in column_blocks(table):
+            components[:, columns] = some @ block
+        yield components
 
 
 def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:

@@ -1,4 +1,7 @@
-"""Compiled loops of `mixseq.coding.similar`: sums in a fixed order, the same bits on every machine."""
+"""Compiled loops of `mixseq.coding.prediction` that find nodes that are alike: sums in a fixed order.
+
+Decoders get the same nodes on every machine.
+"""
 
 from __future__ import annotations
 

@@ -76,8 +76,8 @@ def write_fields(
     zeros = 0
     for group in groups(len(factors.fields)):
         writer = Writer()
-        for targets in factors.fields[group]:
-            numbers = targets / step
+        for place in range(group.start, group.stop):
+            numbers = factors.fields[place : place + 1][0] / step
             fields.append(
                 np.stack([coder.quantise(one) if dry else coder.write(writer, one) for one in numbers])
             )

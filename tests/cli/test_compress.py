@@ -187,7 +187,10 @@ def test_decode(run: Run, small: Path, bent_bar: MeshSequence) -> None:
     assert mixseq.read("new.h5").frame_count == 7
 
 
-def test_damaged_files_are_refused_and_salvaged(run: Run, folder: Path) -> None:
+def test_damaged_files_are_refused_and_salvaged(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mixseq.coding.streams.CHUNK", 128)
     walk = bar(5, 5, 260)  # more than one chunk
     mixseq.save("long.h5", mixseq.compress(walk, max_error=0.01))
     first = read_coded(Path("long.h5")).chunks[1].first

@@ -554,7 +554,6 @@ def golden_sequence() -> MeshSequence:
     return MeshSequence.from_header(header, walk.points + 0.01 * tremble)
 
 
-@pytest.mark.skipif(not (GOLDEN / "model-v4-coded.h5").exists(), reason="the format is not settled")
 def test_the_golden_file_still_decodes_to_the_same_points() -> None:
     path = GOLDEN / "model-v4-coded.h5"
     with np.load(path.with_suffix(".npz")) as expected:
