@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import mixseq
+from mixseq.coding.decode import decode_basis
+from mixseq.coding.graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.geometry.rotations import matrices
 from mixseq.operations import (
@@ -39,6 +41,7 @@ from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import chart_style
 from mixseq.plots.colours import CLAY, INK, JOINT_RED, segmentation_colours
 from mixseq.plots.layout import Sheet, matplotlib_module
+from mixseq.plots.shading import area_normals
 from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model
@@ -116,6 +119,38 @@ def from_two_sides(
                 row[number], walk.points[0], walk.faces, segmentation_colours(*labels), "Y", view, limits
             )
         page.panels[0][number].set_title(title, fontsize=10, color=INK, pad=2)
+    stream = BytesIO()
+    page.save(stream)
+    save(stream, path, SHEET_WIDTH, 256)
+
+
+def coding(path: Path) -> None:
+    """What compression codes: which vertices come first, and fields of the walk."""
+    walk = walk_cycle()
+    coded = mixseq.compress(walk, max_error=0.0005)
+    graph = mesh_graph(walk.faces, walk.vertex_count)
+    fields = decode_basis(coded, graph).fields[1:, 0]
+    points, faces = walk.points[0], walk.faces
+    low, high = (0.16, 0.38, 0.58), (0.80, 0.48, 0.10)
+    view, limits, _ = camera([walk.points[:1]])
+    page = Sheet.of(2, 4, (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=0.9)
+    page.label_row(0, "coarse\nto fine")
+    page.label_row(1, "fields")
+    screen = points @ view.rows.T
+    front = np.zeros(len(points), dtype=bool)
+    front[faces[area_normals(screen, faces)[:, 2] > 0]] = True
+    for ax, count in zip(page.panels[0], (20, 100, 500, 2500), strict=True):
+        draw_mesh(ax, points, faces, CLAY, "Y", view, limits)
+        known = graph.order[: next(batch.stop for batch in graph.batches if batch.stop >= count)]
+        dots = screen[known[front[known]], :2].T
+        ax.plot(*dots, "o", color=low, ms=14 / len(known) ** 0.25, mew=0, zorder=4)
+        ax.set_title(f"the first {len(known)} vertices", fontsize=9, color=INK, pad=2)
+    for ax, number in zip(page.panels[1], (0, 2, 5, 14), strict=True):
+        value = fields[number][faces].mean(axis=1)
+        share = np.clip(value / np.percentile(np.abs(value), 98), -1, 1)[:, None]
+        ends = np.where(share > 0, high, low)
+        draw_mesh(ax, points, faces, (1 - np.abs(share)) * 0.93 + np.abs(share) * ends, "Y", view, limits)
+        ax.set_title(f"$b_{{{number + 1}}}$", fontsize=9, color=INK, pad=2)
     stream = BytesIO()
     page.save(stream)
     save(stream, path, SHEET_WIDTH, 256)
@@ -295,6 +330,7 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "parts": parts,
     "segmentations": segmentations,
     "softening": softening,
+    "coding": coding,
     "plot": plot,
     "layout": layout,
     "edit-timing": timing,
