@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from mixseq.operations.edited import checked_points
 from mixseq.sequence import MeshSequence
@@ -49,3 +50,27 @@ def with_room(model: Model, time: float, points: ArrayLike | MeshSequence) -> Mo
     wider = BasisSpace(np.concatenate([space.fields, new]), space.scale)
     shapes = np.pad(model.shapes, [(0, 0), (0, 3 * len(new))])
     return replace(model, space=wider, shapes=shapes)
+
+
+def joined(first: Model, second: Model) -> tuple[Model, Model]:
+    """Return two motions of one mesh, both in basis spaces, in one space that has the shapes of both.
+
+    Its fields are an orthonormal basis of the fields of both.
+    """
+    a, b = first.space, second.space
+    assert isinstance(a, BasisSpace)
+    assert isinstance(b, BasisSpace)
+    fields = np.concatenate([a.fields / np.linalg.norm(a.fields, axis=1, keepdims=True), b.fields])
+    fields[len(a.fields) :] /= np.linalg.norm(b.fields, axis=1, keepdims=True)
+    orthonormal, triangle, _ = linalg.qr(fields.T, mode="economic", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > NEGLIGIBLE))
+    space = BasisSpace(orthonormal.T[:rank], a.scale)
+    return _moved(first, a, space), _moved(second, b, space)
+
+
+def _moved(model: Model, old: BasisSpace, new: BasisSpace) -> Model:
+    """Put a model into a space whose fields are orthonormal, and span those of its own."""
+    change = (new.fields @ old.fields.T) * (old.scale / new.scale)
+    cubes = model.shapes.reshape(len(model.shapes), -1, 3)
+    shapes = np.einsum("nk,jki->jni", change, cubes).reshape(len(cubes), -1)
+    return replace(model, space=new, shapes=shapes)

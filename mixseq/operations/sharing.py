@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
+from mixseq.operations.room import joined
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
@@ -34,15 +36,18 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
+    if isinstance(space, BasisSpace) and _same_basis(space, model.space):
+        return replace(model, space=space)
     with one_blas_thread():
         return build(encode(model.sample(), space), Detail())
 
 
 def together(first: Model, second: Model) -> tuple[Model, Model]:
-    """Return two models of one mesh in the space of the first one, with the same pose and shape signals.
+    """Return two models of one mesh in one space, with the same pose and shape signals.
 
-    Where key shapes differ, both get those of both. Pose space then has the weights of the key shapes as its
-    coordinates.
+    The space is that of the first one. If that is a basis space, which has few shapes, it is one that has those of
+    both, or that of the second one, if it is of another kind. Where key shapes differ, both get those of both. Pose
+    space then has the weights of the key shapes as its coordinates.
 
     Raises
     ------
@@ -50,6 +55,9 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
         If they are models of different meshes.
     """
     _check_meshes(first, second)
+    if isinstance(first.space, BasisSpace) and not _same_basis(first.space, second.space):
+        basis = isinstance(second.space, BasisSpace)
+        first, second = joined(first, second) if basis else (into(first, second.space), second)
     second = into(second, first.space)
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
@@ -62,6 +70,12 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
         for model, start in zip((first, second), starts, strict=True)
     ]
     return both[0], both[1]
+
+
+def _same_basis(first: BasisSpace, second: ShapeSpace) -> bool:
+    if not isinstance(second, BasisSpace) or first.scale != second.scale:
+        return False
+    return np.array_equal(first.fields, second.fields)
 
 
 def _weights_of(model: Model, start: int, count: int) -> Curve:

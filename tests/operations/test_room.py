@@ -11,9 +11,11 @@ import mixseq
 from mixseq.coding.decode import to_model
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError
-from mixseq.operations import cut, reverse, shift
+from mixseq.operations import concatenate, cut, reverse, shift
 from mixseq.operations.room import with_room
 from mixseq.operations.sculpt import sculpt
+from mixseq.operations.sharing import together
+from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.basis import BasisSpace
 
@@ -73,3 +75,40 @@ def test_corrections_stay_with_their_times(model: Model) -> None:
         for mine, other in zip(edited.times, original, strict=True):
             np.testing.assert_allclose(edited(mine), signals(other), atol=1e-9)
     assert model.corrections is not None
+
+
+def warped() -> MeshSequence:
+    walk = walk_cycle(frames=8)
+    return walk.with_points(walk.points + 0.1 * np.sin(7 * walk.points[..., [1, 2, 0]]))
+
+
+def test_motions_of_two_files_keep_their_shapes(model: Model) -> None:
+    """A basis has the shapes of its own motion; together they have those of both."""
+    other = to_model(mixseq.compress(warped(), max_error=1e-2))
+    both = together(replace(model, corrections=None), replace(other, corrections=None))
+    for mine, original in zip(both, (model, other), strict=True):
+        signals = replace(original, corrections=None)
+        for time in (model.times[2], 0.5 * (model.times[4] + model.times[5])):
+            np.testing.assert_allclose(mine(time), signals(time), atol=1e-9)
+    longer = concatenate(model, other)
+    np.testing.assert_allclose(
+        longer(longer.end), replace(other, corrections=None)(other.end), atol=1e-6 * model.space.scale
+    )
+
+
+def test_the_same_file_twice_is_one_space(model: Model) -> None:
+    space = model.space
+    assert isinstance(space, BasisSpace)
+    again = replace(model, space=BasisSpace(np.array(space.fields), space.scale))
+    first, second = together(model, again)
+    assert first.space is second.space is model.space
+    np.testing.assert_array_equal(first.shapes, model.shapes)
+
+
+def test_a_motion_in_another_space_takes_the_first_along(model: Model) -> None:
+    fitted = mixseq.fit(warped(), space="vertex", exact=True)
+    first, second = together(replace(model, corrections=None), fitted)
+    assert first.space is second.space is fitted.space
+    signals = replace(model, corrections=None)
+    np.testing.assert_allclose(first(model.times[3]), signals(model.times[3]), atol=1e-9)
+    np.testing.assert_allclose(second(model.times[3]), fitted(model.times[3]), atol=1e-9)
