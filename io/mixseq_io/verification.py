@@ -1,7 +1,7 @@
 r"""Whether a compressed model keeps its promise.
 
 With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
-original's first frame, the promise is
+original's first frame, or 1 if that is a single point, the promise is
 
 .. math:: \max_{tv} |A_{tv} - B_{tv}| \le \epsilon\, d
 
@@ -24,6 +24,7 @@ from mixseq.sequence import FloatArray, Frames, SequenceHeader, bounding_diagona
 from mixseq.signals.model import FRAMES, Model
 from mixseq_io.hdf5.coded import read_coded
 from mixseq_io.hdf5.model import decoded
+from mixseq_io.hdf5.salvage import check_behind
 from mixseq_io.registry import PathLike
 
 _ROUNDING = 1e-9
@@ -93,7 +94,11 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     source = Path(path)
     if original is not None:
         check_frames(original)
-    coded = read_coded(source)
+    try:
+        coded = read_coded(source)
+    except FormatError:
+        check_behind(source)  # may know more
+        raise
     frames = _Checked(source, decoded(source, coded), progress)
     header, parameters = coded.header, coded.parameters
     found = Verification(header.frame_count, header.vertex_count, parameters.max_error, parameters.promised)
@@ -137,7 +142,7 @@ def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
     first, where = 0, (0, 0)
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
-            diagonal = bounding_diagonal(x[0])
+            diagonal = bounding_diagonal(x[0]) or 1.0
         distances = np.square(x - y).sum(axis=2)
         squares += float(distances.sum())
         spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())

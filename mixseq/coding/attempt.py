@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import Chunk
-from mixseq.coding.corrections import needed, width, write_corrections
+from mixseq.coding.corrections import needed, write_corrections
 from mixseq.coding.factors import Factors
 from mixseq.coding.graph import SignalGraph
 from mixseq.coding.streams import basis_of, chunks, write_fields, write_tracks
@@ -106,6 +106,3 @@ def _corrections(
         return np.asarray(needed(apart, bound)[0])
 
     return write_corrections((numbers(frame) for frame in frames), graph)
-
-
-__all__ = ["Attempt", "attempt", "width"]

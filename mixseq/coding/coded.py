@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from math import inf
+from typing import Literal, get_args
 
+from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
 
 FactorName = Literal["trajectories", "shapes"]
@@ -54,6 +56,11 @@ class CodingParameters:
         Whether `max_error` was asked for: then it is the bound that was asked for, and corrections see to it.
     correction : float
         Unit of the corrections, in the units of the sequence; zero if there are none.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is of another type, or out of range: somebody wrote it into a file.
     """
 
     factors: FactorName
@@ -65,6 +72,30 @@ class CodingParameters:
     kg_percent: float
     promised: bool
     correction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.factors not in get_args(FactorName):
+            raise SettingsError(
+                f"factors is {self.factors!r}; {' or '.join(get_args(FactorName))} is expected"
+            )
+        for name in ("rank", "frame_count"):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value > 0):
+                raise SettingsError(f"{name} is {value!r}; a whole number above zero is expected")
+        for name, sign in (
+            ("step", 1),
+            ("diagonal", 1),
+            ("max_error", 0),
+            ("kg_percent", 0),
+            ("correction", 0),
+        ):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and 0 <= value < inf and (value or not sign)):
+                raise SettingsError(
+                    f"{name} is {value!r}; a {'positive' if sign else 'non-negative'} number is expected"
+                )
+        if not isinstance(self.promised, bool):
+            raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ def _spread(sequence: Stored) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """Factors of a sequence, and the attempts with them, best first where there is an order."""
+    """Factors of a sequence, and the first attempt with them."""
 
     factors: Factors
     last: Attempt
@@ -176,7 +176,7 @@ class _Search:
             bits = _bits(factors, step)
         # With corrections errors are the same, without them sizes are as they would be if errors were.
         sizes = [one.last.size * (1.0 if bound else (one.last.error / error) ** SLOPE) for one in tried]
-        return [one for one, size in zip(tried, sizes, strict=True) if size < NEARLY * min(sizes)]
+        return [one for one, size in zip(tried, sizes, strict=True) if size <= NEARLY * min(sizes)]
 
     def with_error(self, error: float) -> Attempt:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""

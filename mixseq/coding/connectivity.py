@@ -114,7 +114,11 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
         files have checksums).
     """
     mesh = f"{polygon_count} polygons with {corner_count} corners and {vertex_count} vertices"
-    if polygon_count < 0 or vertex_count < 0 or corner_count < 3 * polygon_count:
+    if (
+        polygon_count < 0
+        or not 0 <= vertex_count < 1 << 31
+        or not 3 * polygon_count <= corner_count < 1 << 31
+    ):
         raise FormatError(f"a mesh cannot have {mesh}; the file is damaged")
     if not polygon_count or not vertex_count:
         if data or corner_count:

@@ -24,7 +24,7 @@ from mixseq.coding.half_edges import (
     vertex_of,
 )
 from mixseq.coding.mixing import SPREAD, Bits, code
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, constant, inlined
 
 Int = NDArray[np.int64]
 
@@ -37,7 +37,7 @@ GUESSES = 16
 KINDS = 4 * GUESSES + 4 * 5
 """Kinds of bits with weights of their own: of guesses by place, of numbers by what they are about."""
 
-_COUNTS, _STATES = 3, 4
+_COUNTS, _STATES = constant(3), constant(4)
 """What numbers are about: 0 to 2 distances among unused, open, closed vertices; numbers of corners; states."""
 
 LONGEST = 33
@@ -48,6 +48,7 @@ _LOOKED_AT = 32
 
 _BASES = 9
 _REPEATS = 1 << 16
+_FIRST = constant(0)
 
 
 class Past(NamedTuple):
@@ -120,7 +121,7 @@ def no_past(vertex_count: int) -> Past:
 @compiled
 def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Int, indices: Int) -> None:
     """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); `bits.failed` says if that failed."""
-    corner = 0
+    corner = _FIRST
     first = previous = 0  # corners that the polygon before, and the one before that, start from
     last_new = -1
     repeat = run = 0  # the corner that comes after the same differences, and for how long it was right

@@ -184,7 +184,7 @@ class _Contexts:
 
     def of_numbers(self, nodes: Int) -> Int:
         """Contexts ``(3 n,)`` of the coordinates: by their size in the frame before."""
-        return np.minimum(np.abs(self._last[nodes]).reshape(-1), 3)
+        return np.asarray(np.abs(self._last[nodes].clip(-3, 3)).reshape(-1))
 
     def finish(self, frame: Int) -> None:
         from mixseq.coding.prediction_kernels import smooth

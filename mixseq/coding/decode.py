@@ -71,6 +71,11 @@ def decode_basis(coded: Coded, graph: SignalGraph) -> Basis:
     """Return the fields of a compressed sequence: all of them, or those of the groups that are there."""
     parameters = coded.parameters
     coordinates = 1 if parameters.factors == "trajectories" else 3
+    most = 3 * min(parameters.frame_count, graph.size) + 1
+    if parameters.rank > most:
+        raise FormatError(
+            f"{parameters.rank} fields are more than the {most} that such a sequence can have; the file is damaged"
+        )
     fields = read_fields(coded.fields, parameters.rank, coordinates, parameters.step, graph)
     if parameters.factors == "shapes" and not len(fields):
         raise FormatError(
@@ -122,6 +127,9 @@ class CodedCorrections(Remade):
     faces: NDArray[np.int32]
     vertex_count: int
     unit: float
+
+    def __post_init__(self) -> None:
+        _ = self._lock, self._cache  # there before threads ask for them, who might make two
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""

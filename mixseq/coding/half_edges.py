@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, constant, inlined
 
 Int = NDArray[np.int64]
 Small = NDArray[np.int32]
 
-UNUSED, OPEN, CLOSED = 0, 1, 2
+UNUSED, OPEN, CLOSED = constant(0), constant(1), constant(2)
 INTO, OUT_OF = 0, 1
 
 _LOOKED_AT = 32

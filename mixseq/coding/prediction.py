@@ -93,7 +93,8 @@ class Predictor:
         self._weights = graph.weights.copy()
         self._gram = _empty_gram(graph)
         self._ridge = 0.0
-        self._signals: list[Float] = []
+        self._signals: list[Float] = []  # as long as nodes that are like each other are looked for
+        self._known = 0
         self._activity = np.zeros(graph.size)
         self._around = np.zeros(graph.size)
         self._bounds = bounds()
@@ -179,11 +180,15 @@ class Predictor:
         graph = self.graph
         self._activity = MEMORY * self._activity + (1 - MEMORY) * self._sizes
         self._around = smooth(self._activity, graph.ring, graph.ring_starts)
-        self._signals.append(self.values)
+        self._known += 1
+        known = self._known
+        if known <= self._looks[-1]:
+            self._signals.append(self.values)
         self._learn(self.values)
-        known = len(self._signals)
         if known in self._looks:
             self._look()
+        if known == self._looks[-1]:
+            self._signals.clear()
         if known in self._looks or _renews(known):
             solve(self._gram, self._ridge, self.graph.weights, self.graph.counts, self._weights)
         return self.values

@@ -6,7 +6,6 @@ important ones. Tracks go to one stream for every chunk of frames, and every chu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -140,8 +139,3 @@ def read_tracks(basis: Basis, stream: bytes, count: int, step: float) -> Float:
     for place, coordinate in np.ndindex(tracks.shape[1:]):
         tracks[:, place, coordinate] = coder.read(reader) / scales[place]
     return tracks
-
-
-def all_tracks(basis: Basis, streams: Iterator[tuple[bytes, int]], step: float) -> Float:
-    """Return the tracks ``(T, K, d)`` of chunks, given as streams and numbers of frames."""
-    return np.concatenate([read_tracks(basis, stream, count, step) for stream, count in streams])

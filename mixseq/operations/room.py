@@ -16,6 +16,7 @@ from mixseq.operations.edited import checked_points
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.basis import BasisSpace
+from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 
@@ -62,10 +63,11 @@ def joined(first: Model, second: Model) -> tuple[Model, Model]:
     assert isinstance(b, BasisSpace)
     fields = np.concatenate([a.fields / np.linalg.norm(a.fields, axis=1, keepdims=True), b.fields])
     fields[len(a.fields) :] /= np.linalg.norm(b.fields, axis=1, keepdims=True)
-    orthonormal, triangle, _ = linalg.qr(fields.T, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > NEGLIGIBLE))
-    space = BasisSpace(orthonormal.T[:rank], a.scale)
-    return _moved(first, a, space), _moved(second, b, space)
+    with one_blas_thread():
+        orthonormal, triangle, _ = linalg.qr(fields.T, mode="economic", pivoting=True)
+        rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > NEGLIGIBLE))
+        space = BasisSpace(orthonormal.T[:rank], a.scale)
+        return _moved(first, a, space), _moved(second, b, space)
 
 
 def _moved(model: Model, old: BasisSpace, new: BasisSpace) -> Model:

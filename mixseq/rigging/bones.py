@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mixseq.geometry.rigid import aligning_rotations, kabsch, nearest_rotations
 from mixseq.rigging.weights import Binding
-from mixseq.segmentation.rigid_error import Moments, moments
+from mixseq.segmentation.rigid_error import moments, union_errors
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -98,22 +98,26 @@ def merged(tracks: Float, labels: Index, count: int) -> Index:
     """
     labels = np.unique(labels, return_inverse=True)[1]
     x = tracks.reshape(len(tracks), -1, 3)
-    sums: dict[int, Moments] = {}
-    for bone in range(int(labels.max()) + 1):
-        own = x[labels == bone]
-        sums[bone] = moments(own[:, 0], own, np.ones(len(own)))
-    errors = {bone: m.error() for bone, m in sums.items()}
-    costs: dict[tuple[int, int], float] = {}
-    while len(sums) > count:
-        for i in sums:
-            for j in sums:
-                if i < j and (i, j) not in costs:
-                    costs[i, j] = (sums[i] + sums[j]).error() - errors[i] - errors[j]
-        keep, drop = min(costs, key=lambda pair: (costs[pair], pair))
+    bones = int(labels.max()) + 1
+    own = [x[labels == bone] for bone in range(bones)]
+    sums = [moments(each[:, 0], each, np.ones(len(each))) for each in own]
+    errors = np.array([each.error() for each in sums])
+    left = list(range(bones))
+    costs = np.full((bones, bones), np.inf)  # above the diagonal
+    if bones > count:
+        for i in range(bones - 1):
+            costs[i, i + 1 :] = union_errors(sums[i], sums[i + 1 :]) - errors[i] - errors[i + 1 :]
+    while len(left) > count:
+        keep, drop = divmod(int(costs.argmin()), bones)
         labels[labels == drop] = keep
-        sums[keep] += sums.pop(drop)
+        left.remove(drop)
+        sums[keep] += sums[drop]
         errors[keep] = sums[keep].error()
-        costs = {pair: cost for pair, cost in costs.items() if not {keep, drop} & set(pair)}
+        costs[drop] = costs[:, drop] = np.inf
+        others = np.array([bone for bone in left if bone != keep], dtype=np.int64)
+        if others.size:
+            unions = union_errors(sums[keep], [sums[bone] for bone in others])
+            costs[np.minimum(keep, others), np.maximum(keep, others)] = unions - errors[keep] - errors[others]
     return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.int64)
 
 

@@ -12,6 +12,7 @@ at the vertices.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,3 +105,17 @@ def moments(rest: Float, moved: Float, weights: Float) -> Moments:
         moved_square=np.einsum("nti,nti->t", weighted, moved),
         cross=(weighted.reshape(len(rest), -1).T @ rest).reshape(-1, 3, 3),
     )
+
+
+def union_errors(one: Moments, others: Sequence[Moments]) -> Float:
+    """Return the errors ``(n,)`` of the unions of a set with each of n others, ``(one + other).error()``, at once."""
+    weight = np.maximum(one.weight + np.array([other.weight for other in others]), _TINY)[:, None]
+    rest = one.rest + np.stack([other.rest for other in others])
+    moved = one.moved + np.stack([other.moved for other in others])
+    squares = one.rest_square + np.array([other.rest_square for other in others])[:, None]
+    squares = squares + one.moved_square + np.stack([other.moved_square for other in others])
+    cross = one.cross + np.stack([other.cross for other in others])
+    covariance = cross - moved[..., None] * (rest / weight)[:, None, None]
+    means = np.einsum("nti,nti->nt", moved, moved) + np.einsum("ni,ni->n", rest, rest)[:, None]
+    traces = np.einsum("ntij,ntij->nt", nearest_rotations(covariance), covariance)
+    return np.asarray(np.maximum(squares - means / weight - 2.0 * traces, 0.0).sum(axis=1))

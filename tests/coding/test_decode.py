@@ -179,6 +179,13 @@ def test_without_fields_the_centre_is_left() -> None:
     np.testing.assert_allclose(points[:, 0], sequence.points.mean(axis=1), atol=0.05)
 
 
+def test_more_fields_than_a_sequence_can_have_are_refused() -> None:
+    coded = bounded()
+    many = replace(coded, parameters=replace(coded.parameters, rank=10**9))
+    with pytest.raises(FormatError, match="1000000000 fields are more than"):
+        to_model(many)
+
+
 def test_shapes_without_their_mean_are_refused() -> None:
     coded = noisy()
     assert coded.parameters.factors == "shapes"

@@ -150,7 +150,8 @@ def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: Coded) -> None
 def test_any_number_of_streams(tmp_path: Path, groups: int, chunks: int) -> None:
     header = bar(5, 15, 2 * chunks).header
     some = tuple(Chunk(2 * number, 2, any_bytes(number + 200), any_bytes(7)) for number in range(chunks))
-    coded = Coded(header, PARAMETERS, tuple(any_bytes(size) for size in range(groups)), some)
+    parameters = replace(PARAMETERS, frame_count=header.frame_count)
+    coded = Coded(header, parameters, tuple(any_bytes(size) for size in range(groups)), some)
     file = tmp_path / "many.h5"
     mixseq.save(file, coded)
     assert_same(read_coded(file), coded)
@@ -380,6 +381,16 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
         (lambda facts: facts["coding"].update(magic=1), "does not know the parameter 'magic'; upgrade it"),
         (lambda facts: facts["coding"].pop("step"), "parameters are missing .*step"),
         (lambda facts: facts.pop("coding"), "no parameters"),
+        (lambda facts: facts["coding"].update(factors="x"), "factors is 'x'; trajectories or shapes"),
+        (lambda facts: facts["coding"].update(rank=0), "rank is 0; a whole number above zero"),
+        (lambda facts: facts["coding"].update(rank=2.5), "rank is 2.5; a whole number above zero"),
+        (lambda facts: facts["coding"].update(step=0), "step is 0; a positive number"),
+        (lambda facts: facts["coding"].update(diagonal="long"), "diagonal is 'long'; a positive number"),
+        (lambda facts: facts["coding"].update(correction=float("nan")), "correction is nan; a non-negative"),
+        (lambda facts: facts["coding"].update(promised=1), "promised is 1; true or false"),
+        (lambda facts: facts["coding"].update(frame_count=15), "numbers of frames contradict each other"),
+        (lambda facts: facts.update(vertex_count=1 << 31), "a mesh cannot have .* 2147483648 vertices"),
+        (lambda facts: facts.update(corner_count=float("inf")), "infinity.*; it is damaged"),
         (lambda facts: facts.pop("fps"), "fps.*; it is damaged"),
         (lambda facts: facts.update(fps=0.0), "not finite; it is damaged"),
         (lambda facts: facts.update(fps=-1), "times must increase; it is damaged"),

@@ -83,7 +83,17 @@ def test_still_meshes_have_no_kg_error_to_speak_of(path: Path, bent_bar: MeshSeq
     point = bent_bar.with_points(np.zeros_like(bent_bar.points))
     found = mixseq.verify(path, point)
     assert not found.holds
-    assert found.as_dict()["max_error"] is found.as_dict()["kg_percent"] is None
+    assert found.as_dict()["kg_percent"] is None
+
+
+def test_a_first_frame_that_is_one_point_has_the_diagonal_one(bent_bar: MeshSequence, tmp_path: Path) -> None:
+    points = bent_bar.points.copy()
+    points[0] = 1.0
+    burst = MeshSequence.from_header(bent_bar.header, points)
+    mixseq.save(tmp_path / "burst.h5", mixseq.compress(burst, max_error=1e-3))
+    found = mixseq.verify(tmp_path / "burst.h5", burst)
+    assert found.holds
+    assert 0 < (found.max_error or 0) <= 1e-3
 
 
 def test_what_is_no_original_is_refused(path: Path, bent_bar: MeshSequence) -> None:
@@ -99,6 +109,12 @@ def test_damage_is_refused(path: Path) -> None:
     data[-len(read_coded(path).chunks[-1].corrections) - 5] ^= 1
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"small\.h5: the (tracks|corrections) of frames .* are damaged"):
+        mixseq.verify(path)
+
+
+def test_truncated_files_say_what_is_missing(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(FormatError, match=r"small\.h5: the .* are damaged; .* --salvage"):
         mixseq.verify(path)
 
 

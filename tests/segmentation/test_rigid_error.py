@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
-from mixseq.segmentation.rigid_error import Moments, moments
+from mixseq.segmentation.rigid_error import Moments, moments, union_errors
 from tests.meshes import Float, rotation, seeds
 
 
@@ -73,3 +73,12 @@ def test_moments_add_up(seed: int) -> None:
     for field in Moments.__dataclass_fields__:
         np.testing.assert_allclose(getattr(added, field), getattr(whole, field), atol=1e-12)
     assert added.error() == pytest.approx(whole.error(), rel=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds)
+def test_errors_of_unions_are_those_of_sums(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, *others = (moments(*random_set(rng, count)) for count in (4, 1, 7, 2))
+    expected = [(one + other).error() for other in others]
+    np.testing.assert_allclose(union_errors(one, others), expected, rtol=1e-9)

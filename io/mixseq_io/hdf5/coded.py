@@ -188,17 +188,23 @@ def read_parameters(path: Path, stored: Stored) -> CodingParameters:
     Raises
     ------
     FormatError
-        If there is a parameter that this mixseq does not know, or one is missing.
+        If there is a parameter that this mixseq does not know, or one is missing or out of range.
     """
-    given: dict[str, Any] = _facts(path, stored)["coding"]
+    facts = _facts(path, stored)
+    given: dict[str, Any] = facts["coding"]
     known = {field.name for field in fields(CodingParameters)}
     unknown = sorted(set(given) - known)
     if unknown:
         raise FormatError(f"{path}: this mixseq does not know the parameter {unknown[0]!r}; upgrade it")
     try:
-        return CodingParameters(**given)
+        parameters = CodingParameters(**given)
     except TypeError as error:
         raise FormatError(f"{path}: parameters are missing ({error}); it is damaged") from error
+    except SettingsError as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
+    if parameters.frame_count != facts.get("frame_count"):
+        raise FormatError(f"{path}: its two numbers of frames contradict each other; it is damaged")
+    return parameters
 
 
 def read_header(path: Path, stored: Stored, index: Index, ground: Mapping[str, bytes]) -> SequenceHeader:
@@ -229,8 +235,10 @@ def read_header(path: Path, stored: Stored, index: Index, ground: Mapping[str, b
             name=str(facts["name"]),
             surface=unpack_surface(ground["surface"], path.parent),
         )
-    except (FormatError, InvalidSequenceError, KeyError, TypeError, ValueError) as error:
+    except (FormatError, InvalidSequenceError, LookupError, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"{path}: {error}; it is damaged") from error
+    except MemoryError as error:
+        raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
 
 
 def _facts(path: Path, stored: Stored) -> dict[str, Any]:

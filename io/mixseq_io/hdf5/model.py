@@ -160,13 +160,13 @@ def decoded(path: Path, coded: Coded) -> Model:
     Raises
     ------
     FormatError
-        If its streams contradict each other.
+        If its streams contradict each other, or what is in them does not fit in memory.
     """
     from mixseq.coding.decode import to_model
 
     try:
         return to_model(coded)
-    except FormatError as error:
+    except (FormatError, MemoryError) as error:
         raise FormatError(f"{path}: {error}") from error
 
 

@@ -19,6 +19,7 @@ in one run of bytes, and the attribute stands before them, so both are found wit
 from __future__ import annotations
 
 import json
+import mmap
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -166,29 +167,32 @@ def _found(path: Path) -> Stored | None:
 
 def _behind(path: Path) -> Stored | None:
     """Find attribute and streams in the bytes of a file."""
-    data = path.read_bytes()
-    texts = list(_texts(data))
-    for start in _places(data, MAGIC):
-        for text in texts:
-            try:
-                read_index(path, stored := Stored(text, data[start:]))
-            except FormatError:
-                continue
-            return stored
+    if not path.stat().st_size:
+        return None
+    # Not read as a whole: it may be any file, and larger than memory.
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        texts = list(_texts(data))
+        for start in _places(data, MAGIC) if texts else ():
+            for text in texts:
+                try:
+                    read_index(path, stored := Stored(text, data[start:]))
+                except FormatError:
+                    continue
+                return stored
     return None
 
 
-def _texts(data: bytes) -> Iterator[bytes]:
+def _texts(data: mmap.mmap) -> Iterator[bytes]:
     for start in _places(data, _TEXT):
         text = data[start : start + _LONGEST].decode("latin-1")
         try:
             _, end = json.JSONDecoder().raw_decode(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         yield data[start : start + end]
 
 
-def _places(data: bytes, what: bytes) -> Iterator[int]:
+def _places(data: mmap.mmap, what: bytes) -> Iterator[int]:
     start = data.find(what)
     while start >= 0:
         yield start

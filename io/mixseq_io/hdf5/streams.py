@@ -153,6 +153,8 @@ def read_index(path: Path, stored: Stored) -> Index:
 def _index(size: int, numbers: list[int], checksums: list[int]) -> Index:
     groups, chunks, *rest = numbers
     counts, lengths = rest[:chunks], rest[chunks:]
+    if len(lengths) != 3 + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
+        raise ValueError("there cannot be so many streams, or frames, or bytes")
     firsts = [0, *accumulate(counts)]
     names = ["the connectivity's bytes", "the surface's bytes", "the times"]
     names += [f"the fields of group {group}" for group in range(groups)]
@@ -165,8 +167,8 @@ def _index(size: int, numbers: list[int], checksums: list[int]) -> Index:
         Stream(name, start, length, next(left) if length else 0)
         for name, start, length in zip(names, starts, lengths, strict=False)
     ]
-    if not len(lengths) == len(names) == 3 + groups + 2 * chunks or next(left, None) is not None:
-        raise ValueError("lengths and checksums do not fit each other")
+    if next(left, None) is not None:
+        raise ValueError("there are more checksums than streams")
     of_chunks = streams[3 + groups :]
     return Index(
         size=size,

@@ -105,11 +105,11 @@ def _against_peer(section: Section, sequences: Sequence[Measured]) -> None:
 
 
 def _ratios(measured: Measured, measure: Measure, targets: Sequence[float]) -> list[float]:
-    """Return ours over the peer's at every target, NaN where one of them is not known."""
+    """Return ours over the peer's at every target: infinite where only the peer reaches it, NaN where it does not."""
     found = []
     for target in targets:
         ours, peer = (rate(measured.points[name], measure, target) for name in (OURS, PEER))
-        found.append(np.nan if ours is None or peer is None else ours / peer)
+        found.append(np.nan if peer is None else np.inf if ours is None else ours / peer)
     return found
 
 
