@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +14,7 @@ from mixseq.coding.coded import Chunk
 from mixseq.coding.corrections import needed, write_corrections
 from mixseq.coding.factors import Factors
 from mixseq.coding.graph import SignalGraph
+from mixseq.coding.parts import Part
 from mixseq.coding.streams import basis_of, chunks, write_fields, write_tracks
 from mixseq.stored import Stored, blocks_of
 
@@ -27,8 +29,8 @@ class Attempt:
     ----------
     step : float
         The step.
-    rank : int
-        Number of fields that were coded; those that are zero are not in the basis.
+    ranks : tuple of int
+        Number of fields of every part that were coded; those that are zero are not in the basis.
     basis : Basis
         Fields as a decoder has them.
     tracks : (T, K, d) float64
@@ -44,7 +46,7 @@ class Attempt:
     """
 
     step: float
-    rank: int
+    ranks: tuple[int, ...]
     basis: Basis
     tracks: Float
     fields: tuple[bytes, ...]
@@ -60,8 +62,9 @@ class Attempt:
 
 def attempt(
     sequence: Stored,
-    factors: Factors,
+    factors: Sequence[Factors],
     step: float,
+    parts: Sequence[Part],
     graph: SignalGraph,
     bound: float | None = None,
     dry: bool = False,
@@ -72,10 +75,12 @@ def attempt(
     ----------
     sequence : Stored
         The sequence.
-    factors : Factors
-        Its fields.
+    factors : sequence of Factors
+        The fields of every part, all of one kind.
     step : float
         Quantisation step, in the units of the sequence.
+    parts : sequence of Part
+        The parts of the mesh.
     graph : SignalGraph
         Of its mesh.
     bound : float, optional
@@ -83,18 +88,20 @@ def attempt(
     dry : bool
         Leave out the coding: only the error counts.
     """
-    decoded, fields = write_fields(factors, step, graph, dry)
-    basis = basis_of(factors.name, decoded, len(sequence.points))
+    decoded, fields = write_fields(factors, step, parts, graph, dry)
+    basis = basis_of(factors[0].name, decoded, parts, len(sequence.points))
     # Nearest to the sequence with the fields that decoders have: that makes good some of what rounding spoiled.
     tracks, streams = write_tracks(basis, basis.fit(sequence), step, dry)
     squares = 0.0
     for points, block in zip(blocks_of(sequence.points), basis.blocks(tracks), strict=True):
         squares += float(np.square(points - block).sum())
-    parts = []
+    done = []
     for frames, stream in zip(chunks(len(tracks)), streams, strict=True):
         corrections = b"" if bound is None else _corrections(sequence, basis, tracks, frames, bound, graph)
-        parts.append(Chunk(frames.start, len(frames), stream, corrections))
-    return Attempt(step, len(decoded), basis, tracks, fields, tuple(parts), float(np.sqrt(squares)), bound)
+        done.append(Chunk(frames.start, len(frames), stream, corrections))
+    return Attempt(
+        step, tuple(map(len, decoded)), basis, tracks, fields, tuple(done), float(np.sqrt(squares)), bound
+    )
 
 
 def _corrections(

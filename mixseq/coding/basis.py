@@ -4,7 +4,8 @@ With fields :math:`\hat b_k` and tracks :math:`\hat u_k` a frame is
 
 .. math:: x_t(v) = \sum_k \hat u_k(t)\, \hat b_k(v)
 
-with :math:`\hat b_0 = 1/\sqrt V` of trajectories, and :math:`\hat u_0 = 1/\sqrt T` of shapes, which are known.
+with :math:`\hat b_0 = 1/\sqrt V` of trajectories, for every part of the mesh, and :math:`\hat u_0 = 1/\sqrt T` of shapes,
+which are known.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from scipy import linalg
 from mixseq.coding.coded import FactorName
 from mixseq.stored import Stored, block_size, blocks_of
 
+Int = NDArray[np.int64]
 Float = NDArray[np.float64]
 
 
@@ -31,14 +33,18 @@ class Basis:
     name : {"trajectories", "shapes"}
         Which factors.
     fields : (K, c, V) float64
-        Fields in the units of the sequence; c = 1 of trajectories, whose first field is constant, 3 of shapes.
+        Fields in the units of the sequence: c = 1 of trajectories, the first of which are constant, one for every
+        part; c = 3 of shapes.
     frame_count : int
         Number T of frames.
+    parts : (K,) int64
+        Part of the mesh that a field belongs to; it is zero elsewhere.
     """
 
     name: FactorName
     fields: Float
     frame_count: int
+    parts: Int
 
     @property
     def norms(self) -> Float:

@@ -32,6 +32,10 @@ class Chunk:
     corrections: bytes = b""
 
 
+MOST_PARTS = 128
+"""Meshes are cut into so many parts at most."""
+
+
 @dataclass(frozen=True)
 class CodingParameters:
     """What has to be known to decode, all of it plain numbers and strings.
@@ -41,7 +45,7 @@ class CodingParameters:
     factors : {"trajectories", "shapes"}
         What the fields over the mesh are: see `mixseq.coding.factors`.
     rank : int
-        Number K of fields that are coded.
+        Number K of fields that are coded, of all parts together.
     frame_count : int
         Number T of frames that were coded; a damaged file may have fewer.
     step : float
@@ -56,6 +60,8 @@ class CodingParameters:
         Whether `max_error` was asked for: then it is the bound that was asked for, and corrections see to it.
     correction : float
         Unit of the corrections, in the units of the sequence; zero if there are none.
+    ranks : tuple of int
+        Number of fields of every part, if the mesh has several, see `mixseq.coding.parts`.
 
     Raises
     ------
@@ -72,6 +78,7 @@ class CodingParameters:
     kg_percent: float
     promised: bool
     correction: float = 0.0
+    ranks: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.factors not in get_args(FactorName):
@@ -94,6 +101,11 @@ class CodingParameters:
                 raise SettingsError(
                     f"{name} is {value!r}; a {'positive' if sign else 'non-negative'} number is expected"
                 )
+        object.__setattr__(self, "ranks", tuple(self.ranks))
+        if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
+            raise SettingsError(f"the parts have {self.ranks} fields, which are not {self.rank} in all")
+        if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
+            raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 

@@ -7,7 +7,7 @@ of a coarse one; the cheapest of some steps is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,6 +20,8 @@ from mixseq.coding.corrections import width
 from mixseq.coding.decode import to_model
 from mixseq.coding.factors import Factors, factor
 from mixseq.coding.graph import SignalGraph, mesh_graph
+from mixseq.coding.joining import vertex_parts
+from mixseq.coding.parts import Part, parts_of, whole
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.progress import Progress, Stages, silent
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
@@ -48,6 +50,9 @@ SHAPES = 2.0
 
 NEARLY = 1.15
 """Where sizes of both kinds of factors are so near, both are tried with several steps."""
+
+PARTS = (3, 6, 12)
+"""So many parts are tried, one number after the other, as long as bytes become fewer."""
 
 FACTORS: tuple[FactorName, ...] = ("trajectories", "shapes")
 
@@ -143,9 +148,10 @@ def _spread(sequence: Stored) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """Factors of a sequence, and the first attempt with them."""
+    """Factors of the parts of a sequence, all of one kind, and the first attempt with them."""
 
-    factors: Factors
+    factors: tuple[Factors, ...]
+    parts: tuple[Part, ...]
     last: Attempt
 
 
@@ -159,36 +165,72 @@ class _Search:
         self._count = len(sequence.points) * sequence.points.shape[1]
         self._rounds = 0
 
-    def _try(self, factors: Factors, step: float, bound: float | None = None, dry: bool = False) -> Attempt:
+    def _try(self, tried: _Tried, step: float, bound: float | None = None, dry: bool = False) -> Attempt:
+        return self._attempt(tried.factors, tried.parts, step, bound, dry)
+
+    def _attempt(
+        self,
+        factors: tuple[Factors, ...],
+        parts: tuple[Part, ...],
+        step: float,
+        bound: float | None,
+        dry: bool = False,
+    ) -> Attempt:
         self._stages.at(1 + min(self._rounds, ROUNDS - 1))(0, 1, "choosing the step")
         self._rounds += 1
-        return attempt(self._sequence, factors, step, self._graph, bound, dry)
+        return attempt(self._sequence, factors, step, parts, self._graph, bound, dry)
 
     def _first(self, error: float, bound: float | None = None) -> list[_Tried]:
-        """Try both kinds of factors with steps that should make an error; return those that may be the best."""
+        """Try factors of both kinds, and of several parts, with steps that should make an error.
+
+        Returns
+        -------
+        list of _Tried
+            Those that may be the best.
+        """
         tried: list[_Tried] = []
         bits = np.inf
         for name in FACTORS:
-            factors = factor(self._sequence, name, _least(self._sequence, name, error))
+            factors = (factor(self._sequence, name, _least(self._sequence, name, error)),)
             step = _guess(factors, error)
-            if _bits(factors, step) < SHAPES * bits:
-                tried.append(_Tried(factors, self._try(factors, step, bound)))
-            bits = _bits(factors, step)
-        # With corrections errors are the same, without them sizes are as they would be if errors were.
-        sizes = [one.last.size * (1.0 if bound else (one.last.error / error) ** SLOPE) for one in tried]
-        return [one for one, size in zip(tried, sizes, strict=True) if size <= NEARLY * min(sizes)]
+            if _bits(factors[0], step) < SHAPES * bits:
+                parts = whole(self._graph)
+                tried.append(_Tried(factors, parts, self._attempt(factors, parts, step, bound)))
+            bits = _bits(factors[0], step)
+
+        def size(one: _Tried) -> float:
+            # With corrections errors are the same, without them sizes are as they would be if errors were.
+            return one.last.size * (1.0 if bound else (one.last.error / error) ** SLOPE)
+
+        best = min(map(size, tried))
+        for several in self._several(error, bound):
+            tried.append(several)
+            if size(several) > best:
+                break
+            best = size(several)
+        return [one for one in tried if size(one) <= NEARLY * best]
+
+    def _several(self, error: float, bound: float | None) -> Iterator[_Tried]:
+        """Try more and more parts, each with trajectories of its own."""
+        if not len(self._sequence.header.faces):
+            return
+        for labels in vertex_parts(self._sequence, PARTS).values():
+            parts = parts_of(labels, self._sequence.header.faces)
+            least = _least(self._sequence, "trajectories", error)
+            factors = tuple(factor(self._sequence, "trajectories", least, part.vertices) for part in parts)
+            yield _Tried(factors, parts, self._attempt(factors, parts, _guess(factors, error), bound))
 
     def with_error(self, error: float) -> Attempt:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
         found: list[Attempt] = []
         for tried in self._first(error):
             attempt_with, room = (
-                partial(self._try, tried.factors, dry=True),
+                partial(self._try, tried, dry=True),
                 lambda one: error / max(one.error, 1e-9 * error),
             )
             best = _closest(attempt_with, room, tried.last, 1.0)
             if best is not None:
-                found.append(best if best is tried.last else self._try(tried.factors, best.step))
+                found.append(best if best is tried.last else self._try(tried, best.step))
         if not found:  # frames were left out of the factors: corrections make good for them
             return self.within(error / self._count**0.5)
         return min(found, key=lambda one: one.size)
@@ -197,7 +239,7 @@ class _Search:
         """Find the finest step that fits into a number of bytes."""
         found: list[Attempt] = []
         for tried in self._first(0.002 * _spread(self._sequence)):
-            attempt_with, room = partial(self._try, tried.factors), lambda one: size / one.size
+            attempt_with, room = partial(self._try, tried), lambda one: size / one.size
             best = _closest(attempt_with, room, tried.last, -SLOPE)
             if best is not None:
                 found.append(best)
@@ -211,8 +253,8 @@ class _Search:
         best = tried.last
         for direction in (FACTOR, 1 / FACTOR):
             found = False
-            while self._rounds < ROUNDS:
-                other = self._try(tried.factors, best.step * direction, bound)
+            while self._rounds < ROUNDS + len(PARTS):
+                other = self._try(tried, best.step * direction, bound)
                 if other.size >= best.size:
                     break
                 best, found = other, True
@@ -247,14 +289,16 @@ def _least(sequence: Stored, name: FactorName, error: float) -> float:
     return 0.1 * error / float(np.sqrt(rows * len(sequence.points)))
 
 
-def _guess(factors: Factors, error: float) -> float:
+def _guess(factors: Sequence[Factors], error: float) -> float:
     """Return the step whose error is about a given one: s^2 / 12 for every number above it, all of those below."""
-    count = factors.fields.shape[1] * factors.fields.shape[2]
+    counts = np.repeat(
+        [one.fields.shape[1] * one.fields.shape[2] for one in factors], [len(one.sizes) for one in factors]
+    )
+    squares = np.square(np.concatenate([one.sizes for one in factors]))
     low, high = 1e-12 * error, error
     for _ in range(60):
         step = float(np.sqrt(low * high))
-        noise = count * step**2 / 12
-        expected = np.minimum(factors.sizes**2, noise).sum()
+        expected = np.minimum(squares, counts * step**2 / 12).sum()
         low, high = (step, high) if expected < error**2 else (low, step)
     return low
 
@@ -271,7 +315,7 @@ def _checked(sequence: Stored, best: Attempt, unit: float, bound: float | None) 
         sequence.header,
         CodingParameters(
             factors=best.basis.name,
-            rank=best.rank,
+            rank=sum(best.ranks),
             frame_count=len(sequence.points),
             step=best.step,
             diagonal=unit,
@@ -279,6 +323,7 @@ def _checked(sequence: Stored, best: Attempt, unit: float, bound: float | None) 
             kg_percent=0.0,
             promised=bound is not None,
             correction=0.0 if best.bound is None else width(best.bound),
+            ranks=best.ranks if len(best.ranks) > 1 else (),
         ),
         best.fields,
         best.chunks,

@@ -71,17 +71,18 @@ def decode_basis(coded: Coded, graph: SignalGraph) -> Basis:
     """Return the fields of a compressed sequence: all of them, or those of the groups that are there."""
     parameters = coded.parameters
     coordinates = 1 if parameters.factors == "trajectories" else 3
-    most = 3 * min(parameters.frame_count, graph.size) + 1
+    ranks = parameters.ranks or (parameters.rank,)
+    most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
     if parameters.rank > most:
         raise FormatError(
             f"{parameters.rank} fields are more than the {most} that such a sequence can have; the file is damaged"
         )
-    fields = read_fields(coded.fields, parameters.rank, coordinates, parameters.step, graph)
-    if parameters.factors == "shapes" and not len(fields):
+    fields, parts = read_fields(coded.fields, ranks, coordinates, parameters.step, coded.header.faces, graph)
+    if parameters.factors == "shapes" and not len(fields[0]):
         raise FormatError(
             "the first fields are missing, without which there is no shape; the file is damaged"
         )
-    return basis_of(parameters.factors, fields, parameters.frame_count)
+    return basis_of(parameters.factors, fields, parts, parameters.frame_count)
 
 
 def decode_tracks(coded: Coded, chunk: Chunk, basis: Basis) -> Float:

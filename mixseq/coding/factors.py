@@ -55,8 +55,8 @@ class Factors:
     sizes: Float
 
 
-def factor(sequence: Stored, name: FactorName, least: float) -> Factors:
-    """Find the fields of a sequence.
+def factor(sequence: Stored, name: FactorName, least: float, some: Int | None = None) -> Factors:
+    """Find the fields of a sequence, or of some of its vertices.
 
     Parameters
     ----------
@@ -66,7 +66,11 @@ def factor(sequence: Stored, name: FactorName, least: float) -> Factors:
         Which factors.
     least : float
         Fields with a norm below this are left out.
+    some : (n,) int64, optional
+        Vertices, by default all.
     """
+    if some is not None:
+        sequence = Stored(sequence.header, _of_vertices(sequence, some))
     count, vertices = len(sequence.points), sequence.points.shape[1]
     rows, coordinates = (3, 1) if name == "trajectories" else (1, 3)
     stride = -(-min(rows * count, coordinates * vertices) // MOST)
@@ -133,6 +137,13 @@ def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:
         points = sequence.points[frame : frame + 1][0].astype(np.float64)
         table[3 * row : 3 * row + 3] = (points - points.mean(axis=0)).T
     return table
+
+
+def _of_vertices(sequence: Stored, some: Int) -> Table:
+    points = new_table((len(sequence.points), len(some), 3), sequence.points.dtype)
+    for frame in range(len(points)):
+        points[frame : frame + 1] = sequence.points[frame : frame + 1][:, some]
+    return points
 
 
 def _mean_shape(sequence: Stored, frames: Int) -> Float:

@@ -27,6 +27,20 @@ _LEAST = 0.15
 """Expected size in the first context, to begin with."""
 
 
+class NumberModels:
+    """Adaptive models of numbers in all contexts; coders of several graphs can share them."""
+
+    def __init__(self) -> None:
+        sizes = np.append(bounds(), bounds()[-1] * GROWTH)
+        self.small = int(np.count_nonzero(sizes <= _SMALL))
+        self.small_tables = Tables(np.maximum(sizes[: self.small], _LEAST), 3)
+        self.shifts = np.zeros(CONTEXTS, dtype=np.int64)
+        while (sizes > _FINEST).any():
+            self.shifts += sizes > _FINEST
+            sizes = np.where(sizes > _FINEST, sizes / 2, sizes)
+        self.tables = Tables(sizes, 15)
+
+
 class FieldCoder:
     """Codes signals over one graph, one after another, to one or more streams.
 
@@ -36,18 +50,13 @@ class FieldCoder:
         The graph.
     coordinates : int
         Number of signals that belong together: coordinates of a field, or of a track.
+    models : NumberModels, optional
+        Models that are shared with other coders, which write to the same streams.
     """
 
-    def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
+    def __init__(self, graph: SignalGraph, coordinates: int = 1, models: NumberModels | None = None) -> None:
         self._predictor = Predictor(graph, coordinates)
-        sizes = np.append(bounds(), bounds()[-1] * GROWTH)
-        self._small = int(np.count_nonzero(sizes <= _SMALL))
-        self._small_tables = Tables(np.maximum(sizes[: self._small], _LEAST), 3)
-        self._shifts = np.zeros(CONTEXTS, dtype=np.int64)
-        while (sizes > _FINEST).any():
-            self._shifts += sizes > _FINEST
-            sizes = np.where(sizes > _FINEST, sizes / 2, sizes)
-        self._tables = Tables(sizes, 15)
+        self._models = models or NumberModels()
 
     def write(self, writer: Writer, targets: Float) -> Float:
         """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
@@ -56,8 +65,8 @@ class FieldCoder:
         for batch in self._predictor.graph.batches:
             contexts = self._predictor.contexts(batch)
             numbers = self._predictor.quantise(batch, nodes)
-            small = contexts < self._small
-            writer.put(numbers[small], contexts[small], self._small_tables)
+            small = contexts < self._models.small
+            writer.put(numbers[small], contexts[small], self._models.small_tables)
             self._write_large(writer, numbers[~small], contexts[~small])
         return self._finished()
 
@@ -73,22 +82,22 @@ class FieldCoder:
         self._predictor.begin()
         for batch in self._predictor.graph.batches:
             contexts = self._predictor.contexts(batch)
-            small = contexts < self._small
+            small = contexts < self._models.small
             numbers = np.empty(len(contexts), dtype=np.int64)
-            numbers[small] = reader.get(contexts[small], self._small_tables)
+            numbers[small] = reader.get(contexts[small], self._models.small_tables)
             numbers[~small] = self._read_large(reader, contexts[~small])
             self._predictor.restore(batch, numbers)
         return self._finished()
 
     def _write_large(self, writer: Writer, numbers: Int, contexts: Int) -> None:
-        shifts = self._shifts[contexts]
-        writer.put(numbers >> shifts, contexts, self._tables)
+        shifts = self._models.shifts[contexts]
+        writer.put(numbers >> shifts, contexts, self._models.tables)
         for shift, some in _shifted(shifts):
             writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
 
     def _read_large(self, reader: Reader, contexts: Int) -> Int:
-        shifts = self._shifts[contexts]
-        numbers = reader.get(contexts, self._tables) << shifts
+        shifts = self._models.shifts[contexts]
+        numbers = reader.get(contexts, self._models.tables) << shifts
         for shift, some in _shifted(shifts):
             numbers[some] |= reader.get_flat(int(some.sum()), 1 << shift)
         return numbers
