@@ -4,8 +4,8 @@ With fields :math:`\hat b_k` and tracks :math:`\hat u_k` a frame is
 
 .. math:: x_t(v) = \sum_k \hat u_k(t)\, \hat b_k(v)
 
-with :math:`\hat b_0 = 1/\sqrt V` of trajectories, for every part of the mesh, and :math:`\hat u_0 = 1/\sqrt T` of shapes,
-which are known.
+with :math:`\hat b_0 = 1/\sqrt V` of trajectories, for every part, and :math:`\hat u_0 = 1/\sqrt T` of shapes, which
+are known.
 """
 
 from __future__ import annotations

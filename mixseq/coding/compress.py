@@ -212,8 +212,6 @@ class _Search:
 
     def _several(self, error: float, bound: float | None) -> Iterator[_Tried]:
         """Try more and more parts, each with trajectories of its own."""
-        if not len(self._sequence.header.faces):
-            return
         for labels in vertex_parts(self._sequence, PARTS).values():
             parts = parts_of(labels, self._sequence.header.faces)
             least = _least(self._sequence, "trajectories", error)

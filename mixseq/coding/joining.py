@@ -24,6 +24,9 @@ from mixseq.topology import Topology
 Int = NDArray[np.int64]
 Float = NDArray[np.float64]
 
+FACES = 8
+"""Meshes with fewer faces for every part are not cut."""
+
 FRAMES = 32
 """So many frames, evenly spread, are looked at."""
 
@@ -39,6 +42,8 @@ def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Int]:
         Numbers of parts, increasing.
     """
     header = sequence.header
+    if len(header.faces) < FACES * counts[-1]:
+        return {}
     frames = np.unique(np.linspace(0, len(sequence.points) - 1, FRAMES).astype(np.int64))
     points = sequence.points[frames].astype(np.float64)
     topology = Topology(header.faces, header.vertex_count)

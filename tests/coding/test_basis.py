@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.coding.basis import Basis
-from mixseq.coding.streams import basis_of
 from mixseq.sequence import MeshSequence
 from mixseq.stored import Stored, block_size, stored
+from tests.coding.one_part import basis_of
 from tests.meshes import bar, tube
 
 Float = NDArray[np.float64]

@@ -10,9 +10,9 @@ from mixseq.coding import factors as module
 from mixseq.coding.coded import FactorName
 from mixseq.coding.compress import FACTORS
 from mixseq.coding.factors import Factors, factor
-from mixseq.coding.streams import basis_of
 from mixseq.sequence import MeshSequence
 from mixseq.stored import Stored, stored
+from tests.coding.one_part import basis_of
 from tests.meshes import bar, rotation, tetrahedron, torus
 
 Float = NDArray[np.float64]

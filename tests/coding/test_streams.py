@@ -16,15 +16,13 @@ from mixseq.coding.prediction import MARGIN
 from mixseq.coding.streams import (
     CHUNK,
     GROUP,
-    basis_of,
     chunks,
     groups,
-    read_fields,
     read_tracks,
-    write_fields,
     write_tracks,
 )
 from mixseq.stored import stored
+from tests.coding.one_part import basis_of, read_fields, write_fields
 from tests.meshes import bar, torus
 
 Float = NDArray[np.float64]

@@ -168,7 +168,7 @@ def _ground(header: SequenceHeader) -> list[bytes]:
 def _json(coded: Coded) -> bytes:
     header = coded.header
     facts = {
-        "coding": asdict(coded.parameters),
+        "coding": {name: value for name, value in asdict(coded.parameters).items() if value != ()},
         "name": header.name,
         "fps": header.fps,
         "up_axis": header.up_axis,
