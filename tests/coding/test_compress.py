@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.coding.coded import Coded
-from mixseq.coding.compress import CLOSE, compress
+from mixseq.coding.compress import compress
 from mixseq.coding.decode import to_model
+from mixseq.coding.search import CLOSE
 from mixseq.errors import SettingsError
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from tests.meshes import SEQUENCES, bar, grid, joined, seeds, tetrahedron, torus, tube

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from mixseq.coding import factors as module
 from mixseq.coding.coded import FactorName
-from mixseq.coding.compress import FACTORS
 from mixseq.coding.factors import Factors, factor
+from mixseq.coding.search import FACTORS
 from mixseq.sequence import MeshSequence
 from mixseq.stored import Stored, stored
 from tests.coding.one_part import basis_of

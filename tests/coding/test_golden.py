@@ -16,7 +16,7 @@ from mixseq.coding.compress import compress
 from mixseq.coding.decode import to_model
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader
-from tests.meshes import bar, rotation, tetrahedron, tube
+from tests.meshes import bar, rotation, tetrahedron, torus, tube
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -29,7 +29,7 @@ def _shapes() -> Coded:
     points, faces = tube(4, 5)
     noise = np.random.default_rng(0).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.compress.FACTORS", ("shapes",))
+        patch.setattr("mixseq.coding.search.FACTORS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=2)
 
 
@@ -41,7 +41,23 @@ def _long() -> Coded:
         return compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1)
 
 
-CASES: dict[str, Callable[[], Coded]] = {"bounded": _bounded, "shapes": _shapes, "long": _long}
+def _parts() -> Coded:
+    points, faces = torus(10, 8)
+    turns = np.random.default_rng(1).normal(size=(3, 12, 3)).cumsum(axis=1)
+    bodies = [
+        np.stack([points @ rotation(tuple(turn)).T + [5.0 * number, 0, 0] for turn in body])
+        for number, body in enumerate(turns)
+    ]
+    together = np.concatenate([faces + len(points) * number for number in range(3)])
+    return compress(MeshSequence.from_arrays(np.concatenate(bodies, axis=1), together), kg=0.5)
+
+
+CASES: dict[str, Callable[[], Coded]] = {
+    "bounded": _bounded,
+    "shapes": _shapes,
+    "long": _long,
+    "parts": _parts,
+}
 
 
 def stored(name: str) -> tuple[Coded, np.ndarray, np.ndarray]:
@@ -94,6 +110,7 @@ def test_golden_streams_have_all_that_streams_can_have() -> None:
     assert shapes.parameters.factors == "shapes"
     assert len(shapes.fields) > 1
     assert len(long.chunks) > 1
+    assert len(stored("parts")[0].parameters.ranks) == 3
 
 
 if __name__ == "__main__":

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from mixseq.coding import streams as module
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import FactorName
-from mixseq.coding.compress import FACTORS
 from mixseq.coding.factors import Factors, factor
 from mixseq.coding.graph import mesh_graph
 from mixseq.coding.prediction import MARGIN
+from mixseq.coding.search import FACTORS
 from mixseq.coding.streams import (
     CHUNK,
     GROUP,
