@@ -46,8 +46,8 @@ FACTOR = 1.5
 SHAPES = 2.0
 """Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
 
-NEARLY = 1.15
-"""Where sizes of both kinds of factors are so near, both are tried with several steps."""
+NEARLY = 1.04
+"""The best two are tried with several steps, if their sizes at the first step are so near."""
 
 PARTS = (3, 6, 12)
 """So many parts are tried, one number after the other, as long as bytes become fewer."""
@@ -117,7 +117,7 @@ class Search:
             if size(several) > best:
                 break
             best = size(several)
-        return [one for one in tried if size(one) <= NEARLY * best]
+        return [one for one in sorted(tried, key=size)[:2] if size(one) <= NEARLY * best]
 
     def _several(self, error: float, bound: float | None) -> Iterator[Tried]:
         """Try more and more parts, each with trajectories of its own."""

@@ -58,18 +58,19 @@ def _consider(
         distance += one * one
         if distance >= limit:
             break
-    known = distance >= limit
-    for i in range(counts[node]):
-        known = known or neighbours[node, i] == other
-    for i in range(sizes[node]):
-        known = known or found[node, i] == other
-    if not known:
-        place = sizes[node] if sizes[node] < most else most - 1
-        while place > 0 and apart[place - 1] > distance:
-            apart[place] = apart[place - 1]
-            found[node, place] = found[node, place - 1]
-            place -= 1
-        apart[place] = distance
-        found[node, place] = other
-        if sizes[node] < most:
-            sizes[node] += 1
+    if distance < limit:
+        known = False
+        for i in range(counts[node]):
+            known = known or neighbours[node, i] == other
+        for i in range(sizes[node]):
+            known = known or found[node, i] == other
+        if not known:
+            place = sizes[node] if sizes[node] < most else most - 1
+            while place > 0 and apart[place - 1] > distance:
+                apart[place] = apart[place - 1]
+                found[node, place] = found[node, place - 1]
+                place -= 1
+            apart[place] = distance
+            found[node, place] = other
+            if sizes[node] < most:
+                sizes[node] += 1
