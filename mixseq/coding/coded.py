@@ -104,6 +104,8 @@ class CodingParameters:
         object.__setattr__(self, "ranks", tuple(self.ranks))
         if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
             raise SettingsError(f"the parts have {self.ranks} fields, which are not {self.rank} in all")
+        if self.ranks and self.factors == "shapes":
+            raise SettingsError("shapes are of the whole mesh, not of parts")
         if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
             raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
         if not isinstance(self.promised, bool):

@@ -32,7 +32,7 @@ FRAMES = 32
 
 
 def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Int]:
-    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be.
+    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Int]:
     votes = np.zeros((header.vertex_count, number), dtype=np.int64)
     np.add.at(votes, (header.faces.reshape(-1), np.repeat(of_faces, 3)), 1)
     labels = np.unique(votes.argmax(axis=1), return_inverse=True)[1].astype(np.int64)
-    return joined(points, labels, counts)
+    return dict(sorted(joined(points, labels, counts).items()))
 
 
 def joined(points: NDArray[np.floating], labels: Int, counts: tuple[int, ...]) -> dict[int, Int]:
