@@ -109,6 +109,7 @@ def coding_facts(path: Path, coded: Coded) -> dict[str, Any]:
             "groups": len(coded.fields),
             "chunks": len(coded.chunks),
             "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
+            "bits_of_motion": bits(sizes["signals"] - sizes["surface"], coded.header),
         },
     }
 
@@ -122,15 +123,21 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
     """Rows of a table about what `coding_facts` returned."""
     sizes, coding = facts["bytes"], facts["coding"]
     stated = "at most " if coding["promised"] else ""
+    others = [
+        ("connectivity", "faces"),
+        ("surface", "texture coordinates and the like"),
+        ("container", "container"),
+    ]
+    rates = [
+        ("signals", sizes["signals"] - sizes["surface"], coding["bits_of_motion"]),
+        ("total", sizes["total"], coding["bits"]["total"]),
+    ]
     return [
         *(
-            (name, f"{format_bytes(sizes[name])}, {coding['bits'][name]:.3g} bits per vertex and frame")
-            for name in ("signals", "total")
+            (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
+            for name, size, rate in rates
         ),
-        (
-            "of it",
-            f"{format_bytes(sizes['connectivity'])} faces, {format_bytes(sizes['container'])} container",
-        ),
+        ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
         ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
     ]

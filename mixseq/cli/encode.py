@@ -92,7 +92,8 @@ def command(
     its frames within the tolerance and can be decoded at any time in between.
 
     With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
-    fits into that many bytes. The largest error is guaranteed, see "mixseq verify".
+    fits into that many bytes. An error that --max-error asks for is guaranteed, the
+    others are measured; see "mixseq verify".
     """
     check_model_target(target, source)
     start = perf_counter()

@@ -115,9 +115,15 @@ def room_for_signals(header: SequenceHeader, size: int) -> int:
     SettingsError
         If there are none.
     """
-    taken = _CONTAINER + sum(map(len, _ground(header))) + _INDEX * (1 + header.frame_count // 64)
+    connectivity, surface, times = map(len, _ground(header))
+    container = _CONTAINER + times + _INDEX * (1 + header.frame_count // 64)
+    taken = connectivity + surface + container
     if size <= taken:
-        raise SettingsError(f"size is {size} bytes; {taken} are taken by faces and container alone")
+        parts = f"faces take {connectivity}, texture coordinates and the like {surface}, the container {container}"
+        cure = "; write the sequence without texture coordinates first, or give more" if surface else ""
+        raise SettingsError(
+            f"size is {size} bytes; {taken} are taken before there is any motion: {parts}{cure}"
+        )
     return size - taken
 
 
