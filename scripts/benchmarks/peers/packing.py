@@ -62,7 +62,7 @@ def to_zstd(data: bytes) -> bytes:
 def from_zstd(data: bytes) -> bytes:
     import zstandard
 
-    return zstandard.ZstdDecompressor().decompress(data)
+    return bytes(zstandard.ZstdDecompressor().decompress(data))
 
 
 def to_lzma(data: bytes) -> bytes:
