@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import lzma
+import math
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +103,7 @@ def test_an_arbitrary_order_costs_little_more_than_it_tells() -> None:
     faces = rng.permutation(rng.permutation(len(points))[faces])
     faces = np.take_along_axis(faces, (rng.integers(3, size=(len(faces), 1)) + np.arange(3)) % 3, axis=1)
     count, per_face = len(faces), len(points) / len(faces)
-    order = np.log2(count / np.e) + per_face * np.log2(len(points) / np.e) + np.log2(3)
+    order = np.log2(count / math.e) + per_face * np.log2(len(points) / math.e) + np.log2(3)
     assert order < bits_per_triangle(Polygons.from_triangles(faces), len(points)) < order + 7
 
 

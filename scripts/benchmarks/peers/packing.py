@@ -56,7 +56,7 @@ def _zigzag(values: Int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
 def to_zstd(data: bytes) -> bytes:
     import zstandard
 
-    return zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(data)
+    return bytes(zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(data))
 
 
 def from_zstd(data: bytes) -> bytes:
