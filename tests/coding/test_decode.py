@@ -33,7 +33,7 @@ def bounded() -> Coded:
     noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streams, "CHUNK", 100)
-        patch.setattr("mixseq.coding.compress.FACTORS", ("trajectories",))
+        patch.setattr("mixseq.coding.search.FACTORS", ("trajectories",))
         return compress(smooth.with_points(smooth.points + noise), max_error=0.02)
 
 
@@ -43,7 +43,7 @@ def noisy() -> Coded:
     points, faces = tube(6, 9)
     noise = np.random.default_rng(1).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.compress.FACTORS", ("shapes",))
+        patch.setattr("mixseq.coding.search.FACTORS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=0.5)
 
 
@@ -56,7 +56,7 @@ def grouped() -> tuple[MeshSequence, Coded]:
     frames = points + np.einsum("tki,kv->tvi", rng.normal(size=(20, 30, 3)), modes)
     sequence = MeshSequence.from_arrays(frames, faces)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.compress.FACTORS", ("trajectories",))
+        patch.setattr("mixseq.coding.search.FACTORS", ("trajectories",))
         return sequence, compress(sequence, kg=0.2)
 
 
