@@ -1,4 +1,4 @@
-r"""Compression: the coarsest step that keeps an error, or fits into a size.
+"""Compression: the coarsest step that keeps an error, or fits into a size.
 
 The step is found by `mixseq.coding.search`. Then the encoder decodes what it made, and promises what it saw.
 """

@@ -131,11 +131,12 @@ class Search:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
         found: list[Attempt] = []
         for tried in self._first(error):
-            attempt_with, room = (
+            best = _closest(
                 partial(self._try, tried, dry=True),
                 lambda one: error / max(one.error, 1e-9 * error),
+                tried.last,
+                1.0,
             )
-            best = _closest(attempt_with, room, tried.last, 1.0)
             if best is not None:
                 found.append(best if best is tried.last else self._try(tried, best.step))
         if not found:  # frames were left out of the factors: corrections make good for them
@@ -146,8 +147,7 @@ class Search:
         """Find the finest step that fits into a number of bytes; the search begins with 0.2 % of the spread."""
         found: list[Attempt] = []
         for tried in self._first(FIRST * spread):
-            attempt_with, room = partial(self._try, tried), lambda one: size / one.size
-            best = _closest(attempt_with, room, tried.last, -SLOPE)
+            best = _closest(partial(self._try, tried), lambda one: size / one.size, tried.last, -SLOPE)
             if best is not None:
                 found.append(best)
         if not found:
