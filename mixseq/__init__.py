@@ -23,9 +23,13 @@ from mixseq.version import __version__
 if TYPE_CHECKING:
     from mixseq import operations
     from mixseq.coding.compress import compress
+    from mixseq.correspondence.correspond import correspond
+    from mixseq.correspondence.dense import Correspondence
+    from mixseq.correspondence.markers import Markers
     from mixseq.metrics import Comparison, compare
     from mixseq.operations.interpolation import interpolate
     from mixseq.operations.segmenting import segment
+    from mixseq.retargeting.transfer import transfer
     from mixseq.rigging import Morph, Skin, fit_morph, fit_skin
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
     from mixseq.signals import Curve, Model, PoseMap, fit
@@ -36,7 +40,9 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Comparison": "mixseq.metrics",
+    "Correspondence": "mixseq.correspondence.dense",
     "Curve": "mixseq.signals",
+    "Markers": "mixseq.correspondence.markers",
     "MeshSequence": "mixseq.sequence",
     "Model": "mixseq.signals",
     "Morph": "mixseq.rigging",
@@ -48,6 +54,7 @@ _HOME = {
     "Verification": "mixseq_io.verification",
     "compare": "mixseq.metrics",
     "compress": "mixseq.coding.compress",
+    "correspond": "mixseq.correspondence.correspond",
     "fit": "mixseq.signals",
     "fit_morph": "mixseq.rigging",
     "fit_skin": "mixseq.rigging",
@@ -57,6 +64,7 @@ _HOME = {
     "read": "mixseq_io",
     "save": "mixseq_io.hdf5.model",
     "segment": "mixseq.operations.segmenting",
+    "transfer": "mixseq.retargeting.transfer",
     "verify": "mixseq_io.verification",
     "write": "mixseq_io",
     "write_blocks": "mixseq_io",
@@ -65,7 +73,9 @@ _HOME = {
 
 __all__ = [
     "Comparison",
+    "Correspondence",
     "Curve",
+    "Markers",
     "MeshSequence",
     "Model",
     "Morph",
@@ -78,6 +88,7 @@ __all__ = [
     "__version__",
     "compare",
     "compress",
+    "correspond",
     "fit",
     "fit_morph",
     "fit_skin",
@@ -88,6 +99,7 @@ __all__ = [
     "read",
     "save",
     "segment",
+    "transfer",
     "verify",
     "write",
     "write_blocks",

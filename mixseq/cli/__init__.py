@@ -25,6 +25,7 @@ from mixseq.cli.options import examples
         "resample",
         "edit",
         "interpolate",
+        "transfer",
         "segment",
         "compare",
         "verify",

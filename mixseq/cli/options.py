@@ -36,7 +36,11 @@ def reader_options(command: Command) -> Command:
         metavar="PATH",
         help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     )
-    @click.option("--animation", metavar="NAME", help="Animation to read of glTF.  [default: the first]")
+    @click.option(
+        "--animation",
+        metavar="NAME",
+        help="Animation to read of glTF; none is the pose at rest.  [default: the first]",
+    )
     @click.option(
         "--input-fps",
         "fps",

@@ -115,6 +115,7 @@ def decompose(
     joint_width: int = 3,
     points: FloatArray | Observed | None = None,
     softening: Softening | None = None,
+    core: float = CORE,
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation.
 
@@ -132,6 +133,8 @@ def decompose(
         out of them.
     softening : Softening, optional
         Where parts bend by themselves joints go on; by default they are at boundaries only.
+    core : float
+        Share of its vertices that a part keeps, whatever the width of its joints.
 
     Returns
     -------
@@ -159,7 +162,7 @@ def decompose(
     members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
     wanted = _boundary_widths(topology, part_of_face, joint_width, seen)
     depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
-    widths = np.array([_width(depths, inside) for inside in members], dtype=np.int64)
+    widths = np.array([_width(depths, inside, core) for inside in members], dtype=np.int64)
 
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
     touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
@@ -207,12 +210,12 @@ def _boundary_widths(
     return widths
 
 
-def _width(depths: list[Index], inside: Mask) -> int:
+def _width(depths: list[Index], inside: Mask, core: float) -> int:
     """Largest width that leaves a part its core."""
     size = np.count_nonzero(inside)
     for width in range(len(depths) - 1, 1, -1):
-        core = np.count_nonzero(depths[width][inside] <= 1)
-        if core >= 3 and core >= CORE * size:
+        kept = np.count_nonzero(depths[width][inside] <= 1)
+        if kept >= 3 and kept >= core * size:
             return width
     return 1
 

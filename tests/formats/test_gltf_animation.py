@@ -265,6 +265,16 @@ def test_times_on_the_grid_are_exact(made: Callable[..., MeshSequence]) -> None:
     assert got.points[:, 0, 0].tolist() == times.astype(np.float32).tolist()  # at the keys
 
 
+def test_no_animation_is_the_pose_of_the_nodes(made: Callable[..., MeshSequence]) -> None:
+    maker = Maker()
+    node = maker.node(mesh=maker.mesh(TRIANGLE), translation=[0, 7, 0])
+    maker.animate(node, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]], name="Walk")
+    still = made(maker, animation="none")
+    assert (still.frame_count, still.points[0, 0].tolist()) == (1, [0, 7, 0])
+    maker.animate(node, "translation", [0, 1, 2], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], name="none")
+    assert made(maker, animation="none").frame_count == 3
+
+
 def test_an_animation_by_the_end_of_its_name(made: Callable[..., MeshSequence]) -> None:
     maker = Maker()
     node = maker.node(mesh=maker.mesh(TRIANGLE))

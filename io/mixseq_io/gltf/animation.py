@@ -20,6 +20,9 @@ from mixseq_io.gltf.timing import time_tolerance
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
+NO_ANIMATION = "none"
+"""What to ask for to get nodes as they are, mostly at rest."""
+
 _LONGEST_LIST = 20
 
 
@@ -131,7 +134,8 @@ def pose_at(channels: Collection[Channel], times: NDArray[np.float64]) -> Pose:
 def choose_animation(document: Document, choice: str | int | None) -> Fields | None:
     """Return the animation that was asked for, by name or number; the first by default, None if there is none.
 
-    What exporters write before a "|" in a name, as in ``AnimalArmature|Gallop``, may be left out.
+    What exporters write before a "|" in a name, as in ``AnimalArmature|Gallop``, may be left out. `NO_ANIMATION` is the
+    pose in which the file has its nodes, unless an animation has that name.
 
     Raises
     ------
@@ -160,6 +164,8 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
     ending = [index for index, name in enumerate(names) if name.endswith(f"|{choice}")]
     if len(ending) == 1:
         return animations[ending[0]]
+    if choice == NO_ANIMATION:
+        return None
     raise SettingsError(
         f"{document.path} has {'several animations' if ending else 'no animation'} {choice!r}; "
         f"there are {_numbered(names) or 'none'}"

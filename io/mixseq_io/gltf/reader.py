@@ -52,7 +52,8 @@ def open_gltf(
         Path of a node, whose meshes and those below it are read, or name of a node or mesh; "/" is everything.
         By default all meshes that move, or all if none does.
     animation : str or int, optional
-        Name or number of the animation, from 0, or the part of the name after a "|"; by default the first.
+        Name or number of the animation, from 0, or the part of the name after a "|"; by default the first. "none"
+        is one frame, as the file has its nodes: mostly the pose at rest.
     fps : float, optional
         Frames per second from the first key to the last; by default the frames are at the animation's keys, and
         between keys that are far apart where more moves than translations and morph weights with linear keys.

@@ -1,0 +1,49 @@
+"""Files of contacts: named groups of vertices of a target that rest on the ground, such as feet.
+
+JSON, ``{"left foot": [12, 13, 20], "right foot": [40, 41]}``, with vertices numbered from 0; or an object with that as
+``"contacts"``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from mixseq.errors import FormatError
+from mixseq_io.reader import brief, reading
+from mixseq_io.registry import PathLike
+
+
+def read_contacts(path: PathLike) -> dict[str, list[int]]:
+    """Read contacts.
+
+    Raises
+    ------
+    FormatError
+        If there is no such file, or it is no JSON object of lists of vertices; the message names the contact.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "feet.json")
+    ...     _ = file.write_text('{"left": [3, 4], "right": [7]}')
+    ...     read_contacts(file)
+    {'left': [3, 4], 'right': [7]}
+    """
+    file = Path(path)
+    with reading(file, "contacts", UnicodeDecodeError):
+        text = file.read_text(encoding="utf-8-sig")
+    try:
+        groups = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+    if isinstance(groups, dict) and isinstance(groups.get("contacts"), dict):
+        groups = groups["contacts"]
+    if not isinstance(groups, dict) or not groups:
+        raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
+    for name, vertices in groups.items():
+        whole = isinstance(vertices, list) and all(type(vertex) is int for vertex in vertices)
+        if not whole or not vertices:
+            raise FormatError(f"{file}: contact '{name}' is no list of vertices, numbered from 0")
+    return groups

@@ -1,0 +1,238 @@
+"""Files of markers: pairs of vertices of two meshes, numbered from 0, the source's first.
+
+=================  =================================================================================================
+file               what is in it
+=================  =================================================================================================
+``.json``          a list of markers, or ``{"markers": list}``, or ``{"source": list, "target": list, "names": list}``
+``.yml, .yaml``    the same; a comment behind a marker is its name
+others             a marker a line: two numbers, separated by a space, comma, colon, semicolon or ``->``; a comment
+                   behind it (``#``) is its name; empty lines and comments on lines of their own are skipped. The first
+                   line may be the number of markers, or the words ``source`` and ``target``
+=================  =================================================================================================
+
+In lists, a marker is a pair of numbers ``[750, 3386]``, a text as on a line ``"750:3386"``, or an object
+``{"source": 750, "target": 3386, "name": "nose"}``. That includes the files of Sumner and Popović's meshes that are
+about: ``.cons`` and ``.corr`` (lines), and lists of ``"750:3386"`` in YAML. YAML itself takes ``12:34`` for a time of
+day, 754 seconds; here it is a pair.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mixseq.correspondence.markers import Markers
+from mixseq.errors import FormatError
+from mixseq_io.atomic import replacing
+from mixseq_io.reader import brief, reading
+from mixseq_io.registry import PathLike
+
+YAML = (".yml", ".yaml")
+
+_PAIR = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
+_HEADING = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
+_EXPECTED = "two numbers of vertices are expected, separated by a space, comma, colon, semicolon or '->'"
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What stands for one marker: where, what, and the comment behind it."""
+
+    where: str
+    value: Any
+    comment: str = ""
+
+
+def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
+    r"""Read markers.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; see the head of this module.
+    reverse : bool
+        The target's vertices come first: exchange the two.
+
+    Returns
+    -------
+    Markers
+        With names if at least one of them has a name. Whether they fit two meshes is for
+        `mixseq.correspondence.checks.check_markers` to say.
+
+    Raises
+    ------
+    FormatError
+        If there is no such file, or it is no list of pairs; the message names the line or the marker.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "markers.txt")
+    ...     _ = file.write_text("750, 3386  # nose\n524 -> 3737")
+    ...     markers = read_markers(file)
+    >>> markers.source.tolist(), markers.target.tolist(), markers.names
+    ([750, 524], [3386, 3737], ('nose', ''))
+    """
+    file = Path(path)
+    with reading(file, "markers", UnicodeDecodeError):
+        text = file.read_text(encoding="utf-8-sig")
+    entries = _entries(file, text)
+    if not entries:
+        raise FormatError(f"{file} has no markers; {_EXPECTED}")
+    found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
+    pairs = [(target, source) if reverse else (source, target) for source, target, _ in found]
+    names = tuple(name for _, _, name in found)
+    return Markers.of(pairs, names if any(names) else ())
+
+
+def write_markers(path: PathLike, markers: Markers) -> None:
+    """Write markers, in the form that the file's extension stands for; see the head of this module.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    file = Path(path)
+    names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
+    rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))
+    comments = [f"  # {name}" if name else "" for name in names]
+    if file.suffix.lower() == ".json":
+        listed = [{"source": s, "target": t} | ({"name": name} if name else {}) for s, t, name in rows]
+        body = ",\n".join(f"  {json.dumps(marker, ensure_ascii=False)}" for marker in listed)
+        text = f'{{"markers": [\n{body}\n]}}\n'
+    elif file.suffix.lower() in YAML:
+        lines = (f'  - "{s}:{t}"{comment}\n' for (s, t, _), comment in zip(rows, comments, strict=True))
+        text = "markers:\n" + "".join(lines)
+    else:
+        lines = (f"{s} {t}{comment}\n" for (s, t, _), comment in zip(rows, comments, strict=True))
+        text = "# source target\n" + "".join(lines)
+    with replacing(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _entries(file: Path, text: str) -> list[_Entry]:
+    if file.suffix.lower() in YAML:
+        return _yaml(file, text)
+    if file.suffix.lower() == ".json":
+        try:
+            values = _listed(file, json.loads(text))
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+    return _lines(file, text)
+
+
+def _lines(file: Path, text: str) -> list[_Entry]:
+    entries: list[_Entry] = []
+    announced = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        body, _, comment = line.partition("#")
+        body = body.strip()
+        first = not entries and announced is None
+        if first and body.isdecimal():
+            announced = int(body)
+        elif body and not (first and _HEADING.fullmatch(body)):
+            entries.append(_Entry(f"line {number}", body, comment))
+    if announced is not None and announced != len(entries):
+        raise FormatError(
+            f"{file}: its first line announces {announced} markers, but {len(entries)} follow; "
+            "is it truncated? If not, leave that line out"
+        )
+    return entries
+
+
+def _yaml(file: Path, text: str) -> list[_Entry]:
+    """Numbers stay text, so that ``12:34`` is no time of day; comments are found by their lines."""
+    import yaml
+
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        where = getattr(error, "problem_mark", None)
+        what = getattr(error, "problem", None) or brief(error)
+        line = f", line {where.line + 1}" if where else ""
+        raise FormatError(f"{file}{line} cannot be read as YAML: {what}") from None
+    values = _listed(file, _plain(root))
+    nodes = root
+    if isinstance(root, yaml.MappingNode):
+        nodes = next((value for key, value in root.value if key.value == "markers"), None)
+    if not isinstance(nodes, yaml.SequenceNode):  # lists of sources and of targets
+        return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
+    lines = text.splitlines()
+    entries = []
+    for node, value in zip(nodes.value, values, strict=True):
+        end = node.end_mark
+        behind = lines[end.line][end.column :] if end.line == node.start_mark.line else ""
+        entries.append(_Entry(f"line {node.start_mark.line + 1}", value, behind.partition("#")[2]))
+    return entries
+
+
+def _plain(node: Any) -> Any:
+    """The lists, dictionaries and texts of a YAML node."""
+    if node is None:
+        return None
+    if isinstance(node.value, str):
+        return node.value
+    if node.id == "sequence":
+        return [_plain(child) for child in node.value]
+    return {_plain(key) if key.id == "scalar" else "": _plain(value) for key, value in node.value}
+
+
+def _listed(file: Path, tree: Any) -> list[Any]:
+    """The list of markers in what a file holds."""
+    if isinstance(tree, dict) and "markers" in tree:
+        tree = tree["markers"]
+    elif isinstance(tree, dict) and isinstance(tree.get("source"), list):
+        columns = [tree["source"], tree.get("target"), tree.get("names")]
+        if columns[2] is None:
+            columns[2] = [""] * len(columns[0])
+        lengths = [len(column) if isinstance(column, list) else -1 for column in columns]
+        if len(set(lengths)) != 1:
+            raise FormatError(f"{file}: its lists 'source', 'target' (and 'names') are not equally long")
+        tree = [
+            dict(zip(("source", "target", "name"), row, strict=True)) for row in zip(*columns, strict=True)
+        ]
+    if not isinstance(tree, list):
+        raise FormatError(
+            f"{file} has no list of markers; a list of pairs is expected, by itself or as 'markers', or lists "
+            "'source' and 'target'"
+        )
+    return tree
+
+
+def _marker(where: str, entry: _Entry) -> tuple[int, int, str]:
+    """Source, target and name of one marker."""
+    value, name = entry.value, entry.comment
+    if isinstance(value, str):
+        match = _PAIR.fullmatch(value.strip())
+        if match is None:
+            raise FormatError(f"{where}: {_quoted(value)} is no pair of vertices; {_EXPECTED}")
+        value = match.groups()
+    elif isinstance(value, dict):
+        name = str(value.get("name") or name)
+        value = [value.get("source"), value.get("target")]
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise FormatError(
+            f"{where}: {_quoted(value)} is no marker; a pair of vertices, a text such as '750:3386', or an object "
+            "with 'source' and 'target' is expected"
+        )
+    source, target = (_vertex(where, number) for number in value)
+    return source, target, " ".join(name.split())
+
+
+def _vertex(where: str, value: Any) -> int:
+    if isinstance(value, str) and re.fullmatch(r"\d{1,18}", value.strip()):
+        return int(value)
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62:
+        return value
+    raise FormatError(f"{where}: {_quoted(value)} is no number of a vertex; vertices are numbered from 0")
+
+
+def _quoted(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:36]}..."

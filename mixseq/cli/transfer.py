@@ -1,0 +1,395 @@
+"""``mixseq transfer``."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, print_json, print_table, progress_bar
+from mixseq.cli.files import check_target, is_model, options_of, write_sequence
+from mixseq.cli.labelled import parts_given
+from mixseq.cli.options import (
+    FILE,
+    examples,
+    json_option,
+    labels_options,
+    quiet_option,
+    reader_options,
+    workers_options,
+    writer_options,
+)
+from mixseq.cli.transferred import facts, rows
+from mixseq.errors import MixseqWarning, OutputError, SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.correspondence.dense import Correspondence
+    from mixseq.correspondence.markers import Markers
+    from mixseq.mapping import OrderedMap
+    from mixseq.retargeting.sources import SourceMotion
+    from mixseq.retargeting.transfer import MethodName, Transfer
+    from mixseq.sequence import FloatArray, MeshSequence
+    from mixseq.signals import Model
+    from mixseq_io import SequenceReader
+
+COLUMNS = 5
+"""Frames in the picture, beside the rest."""
+
+_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
+
+
+@click.command(
+    "transfer",
+    epilog=examples(
+        "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
+        "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
+        "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
+    ),
+)
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@click.argument("out", type=FILE)
+@click.option(
+    "--markers", type=FILE, metavar="FILE", help="Pairs of vertices that are the same: SOURCE, TARGET."
+)
+@click.option("--reverse", is_flag=True, help="The vertices of TARGET come first in --markers.")
+@click.option(
+    "--map", "map_file", type=FILE, metavar="FILE", help="Dense correspondence, instead of markers."
+)
+@click.option("--save-map", type=FILE, metavar="FILE", help="Keep the correspondence, for --map.")
+@click.option(
+    "--method",
+    type=click.Choice(["mixed", "gradients"]),
+    default="mixed",
+    show_default=True,
+    help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
+)
+@click.option(
+    "--rest",
+    default="0",
+    show_default=True,
+    metavar="FRAME|FILE",
+    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.",
+)
+@click.option(
+    "--parts",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
+)
+@click.option(
+    "--joint-width",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Largest width of joints, in strips of triangles on each side of a boundary.  [default: 3]",
+)
+@labels_options
+@click.option(
+    "--contacts",
+    type=FILE,
+    metavar="FILE",
+    help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
+)
+@click.option("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
+@click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside OUT]")
+@click.option("--no-picture", is_flag=True, help="Draw no picture.")
+@json_option
+@reader_options
+@writer_options
+@workers_options
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    out: Path,
+    markers: Path | None,
+    reverse: bool,
+    map_file: Path | None,
+    save_map: Path | None,
+    method: str,
+    rest: str,
+    parts: int | None,
+    joint_width: int | None,
+    labels: Path | None,
+    label_source: str | None,
+    contacts: Path | None,
+    target_prim: str | None,
+    picture: Path | None,
+    no_picture: bool,
+    as_json: bool,
+    reading: dict[str, Any],
+    writing: dict[str, Any],
+    workers: AbstractContextManager[OrderedMap],
+    quiet: bool,
+) -> None:
+    """Move a mesh as another one moves.
+
+    SOURCE is a sequence in any format, or a model. TARGET is the mesh in its first frame, in a pose like that of SOURCE
+    at --rest. OUT's format follows from its extension, see "mixseq formats"; it is written while frames are made.
+
+    Meshes with the same triangles need nothing else. For others, --markers names pairs of vertices, a file with a pair
+    a line, counted from 0; what corresponds in between is found by bending SOURCE onto TARGET, which takes a while:
+    --save-map keeps it for the next time. Components of TARGET without markers follow what is next to them.
+
+    The table tells what corresponds, how much OUT is strained in comparison with SOURCE, whether it moves as smoothly,
+    and where it goes through itself. A picture of both is drawn beside OUT.
+
+    --up-axis and --units are for all files, the other options for reading for SOURCE.
+    """
+    of_parts = {
+        "parts": parts,
+        "joint-width": joint_width,
+        "labels": labels,
+        "source": label_source,
+        "contacts": contacts,
+    }
+    _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
+    frame, rest_file = _rest(rest)
+    drawn = None if no_picture else picture or _picture_beside(out)
+    _check_files(
+        [each for each in (out, drawn, save_map) if each is not None],
+        [
+            each
+            for each in (source, target, markers, map_file, labels, contacts, rest_file)
+            if each is not None
+        ],
+    )
+    _check_formats(out, drawn, save_map)
+    common = {name: value for name, value in reading.items() if name in _OF_ALL}
+    with (
+        workers as work,
+        progress_bar(quiet) as progress,
+        _noted() as notes,
+        _opened(source, reading) as opened,
+    ):
+        from mixseq.retargeting.report import Meter, evenly
+        from mixseq.retargeting.sources import source_motion
+        from mixseq.retargeting.transfer import plan
+
+        pairs, feet = _markers(markers, reverse), _contacts(contacts)
+        shape = _first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
+        rest_shape = frame if rest_file is None else _first_frame(rest_file, common)
+        given = _parts(opened, parts, labels, label_source, reading)
+        motion = source_motion(opened, rest_shape, given, progress)
+        made = plan(
+            motion,
+            shape,
+            pairs,
+            _map(map_file, motion, shape),
+            cast("MethodName", method),
+            contacts=feet,
+            joint_width=joint_width or 3,
+            progress=progress,
+            workers=work,
+        )
+        if save_map is not None:
+            _save_map(save_map, made)
+        meter, shown = Meter(made), _Shown(_frames_to_draw(made, frame, rest_file, evenly))
+        blocks = shown.passing(meter.passing(made.blocks(progress, work)))
+        write_sequence(out, made.header, blocks, None, writing)
+        report = meter.report()
+        if drawn is not None:
+            _draw(drawn, made, shown)
+    if as_json:
+        files = {"source": str(source), "target": str(target), "out": str(out)}
+        print_json(files | facts(made, method, report) | {"warnings": notes})
+        return
+    if not quiet:
+        print_table(rows(made, method, report))
+    for each in (save_map, out, drawn):
+        if each is not None:
+            announce(each)
+
+
+def _check_settings(
+    markers: Path | None,
+    map_file: Path | None,
+    reverse: bool,
+    method: str,
+    told: Mapping[str, object],
+    picture: Path | None,
+    no_picture: bool,
+) -> None:
+    """Refuse options that contradict each other, before anything is read."""
+    if markers is not None and map_file is not None:
+        raise SettingsError("--markers and --map are two ways to say the same; give one of them")
+    if reverse and markers is None:
+        raise SettingsError("--reverse is about the order of --markers; give both, or neither")
+    if picture is not None and no_picture:
+        raise SettingsError("--picture and --no-picture exclude each other")
+    if method == "gradients":
+        for name, value in told.items():
+            if value is not None:
+                raise SettingsError(f"the method gradients knows no parts; leave out --{name}, or --method")
+
+
+def _rest(text: str) -> tuple[int, Path | None]:
+    """Return the frame that is meant, or a file."""
+    return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
+
+
+def _picture_beside(out: Path) -> Path:
+    """Return a name for the picture; that of numbered files has no number."""
+    stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", out.stem)
+    return out.with_name(f"{stem}-transfer.png" if stem else "transfer.png")
+
+
+def _check_files(written: Sequence[Path], read: Sequence[Path]) -> None:
+    """Refuse what cannot be written, or would replace what is read or written, before the work."""
+    for number, each in enumerate(written):
+        for source in read:
+            check_target(each, source)
+        for other in written[:number]:
+            if each.resolve() == other.resolve():
+                raise OutputError(f"{each} is to be written twice; give another name")
+
+
+def _check_formats(out: Path, picture: Path | None, save_map: Path | None) -> None:
+    """Refuse extensions that nothing can write, before the work."""
+    from mixseq_io import FORMATS
+
+    known = [extension for each in FORMATS for extension in each.extensions]
+    if out.suffix.lower() not in known:
+        raise OutputError(
+            f"{out}: the extension {out.suffix!r} is not known; write one of {', '.join(known)}"
+        )
+    if save_map is not None and save_map.suffix.lower() != ".npz":
+        raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
+    if picture is not None:
+        from mixseq.plots.layout import matplotlib_module
+
+        if picture.suffix.lower() != ".png":
+            raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
+        matplotlib_module("figure")
+
+
+@contextmanager
+def _noted() -> Iterator[list[str]]:
+    """Yield a list to which warnings are added, beside that they are told."""
+    notes: list[str] = []
+    usual: Callable[..., None] = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        if issubclass(category, MixseqWarning):
+            notes.append(str(message))
+        usual(message, category, *where)
+
+    warnings.showwarning = show  # type: ignore[assignment]
+    try:
+        yield notes
+    finally:
+        warnings.showwarning = usual
+
+
+def _opened(source: Path, reading: Mapping[str, Any]) -> AbstractContextManager[SequenceReader | Model]:
+    """Open a sequence, or load a model."""
+    if not is_model(source):
+        return mixseq.open_sequence(source, **reading)
+    others = [name for name in reading if name not in _OF_ALL]
+    if others:
+        raise SettingsError(
+            f"{source} is a model, which is read without options; leave out those for sequences"
+        )
+    return nullcontext(mixseq.load(source))
+
+
+def _first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
+    """Read the first frame of a file."""
+    from mixseq.sequence import MeshSequence
+
+    with mixseq.open_sequence(path, **options_of(path, reading)) as reader:
+        first = next(iter(reader.blocks(1)))[:1]
+        return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
+
+
+def _parts(
+    motion: SequenceReader | Model,
+    parts: int | None,
+    labels: Path | None,
+    label_source: str | None,
+    reading: Mapping[str, Any],
+) -> Any:
+    """Return a number of parts, labels of triangles, or None."""
+    from mixseq.signals import Model
+
+    if labels is None and label_source is None:
+        return parts
+    if isinstance(motion, Model):
+        raise SettingsError(
+            "labels are for sequences; leave out --labels and --source, the model has its own parts"
+        )
+    return parts_given(motion, parts, labels, label_source, reading)
+
+
+def _markers(path: Path | None, reverse: bool) -> Markers | None:
+    if path is None:
+        return None
+    from mixseq_io.correspondence.markers import read_markers
+
+    return read_markers(path, reverse=reverse)
+
+
+def _contacts(path: Path | None) -> dict[str, list[int]] | None:
+    if path is None:
+        return None
+    from mixseq_io.correspondence.contacts import read_contacts
+
+    return read_contacts(path)
+
+
+def _map(path: Path | None, motion: SourceMotion, shape: MeshSequence) -> Correspondence | None:
+    if path is None:
+        return None
+    from mixseq_io.correspondence.maps import read_map, to_correspondence
+
+    return to_correspondence(
+        read_map(path), (motion.rest, motion.header.faces), (shape.points[0], shape.faces)
+    )
+
+
+def _save_map(path: Path, made: Transfer) -> None:
+    from mixseq_io.correspondence.maps import write_map
+
+    write_map(path, made.correspondence, made.source.header.faces, made.header.faces)
+
+
+def _frames_to_draw(
+    made: Transfer, frame: int, rest_file: Path | None, evenly: Callable[[int, int], tuple[int, ...]]
+) -> list[int]:
+    """Choose frames for the picture; the one that is the rest is drawn anyway."""
+    count = made.header.frame_count
+    chosen = evenly(count, COLUMNS)
+    return [each for each in chosen if rest_file is not None or each != frame % count] or list(chosen)
+
+
+class _Shown:
+    """Keeps some frames ``(V', 3)`` while blocks pass by."""
+
+    def __init__(self, frames: Sequence[int]) -> None:
+        self.frames = frames
+        self.points: list[FloatArray] = []
+
+    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        first = 0
+        for block in blocks:
+            self.points += [
+                block[each - first].copy() for each in self.frames if 0 <= each - first < len(block)
+            ]
+            first += len(block)
+            yield block
+
+
+def _draw(picture: Path, made: Transfer, shown: _Shown) -> None:
+    import numpy as np
+
+    from mixseq.plots.transfers import transfer_sheet
+    from mixseq_io.atomic import replacing
+
+    with replacing(picture) as temporary:
+        transfer_sheet(temporary, made, shown.frames, np.stack(shown.points))

@@ -1,0 +1,1 @@
+"""Which point of one mesh is which point of another."""

@@ -1,0 +1,87 @@
+r"""Dense correspondence: for every vertex and triangle of a target, the point and the triangle of the source it is.
+
+A target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three corners c and barycentric
+weights w. Vertices that are on no part of the source (eyes, teeth, hats) have none, and follow another vertex of the
+target, their *leader*, as if they were stuck to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.sequence import FloatArray
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """Where the vertices and triangles of a target are on a source.
+
+    Attributes
+    ----------
+    source_size, target_size : (int, int)
+        Vertices and triangles of the two meshes.
+    corners : (V', 3) int64
+        Source vertices that every target vertex is between; all -1 where it follows its leader.
+    weights : (V', 3) float64
+        Their weights; they add to one.
+    faces : (F',) int64
+        The source triangle that moves every target triangle; -1 where a corner of it follows a leader.
+    leaders : (V',) int64
+        The target vertex that a vertex without corners follows; elsewhere the vertex itself.
+    """
+
+    source_size: tuple[int, int]
+    target_size: tuple[int, int]
+    corners: Index
+    weights: Float
+    faces: Index
+    leaders: Index
+
+    @classmethod
+    def identity(cls, vertex_count: int, face_count: int) -> Correspondence:
+        """Every vertex and triangle is itself: meshes of the same connectivity."""
+        vertices = np.arange(vertex_count)
+        size = vertex_count, face_count
+        weights = np.tile([1.0, 0.0, 0.0], (vertex_count, 1))
+        corners = np.repeat(vertices[:, None], 3, axis=1)
+        return cls(size, size, corners, weights, np.arange(face_count), vertices)
+
+    @cached_property
+    def matched(self) -> Mask:
+        """Target vertices ``(V',)`` that are on the source."""
+        return np.asarray((self.corners >= 0).all(axis=1))
+
+    def carry(self, values: FloatArray) -> Float:
+        """Carry values ``(..., V, c)`` at source vertices to target vertices ``(..., V', c)``.
+
+        Vertices without corners get what their leaders get.
+        """
+        corners, weights = self.corners[self.leaders], self.weights[self.leaders]
+        return np.asarray(np.einsum("vk,...vkc->...vc", weights, values[..., corners, :]))
+
+    def check(self, source_size: tuple[int, int], target_size: tuple[int, int]) -> None:
+        """Refuse a correspondence of other meshes.
+
+        Raises
+        ------
+        SettingsError
+            If numbers of vertices or triangles differ.
+        """
+        for what, own, given in (
+            ("source", self.source_size, source_size),
+            ("target", self.target_size, target_size),
+        ):
+            if own != given:
+                raise SettingsError(
+                    f"the map is of a {what} with {own[0]} vertices and {own[1]} triangles, but the {what} has "
+                    f"{given[0]} and {given[1]}; give a map of these meshes, or markers"
+                )

@@ -1,0 +1,172 @@
+r"""How smoothly a mesh is deformed, and what pulls on it: the energy of a non-rigid registration.
+
+Every vertex i has a new position p_i and an affine map A_i of its neighbourhood, both unknown (Amberg, Romdhani and
+Vetter 2007, in the form of embedded deformation, Sumner, Schmid and Pauly 2007, which does not depend on the origin).
+With edges :math:`e_{ij} = x_j - x_i`,
+
+.. math::
+    E = \alpha \Bigl[ \sum_{ij} \frac{w_{ij}}{2} \bigl( \|p_j - p_i - A_i e_{ij}\|^2 + \|p_i - p_j - A_j e_{ji}\|^2
+        \bigr) + \ell^2 \sum_{ij} w_{ij} \|A_i - A_j\|^2 + \mu \sum_i a_i \|A_i - S_i\|^2 \Bigr]
+        + \sum_t b_t \Bigl\| \sum_k \beta_{tk} p_{tk} - y_t \Bigr\|^2 .
+
+In brackets: neighbours move together, maps change slowly, and they are near given similarities :math:`S_i`. The last
+sum is the pulls: points between corners of the mesh are drawn to goals y. Areas a add to one and :math:`w_{ij}` is the
+area about an edge by half its squared length, so that E hardly depends on how finely the mesh is sampled.
+
+E is quadratic, and its matrix is the same for the three coordinates. Pulls are on corners of one triangle, which edges
+join already, so its pattern never changes: it is analysed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.correspondence.surfaces import Surface
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.reconstruction.solvers import Analysis, analyse
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_EDGE_WEIGHTS = 0.05, 20.0
+"""Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """Points of a mesh that are drawn to goals.
+
+    Attributes
+    ----------
+    corners : (n, k) int64
+        Vertices that the points are between: one, or the corners of a triangle.
+    weights : (n, k) float64
+        Their weights.
+    goals : (n, 3) float64
+        Where the points should be.
+    strengths : (n,) float64
+        How strongly.
+    """
+
+    corners: Index
+    weights: Float
+    goals: Float
+    strengths: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """The energy of a mesh, of which each vertex is in a triangle.
+
+    Attributes
+    ----------
+    surface : Surface
+        The mesh before it is deformed, in a unit of about its size.
+    bending : float
+        The length over which maps are alike.
+    shear : float
+        The weight of similarities against affine maps.
+    """
+
+    surface: Surface
+    bending: float
+    shear: float
+
+    @cached_property
+    def areas(self) -> Float:
+        """Areas ``(V,)`` about the vertices; they add to one."""
+        areas = self.surface.vertex_areas
+        return np.asarray(areas / areas.sum())
+
+    @cached_property
+    def _matrix(self) -> sparse.csc_array:
+        """Lower triangle ``(4 V, 4 V)`` of what the stiffness multiplies; vertex i has p_i and a row of A_i."""
+        x = self.surface.points
+        i, j = self.surface.topology.edges.T
+        # Twice a third of the areas at an edge, by its squared length.
+        weights = 2 * self.surface.edge_areas / np.maximum(self.surface.squared_lengths, 1e-20)
+        weights = np.clip(weights, *_EDGE_WEIGHTS) / self.surface.vertex_areas.sum()
+        together = [
+            [(4 * b, 1.0), (4 * a, -1.0), *((4 * a + 1 + d, x[a, d] - x[b, d]) for d in range(3))]
+            for a, b in ((i, j), (j, i))
+        ]
+        alike = [[(4 * i + 1 + d, self.bending), (4 * j + 1 + d, -self.bending)] for d in range(3)]
+        near = np.outer(self.areas, [0.0, self.shear, self.shear, self.shear]).reshape(-1)
+        total = sparse.diags_array(near).tocsr()
+        for terms, scale in ((together, 0.5), (alike, 1.0)):
+            for row in terms:
+                difference = _rows(row, np.sqrt(scale * weights), 4 * len(x))
+                total = total + difference.T @ difference
+        lower = sparse.csc_array(sparse.tril(total))
+        lower.sort_indices()
+        return lower
+
+    @cached_property
+    def _analysis(self) -> Analysis:
+        return analyse(self._matrix.indptr.astype(np.int64), self._matrix.indices.astype(np.int64))
+
+    @cached_property
+    def _keys(self) -> Index:
+        """Column and row of every stored number as one ascending number."""
+        size = self._matrix.shape[0]
+        columns = np.repeat(np.arange(size), np.diff(self._matrix.indptr))
+        return np.asarray(columns * size + self._matrix.indices)
+
+    def minimise(self, stiffness: float, maps: Float, pulls: list[Pull]) -> tuple[Float, Float]:
+        r"""Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy.
+
+        Parameters
+        ----------
+        stiffness : float
+            :math:`\alpha`.
+        maps : (V, 3, 3) float64
+            Maps whose nearest similarities are wanted.
+        pulls : list of Pull
+            What pulls; on every component of the mesh something must.
+
+        Raises
+        ------
+        ReconstructionError
+            If nothing holds a component.
+        """
+        count, size = len(maps), 4 * len(maps)
+        values = stiffness * self._matrix.data
+        right = np.zeros((count, 4, 3))
+        wanted = nearest_similarities(maps).transpose(0, 2, 1)
+        right[:, 1:] = stiffness * self.shear * self.areas[:, None, None] * wanted
+        for pull in pulls:
+            drawn = pull.weights * pull.strengths[:, None]
+            for k in range(pull.corners.shape[1]):
+                at = pull.corners[:, k]
+                for c in range(3):
+                    right[:, 0, c] += np.bincount(at, drawn[:, k] * pull.goals[:, c], minlength=count)
+                for other in range(pull.corners.shape[1]):
+                    lower = np.flatnonzero(at >= pull.corners[:, other])
+                    places = np.searchsorted(
+                        self._keys, 4 * pull.corners[lower, other] * size + 4 * at[lower]
+                    )
+                    products = drawn[lower, k] * pull.weights[lower, other]
+                    values += np.bincount(places, products, minlength=len(values))
+        solution = self._analysis.factor(values).solve(right.reshape(size, 3)).reshape(count, 4, 3)
+        return solution[:, 0].copy(), solution[:, 1:].transpose(0, 2, 1).copy()
+
+
+def nearest_similarities(maps: Float) -> Float:
+    """Return the similarities ``(n, 3, 3)``, without mirroring, that are nearest to maps in the Frobenius norm."""
+    rotations = nearest_rotations(maps)
+    scales = np.einsum("nij,nij->n", rotations, maps) / 3
+    return np.asarray(rotations * np.maximum(scales, 0.0)[:, None, None])
+
+
+def _rows(terms: Sequence[tuple[Index, Float | float]], scales: Float, size: int) -> sparse.csr_array:
+    """Rows that are sums of a few unknowns: their columns ``(n,)`` and coefficients, scaled row by row."""
+    count = len(scales)
+    columns = np.concatenate([column for column, _ in terms])
+    values = np.concatenate([np.broadcast_to(value, count) * scales for _, value in terms])
+    return sparse.coo_array((values, (np.tile(np.arange(count), len(terms)), columns)), (count, size)).tocsr()

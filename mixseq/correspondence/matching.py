@@ -1,0 +1,170 @@
+"""From a registered source to a dense correspondence: every target vertex and triangle gets the closest point there.
+
+A closest point counts if the surfaces face the same way there and it is near enough: where two legs touch, the sides
+that face each other have opposite normals, and each finds its own. What finds nothing takes over what the nearest of
+its neighbours along the surface found. Components of the target without a marker are on nothing: they follow the
+nearest vertex that is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.pairing import Pairing
+from mixseq.correspondence.surfaces import Part, Surface
+from mixseq.errors import SettingsError
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MatchingSettings:
+    """Which closest points count; both values are ours.
+
+    Attributes
+    ----------
+    largest_angle : float
+        Largest angle between the normals, in degrees.
+    largest_distance : float
+        Largest distance, in diagonals of the target.
+    """
+
+    largest_angle: float = 75.0
+    largest_distance: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 < self.largest_angle <= 180:
+            raise SettingsError(f"the largest angle is {self.largest_angle}; give degrees from 0 to 180")
+        if not self.largest_distance > 0:
+            raise SettingsError(f"the largest distance is {self.largest_distance}; it must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """What was found.
+
+    Attributes
+    ----------
+    correspondence : Correspondence
+        The map.
+    found_vertices, found_faces : (V',), (F',) bool
+        Which found a closest point themselves; others were filled in, or follow.
+    distances : (V',) float64
+        Distances of vertices from what they found, in the unit of the points; infinite where they found nothing.
+    """
+
+    correspondence: Correspondence
+    found_vertices: Mask
+    found_faces: Mask
+    distances: Float
+
+
+def match(
+    registered: Surface,
+    target: Surface,
+    pairings: tuple[Pairing, ...],
+    settings: MatchingSettings | None = None,
+) -> Matches:
+    """Find the point of a source that every vertex of a target is, and the triangle that every triangle is.
+
+    Parameters
+    ----------
+    registered : Surface
+        The source, deformed to lie on the target.
+    target : Surface
+        The target.
+    pairings : tuple of Pairing
+        Which components may match.
+    settings : MatchingSettings, optional
+        What counts.
+    """
+    settings = MatchingSettings() if settings is None else settings
+    vertex_count, face_count = len(target.points), len(target.faces)
+    # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the surface.
+    queries = np.concatenate([target.points, target.centroids])
+    normals = np.concatenate([target.vertex_normals, target.face_normals])
+    faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
+    distances = np.full(len(queries), np.inf)
+    for pairing in pairings:
+        own = np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces])
+        found = Part(registered, pairing.source_faces).closest(
+            queries[own], normals[own], settings.largest_angle
+        )
+        near = found.distances <= settings.largest_distance * target.diagonal
+        own = own[near]
+        faces[own], weights[own], distances[own] = (
+            found.faces[near],
+            found.weights[near],
+            found.distances[near],
+        )
+    found_themselves = faces >= 0
+    graph, is_vertex = _surface_graph(target), np.arange(len(queries)) < vertex_count
+    for kind in (is_vertex, ~is_vertex):
+        nearest = _nearest_along(graph, np.flatnonzero(kind & found_themselves))
+        filled = np.flatnonzero(kind & (nearest >= 0))
+        faces[filled], weights[filled] = faces[nearest[filled]], weights[nearest[filled]]
+    for pairing in pairings:  # components of which nothing is near: anything is better than nothing
+        own = np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces])
+        own = own[faces[own] < 0]
+        found = Part(registered, pairing.source_faces).closest(queries[own])
+        faces[own], weights[own] = found.faces, found.weights
+    on = faces[:vertex_count]
+    corners = np.where(on[:, None] >= 0, registered.faces[on], -1)
+    correspondence = Correspondence(
+        (len(registered.points), len(registered.faces)),
+        (vertex_count, face_count),
+        corners,
+        weights[:vertex_count],
+        faces[vertex_count:],
+        _leaders(target, on >= 0),
+    )
+    return Matches(
+        correspondence,
+        found_themselves[:vertex_count],
+        found_themselves[vertex_count:],
+        distances[:vertex_count],
+    )
+
+
+def _surface_graph(surface: Surface) -> sparse.csr_array:
+    """Return distances along a surface: a graph of its vertices and, after them, its triangles."""
+    count = len(surface.points)
+    i, j = surface.topology.edges.T
+    corner, face = surface.faces.reshape(-1), np.repeat(np.arange(len(surface.faces)), 3)
+    to_centre = np.linalg.norm(surface.points[corner] - surface.centroids[face], axis=1)
+    lengths = np.concatenate([np.sqrt(surface.squared_lengths), to_centre])
+    # Stored zeros are no edges to csgraph: vertices in one place are a hair apart.
+    lengths = np.maximum(lengths, 1e-12 * surface.diagonal)
+    size = count + len(surface.faces)
+    ends = np.concatenate([i, corner]), np.concatenate([j, count + face])
+    half = sparse.coo_array((lengths, ends), shape=(size, size))
+    return half.tocsr()
+
+
+def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
+    """Return the nearest source of every node along a graph; -1 where none is connected."""
+    if not len(sources):
+        return np.full(graph.shape[0], -1)
+    nearest = csgraph.dijkstra(
+        graph, directed=False, indices=sources, return_predecessors=True, min_only=True
+    )[2]
+    return np.maximum(nearest, -1).astype(np.int64)
+
+
+def _leaders(target: Surface, matched: Mask) -> Index:
+    """Return every vertex itself, but for components without a match the matched vertex that is nearest to them."""
+    leaders = np.arange(len(target.points))
+    component = target.topology.component_of_vertex
+    among = np.flatnonzero(matched)
+    for number in np.unique(component[~matched]):
+        own = np.flatnonzero(component == number)
+        leaders[own] = target.nearest_vertex(among, own)
+    return leaders

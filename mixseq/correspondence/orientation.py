@@ -1,0 +1,140 @@
+r"""Inside out: whether the triangles of a source and of a target run around their outsides the same way.
+
+A closed component encloses the volume :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run
+clockwise seen from outside. Holes make it depend on the origin, by the sum of the vector areas: the sign of a component
+counts if it is the same for all origins in its bounding sphere. Surfaces that are more open have no outside of their
+own; of these a registration tells, by the normals of what is closest.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.correspondence.surfaces import Surface
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.sequence import FloatArray, IntArray
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NO_VOLUME = 1e-9
+"""Volumes below this share of a component's cubed diagonal are rounding; ours."""
+
+NAMED = 4
+"""Most components that a message names."""
+
+_CURE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip the normals)"
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Which way components face.
+
+    Attributes
+    ----------
+    faces : (c,) int64
+        A triangle of every component.
+    areas : (c,) float64
+        Their areas.
+    signs : (c,) int64
+        1 if the triangles are counter-clockwise seen from outside, -1 if clockwise, 0 if there is no outside.
+    """
+
+    faces: Index
+    areas: Float
+    signs: Index
+
+    @property
+    def sign(self) -> int:
+        """The way that most of the area faces, of that which has an outside."""
+        return int(np.sign(self.areas @ self.signs))
+
+
+def sides(points: FloatArray, faces: IntArray) -> Sides:
+    """Find which way the components of a mesh of points ``(V, 3)`` and triangles ``(F, 3)`` face."""
+    surface = Surface(np.asarray(points, np.float64), Topology(faces, len(points)))
+    component = surface.topology.component_of_face
+    count = int(component.max(initial=-1)) + 1
+    corners = surface.points[surface.faces]
+    lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lowest, component, corners.min(axis=1))
+    np.maximum.at(highest, component, corners.max(axis=1))
+    # About the centre of its box the volume of a component is rounded least.
+    a, b, c = np.moveaxis(corners - ((lowest + highest) / 2)[component, None], 1, 0)
+    volumes = np.bincount(component, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
+    open_area = [np.bincount(component, surface.vectors[:, axis], count) for axis in range(3)]
+    diagonals = np.linalg.norm(highest - lowest, axis=1)
+    doubt = np.linalg.norm(open_area, axis=0) * diagonals / 6 + NO_VOLUME * diagonals**3
+    signs = np.where(np.abs(volumes) > doubt, np.sign(volumes), 0).astype(np.int64)
+    first = np.unique(component, return_index=True)[1]
+    areas = np.bincount(component, surface.face_areas, count).astype(np.float64)
+    return Sides(first, areas, signs)
+
+
+def check_orientation(
+    source_points: FloatArray,
+    source_faces: IntArray,
+    target_points: FloatArray,
+    target_faces: IntArray,
+    registered: FloatArray | None = None,
+) -> None:
+    """Refuse meshes of which one is inside out.
+
+    Parameters
+    ----------
+    source_points, target_points : (V, 3) and (V', 3) float
+        Both at rest.
+    source_faces, target_faces : (F, 3) and (F', 3) int
+        Their triangles.
+    registered : (V, 3) float, optional
+        The source, deformed to lie on the target; asked where a mesh has no outside of its own.
+
+    Raises
+    ------
+    SettingsError
+        If most of the target, by area, faces the other way than most of the source.
+
+    Warns
+    -----
+    MixseqWarning
+        If single components of the target are inside out.
+    """
+    source, target = sides(source_points, source_faces), sides(target_points, target_faces)
+    if source.sign * target.sign == -1:
+        which = "target" if target.sign < 0 else "source"
+        raise SettingsError(f"the {which} is inside out, its volume is negative; {_CURE}")
+    if source.sign * target.sign == 0 and registered is not None:
+        share = _against(registered, source_faces, target_points, target_faces)
+        if share > 0.5:
+            raise SettingsError(
+                f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of "
+                f"them is inside out; of the target, {_CURE}"
+            )
+    turned = np.flatnonzero(target.signs * target.sign == -1)
+    if turned.size:
+        named = ", ".join(f"that of triangle {target.faces[number]}" for number in turned[:NAMED])
+        more = f" and {len(turned) - NAMED} more" if len(turned) > NAMED else ""
+        warnings.warn(
+            f"{len(turned)} of {len(target.faces)} components of the target are inside out ({named}{more}); "
+            "turn their triangles over if they are no cavities",
+            MixseqWarning,
+            stacklevel=2,
+        )
+
+
+def _against(
+    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
+) -> float:
+    """Share of a target's area whose normals are opposite to those of the closest triangles of a source."""
+    from mixseq.geometry.nearest import Nearest
+
+    fitted = Surface(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
+    target = Surface(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
+    found = Nearest.of(fitted.points, fitted.faces).query(target.centroids)
+    opposite = np.einsum("fi,fi->f", fitted.face_normals[found.faces], target.face_normals) < 0
+    return float(target.face_areas[opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))

@@ -1,0 +1,133 @@
+"""A triangle mesh in one pose, with what registration and matching ask of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.nearest import Found, Nearest
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh in one pose.
+
+    Attributes
+    ----------
+    points : (V, 3) float64
+        Vertices.
+    topology : Topology
+        Its faces.
+    """
+
+    points: Float
+    topology: Topology
+
+    @cached_property
+    def faces(self) -> Index:
+        """Triangles ``(F, 3)``."""
+        return self.topology.faces.astype(np.int64)
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Length of the diagonal of the bounding box."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def vectors(self) -> Float:
+        """Vector areas ``(F, 3)`` of the triangles."""
+        a, b, c = (self.points[self.faces[:, k]] for k in range(3))
+        return np.asarray(np.cross(b - a, c - a) / 2)
+
+    @cached_property
+    def face_areas(self) -> Float:
+        """Areas ``(F,)`` of the triangles."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=1))
+
+    @cached_property
+    def face_normals(self) -> Float:
+        """Unit normals ``(F, 3)``; zero where a triangle has no area."""
+        return _unit(self.vectors)
+
+    @cached_property
+    def centroids(self) -> Float:
+        """Centroids ``(F, 3)`` of the triangles."""
+        return np.asarray(self.points[self.faces].mean(axis=1))
+
+    @cached_property
+    def vertex_areas(self) -> Float:
+        """A third ``(V,)`` of the areas of the triangles at every vertex."""
+        third = np.repeat(self.face_areas / 3, 3)
+        return np.asarray(np.bincount(self.faces.reshape(-1), third, len(self.points)), dtype=np.float64)
+
+    @cached_property
+    def vertex_normals(self) -> Float:
+        """Unit normals ``(V, 3)``: the mean of the triangles' by area; zero where there is none."""
+        corners = self.faces.reshape(-1)
+        sums = [
+            np.bincount(corners, weights=np.repeat(self.vectors[:, d], 3), minlength=len(self.points))
+            for d in range(3)
+        ]
+        return _unit(np.stack(sums, axis=1))
+
+    @cached_property
+    def squared_lengths(self) -> Float:
+        """Squared lengths ``(E,)`` of the edges."""
+        i, j = self.topology.edges.T
+        return np.asarray(np.sum((self.points[j] - self.points[i]) ** 2, axis=1))
+
+    @cached_property
+    def edge_areas(self) -> Float:
+        """A third ``(E,)`` of the areas of the triangles at every edge."""
+        third = np.repeat(self.face_areas / 3, 3)
+        edges = self.topology.face_edges.reshape(-1)
+        return np.asarray(np.bincount(edges, third, len(self.topology.edges)), dtype=np.float64)
+
+    def between(self, faces: Index, weights: Float) -> Float:
+        """Points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
+        return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
+
+    def nearest_vertex(self, among: Index, to: Index) -> int:
+        """The vertex of the first that is nearest to any vertex of the second; of equals the lowest."""
+        from scipy.spatial import cKDTree
+
+        distances, places = (
+            np.asarray(found) for found in cKDTree(self.points[among]).query(self.points[to])
+        )
+        return int(among[places[np.argmin(distances)]])
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some triangles of a surface, to be asked for closest points.
+
+    Attributes
+    ----------
+    surface : Surface
+    chosen : (n,) int64
+        The triangles.
+    """
+
+    surface: Surface
+    chosen: Index
+
+    @cached_property
+    def _nearest(self) -> Nearest:
+        return Nearest.of(self.surface.points, self.surface.faces[self.chosen])
+
+    def closest(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
+        """Find closest points, where the surface faces the same way; triangles are numbered as in the surface."""
+        found = self._nearest.query(points, normals, largest_angle)
+        return Found(np.where(found.faces >= 0, self.chosen[found.faces], -1), found.weights, found.distances)
+
+
+def _unit(vectors: Float) -> Float:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))

@@ -1,0 +1,163 @@
+"""The closest points of a triangle mesh to given points, exactly, optionally only where the mesh faces the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.geometry.box_tree import BoxTree
+from mixseq.geometry.triangles import corners_of, unit_normals
+from mixseq.sequence import FloatArray, IntArray
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ROUNDING = 1e-12  # of cosines, so that angles of 0 and 180 degrees count what they should
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Closest points of a mesh.
+
+    Attributes
+    ----------
+    faces : (n,) int64
+        Their triangles; -1 where there is none: no triangle faces the same way, or the mesh is empty.
+    weights : (n, 3) float64
+        Their barycentric coordinates, in [0, 1] and adding to one; 0 where there is none.
+    distances : (n,) float64
+        Their distances from the queries, in the unit of the points; infinite where there is none.
+    """
+
+    faces: Index
+    weights: Float
+    distances: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """A triangle mesh that can be asked for its closest points.
+
+    Attributes
+    ----------
+    tree : BoxTree
+        Boxes around the triangles.
+    corners : (F, 3, 3) float64
+        Corners of the triangles, in the order of the tree, and those of a triangle by x, y, z: triangles that share
+        a side run along it the same way, seams or not, and compute the same bits, so that ties are ties.
+    sorting : (F, 3) int64
+        Which corner of triangle f (in the mesh's order) comes first, second, third in that.
+    normals : (F, 3) float64
+        Unit normals in the order of the tree, NaN where a triangle has no area.
+    bounds : (2 L, 6) float64
+        Least and largest x, y, z of the normals in every node of the tree.
+    """
+
+    tree: BoxTree
+    corners: Float
+    sorting: Index
+    normals: Float
+    bounds: Float
+
+    @classmethod
+    def of(cls, points: FloatArray, faces: IntArray) -> Nearest:
+        """Prepare the mesh of triangles ``(F, 3)`` of points ``(V, 3)``.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If they are no triangle mesh, or a corner is not finite.
+        """
+        corners = corners_of(points, faces)
+        tree = BoxTree.of(corners)
+        sorting = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
+        by_place = np.take_along_axis(corners, sorting[..., None], axis=1)[tree.order]
+        normals = unit_normals(corners)
+        return cls(tree, by_place, sorting, normals[tree.order], tree.bounds(normals))
+
+    def query(
+        self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
+    ) -> Found:
+        """Find the closest points.
+
+        Parameters
+        ----------
+        queries : (n, 3) float
+            Points.
+        normals : (n, 3) float, optional
+            Directions, of any length: only triangles whose normal (counter-clockwise, from outside) is within the
+            largest angle count, and none for a direction of length 0. By default all count, also those without area,
+            as segments or points.
+        largest_angle : float
+            In degrees, from 0 to 180.
+
+        Returns
+        -------
+        Found
+            Of several equally close triangles the first of the mesh.
+
+        Raises
+        ------
+        SettingsError
+            If shapes do not fit, a query is not finite, or the angle is outside its range.
+
+        Examples
+        --------
+        >>> mesh = Nearest.of(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+        >>> found = mesh.query(np.array([[0.25, 0.25, 2.0], [3.0, 0.0, 0.0]]))
+        >>> found.weights.tolist(), found.distances.tolist()
+        ([[0.5, 0.25, 0.25], [0.0, 1.0, 0.0]], [2.0, 2.0])
+        >>> mesh.query(np.array([[0.25, 0.25, 2.0]]), np.array([[0.0, 0, -1]])).faces.tolist()
+        [-1]
+        """
+        from mixseq.geometry.nearest_kernels import closest
+
+        queries = _directions_or_points(queries, "queries")
+        facing = np.empty((0, 3))
+        if normals is not None:
+            facing = _directions_or_points(normals, "normals")
+            if len(facing) != len(queries):
+                raise SettingsError(
+                    f"there are {len(queries)} queries and {len(facing)} normals; give as many"
+                )
+            lengths = np.sqrt(np.einsum("ni,ni->n", facing, facing))[:, None]
+            facing = facing / np.where(lengths > 0, lengths, np.nan)
+        if not 0 <= largest_angle <= 180:
+            raise SettingsError(f"the largest angle is {largest_angle}; give degrees from 0 to 180")
+        cosine = float(np.cos(np.radians(largest_angle))) - ROUNDING
+        count = len(queries)
+        faces, by_place, squares = np.empty(count, np.int64), np.empty((count, 3)), np.empty(count)
+        tree = self.tree
+        closest(
+            self.corners,
+            self.normals,
+            tree.order,
+            tree.firsts,
+            tree.boxes,
+            self.bounds,
+            queries,
+            facing,
+            cosine,
+            faces,
+            by_place,
+            squares,
+        )
+        weights = np.zeros((count, 3))
+        some = np.flatnonzero(faces >= 0)
+        weights[some[:, None], self.sorting[faces[some]]] = np.maximum(by_place[some], 0.0)
+        return Found(faces, weights, np.sqrt(squares))
+
+
+def _directions_or_points(values: FloatArray, what: str) -> Float:
+    result = np.array(
+        values, dtype=np.float64, order="C"
+    )  # a copy: read-only arrays would be compiled for again
+    if result.ndim != 2 or result.shape[1] != 3:
+        raise SettingsError(f"{what} have the shape {result.shape}; give (n, 3)")
+    broken = ~np.isfinite(result).all(axis=1)
+    if broken.any():
+        raise SettingsError(f"{what}[{int(broken.argmax())}] is not finite; give finite {what}")
+    return result

@@ -1,0 +1,145 @@
+r"""The inner loops of `mixseq.geometry.nearest`, compiled.
+
+With corners a, b, c relative to the query, the closest point of a triangle is the closest of four:
+
+- on each side :math:`pq` the point :math:`p + t (q - p)`, with :math:`t = -p \cdot (q - p) / |q - p|^2` within [0, 1];
+- the foot of the perpendicular, if it is inside: with :math:`n = (b - a) \times (c - a)` it has the weights
+  :math:`w_b = n \cdot (c \times a) / |n|^2` and :math:`w_c = n \cdot (a \times b) / |n|^2`.
+
+Of slivers and of triangles without area the foot is inaccurate or missing, the points on the sides are not. So all
+are tried, and the closest taken, instead of the regions of Ericson (Real-Time Collision Detection, 2005, 5.1.5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.compiled import compiled
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SAFE = 1.0 - 1e-14  # a box is as close as a triangle in it, but for rounding
+SLACK = 1e-14  # of cosines, likewise
+
+
+@compiled
+def _on_side(p0: float, p1: float, p2: float, q0: float, q1: float, q2: float) -> tuple[float, float]:
+    """Return the squared distance of the origin to the segment pq, and the weight of q."""
+    e0, e1, e2 = q0 - p0, q1 - p1, q2 - p2
+    square = e0 * e0 + e1 * e1 + e2 * e2
+    t = -(p0 * e0 + p1 * e1 + p2 * e2)
+    t = 0.0 if t <= 0.0 else 1.0 if t >= square else t / square
+    if t == 1.0:  # the bits of the corner, so that all triangles around it are equally far
+        return q0 * q0 + q1 * q1 + q2 * q2, t
+    r0, r1, r2 = p0 + t * e0, p1 + t * e1, p2 + t * e2
+    return r0 * r0 + r1 * r1 + r2 * r2, t
+
+
+@compiled
+def _on_triangle(corners: Float, q0: float, q1: float, q2: float) -> tuple[float, float, float]:
+    """Return the squared distance of a query to a triangle, and the weights of its second and third corner."""
+    a0, a1, a2 = corners[0, 0] - q0, corners[0, 1] - q1, corners[0, 2] - q2
+    b0, b1, b2 = corners[1, 0] - q0, corners[1, 1] - q1, corners[1, 2] - q2
+    c0, c1, c2 = corners[2, 0] - q0, corners[2, 1] - q1, corners[2, 2] - q2
+    best, second = _on_side(a0, a1, a2, b0, b1, b2)
+    third = 0.0
+    square, t = _on_side(a0, a1, a2, c0, c1, c2)
+    if square < best:
+        best, second, third = square, 0.0, t
+    square, t = _on_side(b0, b1, b2, c0, c1, c2)
+    if square < best:
+        best, second, third = square, 1.0 - t, t
+    u0, u1, u2 = b0 - a0, b1 - a1, b2 - a2
+    v0, v1, v2 = c0 - a0, c1 - a1, c2 - a2
+    n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+    square = n0 * n0 + n1 * n1 + n2 * n2
+    s = (n0 * (v1 * a2 - v2 * a1) + n1 * (v2 * a0 - v0 * a2) + n2 * (v0 * a1 - v1 * a0)) / square
+    t = (n0 * (a1 * u2 - a2 * u1) + n1 * (a2 * u0 - a0 * u2) + n2 * (a0 * u1 - a1 * u0)) / square
+    if s > 0.0 and t > 0.0 and s + t < 1.0:  # never where the square is 0 and they are NaN
+        r0, r1, r2 = a0 + s * u0 + t * v0, a1 + s * u1 + t * v1, a2 + s * u2 + t * v2
+        square = r0 * r0 + r1 * r1 + r2 * r2
+        if square < best:
+            best, second, third = square, s, t
+    return best, second, third
+
+
+@compiled
+def _to_box(box: Float, q0: float, q1: float, q2: float) -> float:
+    """Return the squared distance of a query to a box."""
+    d0 = max(box[0] - q0, q0 - box[3], 0.0)
+    d1 = max(box[1] - q1, q1 - box[4], 0.0)
+    d2 = max(box[2] - q2, q2 - box[5], 0.0)
+    square: float = d0 * d0 + d1 * d1 + d2 * d2
+    return square
+
+
+@compiled
+def _faces_away(bounds: Float, m0: float, m1: float, m2: float, cosine: float) -> bool:
+    """Tell whether no normal within bounds has the cosine with the given one, or there is none."""
+    product = m0 * (bounds[3] if m0 > 0.0 else bounds[0])
+    product += m1 * (bounds[4] if m1 > 0.0 else bounds[1])
+    product += m2 * (bounds[5] if m2 > 0.0 else bounds[2])
+    return not product >= cosine - SLACK
+
+
+@compiled
+def closest(
+    corners: Float,
+    normals: Float,
+    order: Index,
+    firsts: Index,
+    boxes: Float,
+    bounds: Float,
+    queries: Float,
+    facing: Float,
+    cosine: float,
+    faces: Index,
+    weights: Float,
+    squares: Float,
+) -> None:
+    """Write the triangle, weights and squared distance of the closest point to every query.
+
+    Corners and normals are in the order of the tree; boxes and bounds, those of the normals, are of its nodes. Only
+    triangles whose normal has at least the given cosine with the query's count; all where `facing` is empty.
+    """
+    leaves = len(firsts) - 1
+    nodes = np.empty(64, dtype=np.int64)
+    nearness = np.empty(64)
+    gated = len(facing) > 0
+    for k in range(len(queries)):
+        q0, q1, q2 = queries[k, 0], queries[k, 1], queries[k, 2]
+        best, found, second, third = np.inf, -1, 0.0, 0.0
+        nodes[0], nearness[0] = 1, 0.0
+        height = 1
+        while height > 0:
+            height -= 1
+            if not nearness[height] * SAFE <= best:
+                continue
+            node = nodes[height]
+            if gated and _faces_away(bounds[node], facing[k, 0], facing[k, 1], facing[k, 2], cosine):
+                continue
+            if node < leaves:
+                near, far = 2 * node, 2 * node + 1
+                to_near, to_far = _to_box(boxes[near], q0, q1, q2), _to_box(boxes[far], q0, q1, q2)
+                if to_far < to_near:
+                    near, far, to_near, to_far = far, near, to_far, to_near
+                nodes[height], nearness[height] = far, to_far
+                nodes[height + 1], nearness[height + 1] = near, to_near
+                height += 2
+                continue
+            for place in range(firsts[node - leaves], firsts[node - leaves + 1]):
+                if gated:
+                    product = (
+                        normals[place, 0] * facing[k, 0]
+                        + normals[place, 1] * facing[k, 1]
+                        + normals[place, 2] * facing[k, 2]
+                    )
+                    if not product >= cosine:  # nor where one of them is NaN
+                        continue
+                square, s, t = _on_triangle(corners[place], q0, q1, q2)
+                if square < best or (square == best and (found < 0 or order[place] < found)):
+                    best, found, second, third = square, order[place], s, t
+        faces[k], squares[k] = found, best
+        weights[k, 0], weights[k, 1], weights[k, 2] = 1.0 - second - third, second, third

@@ -1,0 +1,135 @@
+"""The contact sheet of a transfer: the source above, the target below, at rest and in some frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
+from mixseq.plots.colours import INK, part_colours
+from mixseq.plots.drawing import draw_mesh
+from mixseq.plots.layout import Sheet, Target
+from mixseq.sequence import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from mixseq.retargeting.transfer import Transfer
+
+Index = NDArray[np.int64]
+
+
+def transfer_sheet(
+    target: Target,
+    transfer: Transfer,
+    frames: Sequence[int],
+    points: FloatArray,
+    title: str | None = None,
+) -> None:
+    """Draw source and target one above the other, as a PNG.
+
+    Both are seen from the same side, each as large as its own poses allow, and are at rest in the first column. Parts
+    have the same colour on both.
+
+    Parameters
+    ----------
+    target : path or binary file
+        Where the PNG goes.
+    transfer : Transfer
+        The transfer.
+    frames : sequence of int
+        Frames to be drawn.
+    points : (n, V', 3) float
+        The target's points in these frames.
+    title : str, optional
+        Heading, by default the names of both.
+
+    Raises
+    ------
+    SettingsError
+        If there are not as many frames of points, or they are of another mesh.
+    """
+    headers = here, there = transfer.source.header, transfer.header
+    if points.shape != (len(frames), there.vertex_count, 3):
+        raise SettingsError(
+            f"points have shape {points.shape}; {(len(frames), there.vertex_count, 3)} is expected, a pose of the "
+            "target for every frame"
+        )
+    moving = transfer.source.points[np.asarray(frames, dtype=np.int64)]
+    at_rest = transfer.source.rest, transfer.target
+    poses = [np.concatenate([x[None], y]) for x, y in zip(at_rest, (moving, points), strict=True)]
+    labels = parts_of_both(transfer)
+    palette = part_colours(int(labels[0].max()) + 1)
+
+    near = broadside(transfer.source.rest, here.up_axis)
+    views = near, View(near.azimuth + heading(transfer), near.elevation)
+    limits = [
+        shared_limits(x, header.up_axis, view) for x, header, view in zip(poses, headers, views, strict=True)
+    ]
+    aspect = max((top - bottom) / (right - left) for left, right, bottom, top in limits)
+    names = title or f"{here.name}: its motion on {there.name}"
+    sheet = Sheet.of(2, 1 + len(frames), aspect, names, left=1.25)
+    for row, (what, header) in enumerate(zip(("source", "target"), headers, strict=True)):
+        sheet.label_row(row, f"{what}\n{header.vertex_count:,}\nvertices")
+        ground = float(y_up(poses[row], header.up_axis)[..., 1].min())
+        look = header.up_axis, views[row], _of_aspect(limits[row], aspect), ground
+        for ax, x in zip(sheet.panels[row], poses[row], strict=True):
+            draw_mesh(ax, x, header.faces, palette[labels[row]], *look)
+    columns = ["at rest", *(f"{here.times[frame]:.3f} s" for frame in frames)]
+    for ax, text in zip(sheet.panels[0], columns, strict=True):
+        ax.set_title(text, fontsize=9, color=INK, pad=2)
+    sheet.save(target)
+
+
+def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
+    """Return the part of every triangle of the source ``(F,)``, and which of them moves those of the target ``(F',)``.
+
+    Gradients know no parts: those of the source are what its motion tells, and they are carried to the target.
+    """
+    from mixseq.retargeting.mixed import MixedTransfer
+
+    mover = transfer.mover
+    if isinstance(mover, MixedTransfer):
+        carried = mover.carried
+        return mover.source.part_of_face, carried.sources[carried.decomposition.part_of_face]
+    labels = transfer.source.part_of_face()
+    return labels, carried_labels(transfer, labels)
+
+
+def carried_labels(transfer: Transfer, part_of_face: IntArray) -> Index:
+    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``.
+
+    Triangles without a source have the label of one at the vertex that they follow.
+    """
+    mapping, faces = transfer.correspondence, transfer.header.faces
+    labels, known = np.asarray(part_of_face, dtype=np.int64), mapping.faces >= 0
+    at_vertex = np.zeros(transfer.header.vertex_count, dtype=np.int64)
+    at_vertex[faces[known]] = labels[mapping.faces[known], None]
+    first = (~mapping.matched[faces]).argmax(axis=1)  # the corner that follows
+    led = at_vertex[mapping.leaders[faces[np.arange(len(faces)), first]]]
+    return np.where(known, labels[np.maximum(mapping.faces, 0)], led)
+
+
+def heading(transfer: Transfer) -> float:
+    """Return by how many degrees about the up axis the target stands turned from the source, 0 if unknown.
+
+    It is the turn that best takes the source's points at rest to those of the target, seen from above.
+    """
+    matched = transfer.correspondence.matched
+    source = y_up(
+        transfer.correspondence.carry(transfer.source.rest)[matched], transfer.source.header.up_axis
+    )
+    target = y_up(transfer.target[matched], transfer.header.up_axis)
+    a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
+    along, across = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
+    return float(np.degrees(np.arctan2(across, along)))
+
+
+def _of_aspect(limits: Limits, aspect: float) -> Limits:
+    """Widen a rectangle about its middle until its height per width is as given."""
+    left, right, bottom, top = limits
+    width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
+    x, y = (left + right) / 2, (bottom + top) / 2
+    return x - width / 2, x + width / 2, y - height / 2, y + height / 2

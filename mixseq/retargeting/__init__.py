@@ -1,0 +1,1 @@
+"""The motion of one mesh on another: deformation transfer."""

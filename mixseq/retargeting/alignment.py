@@ -1,0 +1,77 @@
+r"""How the target stands to the source as a whole: a rotation and a scale.
+
+Motions are carried by it: what moves the source by F moves the target by :math:`G F G^T`, and a shift d is s G d. The
+scale is the ratio of radii, not that of least squares: with source and target exchanged it is the inverse.
+
+Bodies of other proportions are no copies, and the rotation that fits them best is a little askew: a camel's neck and
+hump turn it eight degrees against a horse that stands beside it. So the nearest quarter turn (or none) is taken,
+unless it fits clearly worse; both numbers are ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.rigid import kabsch
+
+Float = NDArray[np.float64]
+
+ASKEW = 1.5
+"""A quarter turn is taken if its distances are at most this many times those of the best rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A rotation G ``(3, 3)``, proper, and a scale s > 0."""
+
+    rotation: Float
+    scale: float
+
+    def shifted(self, shifts: Float) -> Float:
+        """Return shifts ``(..., 3)`` of the source as they are for the target."""
+        return np.asarray(self.scale * shifts @ self.rotation.T)
+
+    def turned_points(self, points: Float) -> Float:
+        """Return points ``(..., 3)`` of the source, turned as the target is."""
+        return np.asarray(points @ self.rotation.T)
+
+    def turned(self, matrices: Float) -> Float:
+        """Return matrices ``(..., 3, 3)`` that act on the source as they act on the target."""
+        return np.asarray(self.rotation @ matrices @ self.rotation.T)
+
+
+def align(source: Float, target: Float, weights: Float) -> Alignment:
+    """Find the rotation and the scale that take points onto others.
+
+    Parameters
+    ----------
+    source, target : (n, 3) float64
+        The points, not all in one place.
+    weights : (n,) float64
+        What each counts.
+    """
+    weights = weights / weights.sum()
+    from_centre, to_centre = source - weights @ source, target - weights @ target
+    radii = [np.sqrt(weights @ np.square(x).sum(axis=1)) for x in (from_centre, to_centre)]
+    scale = float(radii[1] / radii[0])
+    best, _ = kabsch(from_centre, to_centre, weights)
+    simple = max(_quarter_turns(), key=lambda turn: float(np.sum(turn * best)))
+    away = [
+        np.sqrt(weights @ np.square(to_centre - scale * from_centre @ turn.T).sum(axis=1))
+        for turn in (best, simple)
+    ]
+    return Alignment(simple if away[1] <= ASKEW * away[0] else best, scale)
+
+
+def _quarter_turns() -> list[Float]:
+    """The 24 rotations that take axes to axes."""
+    matrices = [
+        np.array(signs)[:, None] * np.eye(3)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return [matrix for matrix in matrices if np.linalg.det(matrix) > 0]

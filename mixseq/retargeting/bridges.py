@@ -1,0 +1,101 @@
+"""Bridges: what holds the pieces of a mesh together that no edge connects, such as eyes, teeth and shoes.
+
+Every piece but the first is held at one vertex by one vertex of another piece: by the nearest of those that are held
+already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are held by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Bridges:
+    """A tree of pieces.
+
+    Attributes
+    ----------
+    root : int
+        The piece that holds all others.
+    pieces : (n,) int64
+        The others, each after the piece that holds it.
+    own, other : (n,) int64
+        The vertex by which each is held, and the one that holds it.
+    holders : (n,) int64
+        The piece of that vertex.
+    """
+
+    root: int
+    pieces: Index
+    own: Index
+    other: Index
+    holders: Index
+
+    def __len__(self) -> int:
+        return len(self.pieces)
+
+
+def bridges(pieces: Sequence[Index], points: Float, leaders: Index) -> Bridges:
+    """Find what holds the pieces of a mesh.
+
+    Parameters
+    ----------
+    pieces : sequence of (n_k,) int64
+        Vertices of every piece.
+    points : (V, 3) float64
+        The mesh at rest.
+    leaders : (V,) int64
+        The vertex that each vertex follows, itself if none.
+
+    Returns
+    -------
+    Bridges
+        The piece with the largest bounding box that follows nobody is the root.
+    """
+    led = np.array([bool((leaders[each] != each).all()) for each in pieces])
+    sizes = np.array([np.linalg.norm(np.ptp(points[each], axis=0)) for each in pieces])
+    root = int(np.argmax(np.where(led, -1.0, sizes)))
+    free = [number for number in range(len(pieces)) if number != root and not led[number]]
+    rows = _spanning_tree(pieces, points, root, free)
+    home = np.full(len(points), -1, dtype=np.int64)
+    for number in np.flatnonzero(~led)[::-1].tolist():
+        home[pieces[number]] = number
+    for number in np.flatnonzero(led).tolist():
+        other = int(leaders[pieces[number][0]])
+        near = np.linalg.norm(points[pieces[number]] - points[other], axis=1).argmin()
+        rows.append((number, int(pieces[number][near]), other, int(home[other])))
+    table = np.array(rows, dtype=np.int64).reshape(-1, 4)
+    return Bridges(root, *table.T)
+
+
+def _spanning_tree(
+    pieces: Sequence[Index], points: Float, root: int, free: list[int]
+) -> list[tuple[int, int, int, int]]:
+    """Rows of piece, own vertex, other vertex, holder."""
+    if not free:
+        return []
+    vertices = np.concatenate([pieces[number] for number in free])
+    owner = np.repeat(free, [len(pieces[number]) for number in free])
+    distance = np.full(len(vertices), np.inf)
+    other = np.zeros((2, len(vertices)), dtype=np.int64)
+    rows: list[tuple[int, int, int, int]] = []
+    newest = root
+    while len(vertices):
+        found, nearest = map(np.asarray, cKDTree(points[pieces[newest]]).query(points[vertices]))
+        closer = found < distance
+        distance[closer] = found[closer]
+        other[0, closer], other[1, closer] = pieces[newest][nearest[closer]], newest
+        first = int(distance.argmin())
+        newest = int(owner[first])
+        rows.append((newest, int(vertices[first]), int(other[0, first]), int(other[1, first])))
+        rest = owner != newest
+        vertices, owner, distance, other = vertices[rest], owner[rest], distance[rest], other[:, rest]
+    return rows

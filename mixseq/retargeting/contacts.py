@@ -1,0 +1,212 @@
+"""Feet that do not slide: where contacts rest in the source, those of the target rest too.
+
+When they rest tells `mixseq.retargeting.stance`. Then the whole body is moved as far as its feet agree
+(`mixseq.retargeting.footing`), and limbs turn by what is left (`mixseq.retargeting.limbs`). A foot in the air keeps to
+its path, although its limb may share parts with others.
+
+The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
+Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.retargeting.footing import faded, misses, shared
+from mixseq.retargeting.limbs import reached
+from mixseq.retargeting.linkage import Contact, Linkage
+from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
+from mixseq.sequence import FloatArray
+
+Float = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-9
+"""Feet that slide less are left as they are, in diagonals."""
+
+
+@dataclass(frozen=True)
+class GroupReport:
+    """What became of one contact. Lengths are in diagonals of the target.
+
+    Attributes
+    ----------
+    name : str
+        The contact.
+    stances : tuple of Stance
+        When it rests.
+    before, after : float
+        Length of the way of its middle in all stances, as transferred and as corrected.
+    residual : float
+        The most that its limb got longer, as turning did not suffice.
+    """
+
+    name: str
+    stances: tuple[Stance, ...]
+    before: float
+    after: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class ContactReport:
+    """What became of all contacts.
+
+    Attributes
+    ----------
+    groups : tuple of GroupReport
+        One for each contact.
+    shift : float
+        The most that the whole body was moved, in diagonals of the target.
+    turn : float
+        The most that a part of a limb was turned, in degrees.
+    """
+
+    groups: tuple[GroupReport, ...] = ()
+    shift: float = 0.0
+    turn: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """Motions of parts with feet that do not slide.
+
+    Attributes
+    ----------
+    rotations : (T, p, 3, 3) float64
+        Of the parts.
+    centres : (T, p, 3) float64
+        Where their rest centres go.
+    report : ContactReport
+        What was done.
+    """
+
+    rotations: Float
+    centres: Float
+    report: ContactReport
+
+
+def plant(
+    linkage: Linkage,
+    rotations: Float,
+    centres: Float,
+    contacts: Sequence[Contact],
+    trajectories: Sequence[FloatArray],
+    up: str,
+    fps: float,
+    diagonal: float,
+    settings: StanceSettings | None = None,
+) -> Planted:
+    """Keep contacts from sliding while those of the source rest.
+
+    Parameters
+    ----------
+    linkage : Linkage
+        The target's parts.
+    rotations, centres : (T, p, 3, 3), (T, p, 3) float64
+        Their motions as transferred.
+    contacts : sequence of Contact
+        Groups of vertices of the target.
+    trajectories : sequence of (T, k, 3) float
+        Of every contact, the way of the same points on the source, in the target's units.
+    up : "X", "Y" or "Z"
+        Axis that points up.
+    fps : float
+        Frames per second.
+    diagonal : float
+        That of the target, in its units.
+    settings : StanceSettings, optional
+        What counts as rest.
+
+    Returns
+    -------
+    Planted
+        Without contacts, and where nothing slides, the very motions that were given.
+
+    Raises
+    ------
+    SettingsError
+        If a contact has no trajectory or not of as many frames, its vertices follow no part, or parts of several limbs;
+        and as `stances` does.
+
+    Warns
+    -----
+    MixseqWarning
+        If a contact never rests in the source.
+    """
+    lengths = [len(path) for path in trajectories]
+    if lengths != len(contacts) * [len(centres)]:
+        raise SettingsError(
+            f"there are {len(contacts)} contacts and motions of {len(centres)} frames, but {len(lengths)} paths of "
+            f"{', '.join(map(str, lengths)) or 'no'} frames; give one path for each contact, over all frames"
+        )
+    for contact in contacts:
+        linkage.limb(contact)
+    axis = axis_of(up)
+    found = tuple(
+        stances(contact.name, path, up, fps, diagonal, settings)
+        for contact, path in zip(contacts, trajectories, strict=True)
+    )
+    _warn_of_restless(contacts, found)
+    before = _paths(linkage, contacts, rotations, centres)
+    missed = misses(before, found, NEGLIGIBLE * diagonal)
+    if not missed.any():
+        groups = _groups(contacts, found, before, before, np.zeros(len(contacts)), diagonal)
+        return Planted(rotations, centres, ContactReport(groups))
+    shift, left = shared(missed, found, axis, fps)
+    moves = np.stack([faded(*pair, fps) for pair in zip(left, found, strict=True)], axis=1)
+    result = reached(linkage, rotations, centres + shift[:, None], contacts, moves)
+    after = _paths(linkage, contacts, result.rotations, result.centres)
+    residuals = np.linalg.norm(result.left, axis=2).max(axis=0)
+    groups = _groups(contacts, found, before, after, residuals, diagonal)
+    report = ContactReport(
+        groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, _angle(result.turns)
+    )
+    return Planted(result.rotations, result.centres, report)
+
+
+def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stance]]) -> None:
+    for contact, some in zip(contacts, found, strict=True):
+        if not some:
+            warnings.warn(
+                f"contact '{contact.name}' never rests on the ground in the source, so nothing holds it; if the source "
+                "walks on the spot, move it over the ground first",
+                MixseqWarning,
+                stacklevel=3,
+            )
+
+
+def _paths(linkage: Linkage, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
+    """Middles ``(g, T, 3)`` of contacts."""
+    paths = [linkage.placed(each.points, each.parts, rotations, centres).mean(axis=1) for each in contacts]
+    return np.array(paths).reshape(len(contacts), len(centres), 3)
+
+
+def _angle(turns: Float) -> float:
+    """Return the largest angle of rotations, in degrees."""
+    lowest = np.trace(turns, axis1=2, axis2=3).min(initial=3.0)
+    return float(np.degrees(np.arccos(np.clip((lowest - 1.0) / 2.0, -1.0, 1.0))))
+
+
+def _groups(
+    contacts: Sequence[Contact],
+    found: Sequence[tuple[Stance, ...]],
+    before: Float,
+    after: Float,
+    residuals: Float,
+    diagonal: float,
+) -> tuple[GroupReport, ...]:
+    def slide(path: Float, some: Sequence[Stance]) -> float:
+        steps = [np.linalg.norm(np.diff(path[stance.frames], axis=0), axis=1).sum() for stance in some]
+        return float(sum(steps)) / diagonal
+
+    rows = zip(contacts, found, before, after, residuals.tolist(), strict=True)
+    return tuple(
+        GroupReport(contact.name, some, slide(old, some), slide(new, some), residual / diagonal)
+        for contact, some, old, new, residual in rows
+    )

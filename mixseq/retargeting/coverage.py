@@ -1,0 +1,120 @@
+"""How much of a target has a counterpart on the source, and what follows instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.retargeting.transfer import Transfer
+from mixseq.sequence import IntArray, SequenceHeader
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A component of the target, or some vertices of it, that has no counterpart and follows a vertex.
+
+    Attributes
+    ----------
+    name : str
+        The component.
+    vertices : int
+        How many vertices follow.
+    leader : int
+        The vertex that they follow; the first one, if there are several.
+    leads : str
+        The component of that vertex.
+    """
+
+    name: str
+    vertices: int
+    leader: int
+    leads: str
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of a target has a counterpart.
+
+    Attributes
+    ----------
+    vertices : float
+        Share of its vertices that are on the source.
+    area : float
+        Share of its area whose triangles are moved by a triangle of the source.
+    source_area : float
+        Share of the source's area whose triangles move one of the target's.
+    followers : tuple of Follower
+        What follows, component by component.
+    """
+
+    vertices: float
+    area: float
+    source_area: float
+    followers: tuple[Follower, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        shares = {"vertices": self.vertices, "area": self.area, "source_area": self.source_area}
+        return shares | {"followers": [vars(follower) for follower in self.followers]}
+
+
+def coverage(transfer: Transfer) -> Coverage:
+    """Find out how much of the target has a counterpart on the source."""
+    mapping, header = transfer.correspondence, transfer.header
+    topology = Topology(header.faces, header.vertex_count)
+    component = topology.component_of_vertex
+    names = component_names(header, topology)
+    followers = []
+    for number in np.unique(component[~mapping.matched]).tolist():
+        led = np.flatnonzero((component == number) & ~mapping.matched)
+        leader = int(mapping.leaders[led[0]])
+        followers.append(Follower(names[number], len(led), leader, names[int(component[leader])]))
+    known = mapping.faces >= 0
+    moving = np.zeros(len(transfer.source.header.faces), dtype=np.bool_)
+    moving[mapping.faces[known]] = True
+    return Coverage(
+        vertices=float(mapping.matched.mean()),
+        area=_share(known, _areas(transfer.target, header.faces)),
+        source_area=_share(moving, _areas(transfer.source.rest, transfer.source.header.faces)),
+        followers=tuple(followers),
+    )
+
+
+def component_names(header: SequenceHeader, topology: Topology) -> list[str]:
+    """Name the connected components: by the object of the file that they are, or by their numbers, counted from 1.
+
+    Examples
+    --------
+    >>> from mixseq import MeshSequence
+    >>> points = np.eye(3)[[0, 1, 2, 0, 1, 2]] + np.arange(2).repeat(3)[:, None]
+    >>> mesh = MeshSequence.from_arrays(points[None], [[0, 1, 2], [3, 4, 5]])
+    >>> component_names(mesh.header, Topology(mesh.faces, 6))
+    ['component 1', 'component 2']
+    """
+    component = topology.component_of_vertex
+    counts = [each.vertex_count for each in header.objects]
+    owner = np.repeat(np.arange(len(counts)), counts)
+    names = []
+    for number in range(int(component.max()) + 1):
+        own = np.unique(owner[component == number])
+        name = header.objects[int(own[0])].name if len(counts) > 1 else ""
+        whole = len(own) == 1 and int((component == number).sum()) == counts[int(own[0])]
+        names.append(name if name and whole else f"component {number + 1}" + (f" of {name}" if name else ""))
+    return names
+
+
+def _areas(points: Float, faces: IntArray) -> Float:
+    """Twice the area ``(F,)`` of every triangle."""
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def _share(chosen: NDArray[np.bool_], areas: Float) -> float:
+    total = float(areas.sum())
+    return float(areas[chosen].sum() / total) if total > 0 else float(chosen.mean())

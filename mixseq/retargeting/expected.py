@@ -1,0 +1,136 @@
+r"""What the source says of the target's sides.
+
+The gradients J of the source's triangles and the rotation G between the two meshes say where a side s of a target
+triangle should go, :math:`s' = G J G^T s`, as in the transfer of gradients (`mixseq.retargeting.gradients`). So its
+length should be :math:`|s'| / |s|` times that at rest, and the triangle should face to where :math:`s'_1 \times s'_2`
+points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.lengths_angles import edge_lengths, flat_faces
+from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.retargeting.making import gradient_transfer
+from mixseq.retargeting.transfer import Transfer
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+FLAT = 1e-3
+"""A triangle lower than this, relative to its longest side, is flat; ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the source says of the target's sides.
+
+    Attributes
+    ----------
+    gradients : GradientTransfer
+        The two meshes at rest, and how they correspond.
+    rest, source_rest : (V', 3), (V, 3) float64
+        The two at rest, in their own units.
+    """
+
+    gradients: GradientTransfer
+    rest: Float
+    source_rest: Float
+
+    @classmethod
+    def of(cls, transfer: Transfer) -> Expected:
+        """Make it for the two meshes of a transfer, whatever its method is."""
+        topology = Topology(transfer.header.faces, transfer.header.vertex_count)
+        source = transfer.source
+        made = gradient_transfer(
+            source.topology, source.rest, topology, transfer.target, transfer.correspondence
+        )
+        return cls(made, transfer.target, source.rest)
+
+    @property
+    def topology(self) -> Topology:
+        """Connectivity of the target."""
+        return self.gradients.target.topology
+
+    @property
+    def source(self) -> Topology:
+        """Connectivity of the source."""
+        return self.gradients.source.topology
+
+    @cached_property
+    def matched(self) -> Index:
+        """Target triangles ``(n,)`` that a source triangle moves."""
+        return np.flatnonzero(self.gradients.correspondence.faces >= 0)
+
+    @cached_property
+    def flat(self) -> Mask:
+        """Target triangles ``(F',)`` that are flat at rest."""
+        return flat_faces(self.rest, self.topology.faces, FLAT)
+
+    @cached_property
+    def _sides(self) -> Float:
+        """Sides 01, 12, 20 ``(n, 3, 3)`` of the matched triangles at rest, in rows."""
+        return _sides_of(self.rest, self.topology.faces[self.matched])
+
+    @cached_property
+    def _lengths(self) -> Float:
+        """Lengths ``(E',)`` of the target's edges at rest, NaN for none."""
+        return _or_nan(edge_lengths(self.rest, self.topology.edges))
+
+    @cached_property
+    def _source_lengths(self) -> Float:
+        return _or_nan(edge_lengths(self.source_rest, self.source.edges))
+
+    def sides(self, x: Float) -> Float:
+        """Where the sides ``(n, 3, 3)`` of matched triangles should go in a frame ``(V, 3)``."""
+        faces = self.gradients.correspondence.faces[self.matched]
+        moving = self.gradients.alignment.turned(self.gradients.gradients(x)[faces])
+        return np.asarray(self._sides @ np.swapaxes(moving, 1, 2))
+
+    def stretches(self, sides: Float) -> Float:
+        """Stretches ``(E',)`` that the target's edges should have; 1 where nothing tells."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stretches = np.linalg.norm(sides, axis=2) / np.linalg.norm(self._sides, axis=2)
+        of_side = np.ones((len(self.topology.faces), 3))
+        of_side[self.matched] = stretches
+        edges = self.topology.face_edges.reshape(-1)
+        count = len(self.topology.edges)
+        return np.asarray(
+            np.bincount(edges, of_side.reshape(-1), count) / np.bincount(edges, minlength=count)
+        )
+
+    def own_stretches(self, y: Float) -> Float:
+        """Stretches ``(E',)`` of the target's edges in a frame ``(V', 3)``; NaN where they had no length."""
+        return np.asarray(edge_lengths(y, self.topology.edges) / self._lengths)
+
+    def source_stretches(self, x: Float) -> Float:
+        """Stretches ``(E,)`` of the source's edges in a frame ``(V, 3)``."""
+        return np.asarray(edge_lengths(x, self.source.edges) / self._source_lengths)
+
+    def turned_over(self, y: Float, sides: Float) -> Mask:
+        """Matched triangles ``(n,)`` whose normals point away from where they should in a frame ``(V', 3)``."""
+        own = _sides_of(y, self.topology.faces[self.matched])
+        normals, expected = (np.cross(each[:, 0], each[:, 1]) for each in (own, sides))
+        return np.asarray((normals * expected).sum(axis=1) < 0)
+
+    def newly_flat(self, y: Float) -> Mask:
+        """Triangles ``(F',)`` that are flat in a frame ``(V', 3)`` and were not at rest."""
+        return np.asarray(flat_faces(y, self.topology.faces, FLAT) & ~self.flat)
+
+
+def _sides_of(points: Float, faces: NDArray[Any]) -> Float:
+    """Sides 01, 12, 20 ``(n, 3, 3)`` of triangles ``(n, 3)``, in rows."""
+    corners = points[faces]
+    return np.asarray(np.roll(corners, -1, axis=1) - corners)
+
+
+def _or_nan(lengths: Float) -> Float:
+    return np.where(lengths > 0, lengths, np.nan)

@@ -1,0 +1,148 @@
+r"""Transfer in the space of deformation gradients S_f (Sumner and Popović 2004): the reference method.
+
+The deformation gradient :math:`J_f` of every source triangle, from rest to a frame, moves the target triangles that
+correspond to it. The target's vertices are those whose gradients are closest (`mixseq.spaces.gradient`):
+
+.. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
+
+Gradients tell nothing of where a piece is. The largest moves as the points of the source do that it corresponds to, on
+average; every other piece is held by the vertex next to it (`mixseq.retargeting.bridges`), which it turns with:
+
+.. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
+
+with the target's rest y, and the gap g between the points of the source that a and b are, which may open and close.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.retargeting.alignment import Alignment
+from mixseq.retargeting.bridges import Bridges, bridges
+from mixseq.sequence import FloatArray
+from mixseq.spaces.gradient import GradientSpace
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class GradientTransfer:
+    """From frames of the source to frames of the target.
+
+    Attributes
+    ----------
+    source, target : GradientSpace
+        The meshes at rest; both in units of their own.
+    correspondence : Correspondence
+        Where the target is on the source.
+    alignment : Alignment
+        How the target stands to the source, in the units of the meshes.
+    """
+
+    source: GradientSpace
+    target: GradientSpace
+    correspondence: Correspondence
+    alignment: Alignment
+
+    @cached_property
+    def bridges(self) -> Bridges:
+        """What holds the pieces of the target."""
+        return bridges(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
+
+    @cached_property
+    def _at_holders(self) -> sparse.csr_array:
+        """Matrix ``(n, F)`` of means over the source triangles around the points that hold pieces."""
+        return self.around(self.bridges.other)
+
+    @cached_property
+    def _led(self) -> tuple[Index, sparse.csr_array]:
+        """Target triangles ``(n,)`` that no source triangle moves, and means around the leaders they turn with."""
+        led = np.flatnonzero(self.correspondence.faces < 0)
+        corners = self.target.topology.faces[led]
+        follows = ~self.correspondence.matched[corners]
+        first = corners[np.arange(len(led)), follows.argmax(axis=1)].astype(np.int64)
+        return led, self.around(first)
+
+    def around(self, vertices: Index) -> sparse.csr_array:
+        """Matrix ``(n, F)`` of means over the source triangles at the corners of target vertices ``(n,)``."""
+        return averages_around(self.source, self.correspondence, vertices)
+
+    def gradients(self, x: FloatArray) -> Float:
+        """Gradients ``(F, 3, 3)`` of the source's triangles in a frame ``(V, 3)``."""
+        return self.source.completed(x.astype(np.float64) / self.source.scale) @ self.source.inverses
+
+    def frame(self, x: FloatArray) -> Float:
+        """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
+        target, faces = self.target, self.correspondence.faces
+        x = x.astype(np.float64)
+        gradients = self.gradients(x)
+        turns = nearest_rotations(mixed(self._at_holders, gradients))
+        moved = self.alignment.turned(gradients[np.maximum(faces, 0)])
+        led, around = self._led
+        moved[led] = self.alignment.turned(nearest_rotations(mixed(around, gradients)))
+        rows = target.integration.vertices(np.swapaxes(moved @ target.sides, 1, 2).reshape(-1, 3))
+        return self._placed(rows, x, turns) * target.scale
+
+    def _placed(self, rows: Float, x: FloatArray, turns: Float) -> Float:
+        """Put the pieces, rows ``(N, 3)``, where they belong; the result is ``(V', 3)`` in the target's unit."""
+        pieces, held, rest = self.target.pieces, self.bridges, self.target.reference
+        correspondence = self.correspondence
+        shift = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
+        own = pieces.vertices[held.root]
+        away = correspondence.carry(x / self.source.scale - self.source.reference)[own].mean(axis=0)
+        placed = rows.copy()
+        root = pieces.slices[held.root]
+        placed[root] += rest[own].mean(axis=0) + shift @ away - rows[root].mean(axis=0)
+
+        ends = pieces.rows_of(held.pieces, held.own), pieces.rows_of(held.holders, held.other)
+        gaps = correspondence.carry(np.stack([self.source.reference, x / self.source.scale]))
+        gaps = gaps[:, held.own] - gaps[:, held.other]
+        gaps[:, ~correspondence.matched[held.own]] = 0.0
+        for number, piece in enumerate(held.pieces):
+            turn = turns[number]
+            opened = shift @ (gaps[1, number] - turn @ gaps[0, number])
+            span = self.alignment.turned(turn) @ (rest[held.own[number]] - rest[held.other[number]])
+            place = placed[ends[1][number]] + span + opened
+            placed[pieces.slices[piece]] += place - placed[ends[0][number]]
+        return pieces.merged(placed)
+
+
+def mixed(weights: sparse.csr_array, matrices: Float) -> Float:
+    """Return weighted sums ``(n, 3, 3)`` of matrices ``(F, 3, 3)``."""
+    return np.asarray(weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
+
+
+def averages_around(
+    source: GradientSpace, correspondence: Correspondence, vertices: Index
+) -> sparse.csr_array:
+    """Matrix ``(n, F)`` of means, by area, over the source triangles at the corners of target vertices ``(n,)``.
+
+    Vertices without corners take those of their leaders.
+    """
+    faces = source.topology.faces
+    areas = np.linalg.norm(np.cross(source.triangles[:, :, 0], source.triangles[:, :, 1]), axis=1)
+    places = (faces.reshape(-1), np.repeat(np.arange(len(faces)), 3))
+    shape = (source.topology.vertex_count, len(faces))
+    at_vertices = sparse.coo_array((np.repeat(areas, 3), places), shape=shape).tocsr()
+    leaders = correspondence.leaders[vertices]
+    corners = correspondence.corners[leaders]
+    rows = np.repeat(np.arange(len(vertices)), 3)
+    chosen = sparse.coo_array(
+        (correspondence.weights[leaders].reshape(-1), (rows, corners.reshape(-1))),
+        shape=(len(vertices), shape[0]),
+    ).tocsr()
+    return normalised(chosen @ normalised(at_vertices))
+
+
+def normalised(weights: sparse.csr_array) -> sparse.csr_array:
+    """Scale the rows of a matrix of weights so that each adds to one; rows of zeros stay."""
+    sums = np.asarray(weights.sum(axis=1)).reshape(-1)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ weights)

@@ -1,0 +1,177 @@
+r"""Linkages: rigid parts that hang on each other by pivots, and the limbs that lead from the body to its contacts.
+
+In frame t part p has a rotation R and a centre c and takes a rest point y to :math:`R (y - m_p) + c`, with the rest
+centre m. The parts are a tree by their links: every part hangs on the one that is a link nearer to the root. The *limb*
+of a contact are the parts from the one that hangs on the root down to the one that the contact is on. As long as a leg
+is is the way through the pivots of its limb.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.sequence import FloatArray
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A named group of vertices that touch the ground together.
+
+    Attributes
+    ----------
+    name : str
+        What messages and reports call it.
+    points : (k, 3) float64
+        The vertices at rest.
+    parts : (k,) int64
+        The part that carries each.
+    """
+
+    name: str
+    points: Float
+    parts: Index
+
+
+@dataclass(frozen=True, eq=False)
+class Linkage:
+    """Rigid parts and the pivots in which they meet.
+
+    Attributes
+    ----------
+    centres : (p, 3) float64
+        Rest centres of the parts.
+    links : (n, 2) int64
+        Pairs of parts that meet.
+    pivots : (n, 3) float64
+        Where they meet, at rest.
+    root : int
+        The part that all others hang on.
+    """
+
+    centres: Float
+    links: Index
+    pivots: Float
+    root: int
+
+    @cached_property
+    def hung(self) -> dict[int, tuple[int, int]]:
+        """Of every part but the root that is linked to it: the part that it hangs on, and the link; roots first."""
+        result: dict[int, tuple[int, int]] = {}
+        reached = [self.root]
+        for part in reached:  # breadth first: the list grows
+            for link, (i, j) in enumerate(self.links.tolist()):
+                other = j if i == part else i
+                if part in (i, j) and other != self.root and other not in result:
+                    result[other] = part, link
+                    reached.append(other)
+        return result
+
+    def limb(self, contact: Contact) -> tuple[int, ...]:
+        """Return the parts from the one on the root down to the one that all vertices of a contact are on or below.
+
+        Raises
+        ------
+        SettingsError
+            If the contact has no vertices, or they follow no part, or a part that is not linked to the root, or parts
+            of several limbs.
+        """
+        name, parts = contact.name, np.unique(contact.parts).tolist()
+        if not parts or contact.points.shape != (len(contact.parts), 3):
+            raise SettingsError(
+                f"contact '{name}' has {len(contact.points)} vertices and {len(contact.parts)} parts; "
+                "give at least one vertex, and the part that carries each"
+            )
+        lost = [part for part in parts if part != self.root and part not in self.hung]
+        if lost:
+            what = "no part" if lost[0] < 0 else f"part {lost[0]}, which nothing links to the root"
+            raise SettingsError(f"vertices of contact '{name}' follow {what}; name vertices of a foot")
+        ways = [self._way(part) for part in parts]
+        common = 0
+        while all(len(way) > common and way[common] == ways[0][common] for way in ways):
+            common += 1
+        if not common and parts != [self.root]:
+            raise SettingsError(
+                f"vertices of contact '{name}' are on several limbs (parts {', '.join(map(str, parts))}); "
+                "name one contact for each foot"
+            )
+        return ways[0][:common]
+
+    def pivot(self, part: int) -> Float:
+        """Return the rest point ``(3,)`` that a part hangs by."""
+        return np.asarray(self.pivots[self.hung[part][1]])
+
+    def placed(
+        self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float
+    ) -> Float:
+        """Return where parts ``(k,)`` take rest points ``(k, 3)`` in all frames, ``(T, k, 3)``."""
+        some = np.asarray(parts, dtype=np.int64)
+        arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[some]
+        return np.asarray(np.einsum("tkij,kj->tki", rotations[:, some], arms) + centres[:, some])
+
+    def _way(self, part: int) -> tuple[int, ...]:
+        way: list[int] = []
+        while part != self.root:
+            way.insert(0, part)
+            part = self.hung[part][0]
+        return tuple(way)
+
+
+def leg_length(linkage: Linkage, contact: Contact) -> float:
+    """Return how far it is from the root's pivot through the pivots of its limb to the middle of a contact, at rest.
+
+    From the root's centre, if the contact is on the root.
+
+    Raises
+    ------
+    SettingsError
+        If the contact is on no limb.
+    """
+    limb = linkage.limb(contact)
+    joints = [linkage.pivot(part) for part in limb] or [linkage.centres[linkage.root]]
+    way = np.stack([*joints, contact.points.mean(axis=0)])
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def leg_ratio(
+    source: Linkage, target: Linkage, source_contacts: Sequence[Contact], target_contacts: Sequence[Contact]
+) -> float:
+    """Return how long the target's legs are, in lengths of the source's: strides are to be scaled by that.
+
+    Parameters
+    ----------
+    source, target : Linkage
+        The two bodies, each in its own units.
+    source_contacts, target_contacts : sequence of Contact
+        The same contacts on both.
+
+    Returns
+    -------
+    float
+        Sum of the target's `leg_length` by the sum of the source's.
+
+    Raises
+    ------
+    SettingsError
+        If there are no contacts, not as many, or one is on no limb, or the source's legs have no length.
+    """
+    if not source_contacts or len(source_contacts) != len(target_contacts):
+        raise SettingsError(
+            f"there are {len(source_contacts)} contacts of the source and {len(target_contacts)} of the target; "
+            "give as many, and at least one"
+        )
+    ours = sum(leg_length(target, contact) for contact in target_contacts)
+    theirs = sum(leg_length(source, contact) for contact in source_contacts)
+    if not theirs > 0:
+        raise SettingsError(
+            "the legs of the source have no length; name contacts away from the root's pivots"
+        )
+    return ours / theirs

@@ -1,0 +1,125 @@
+"""Contacts of a transfer: from named vertices of the target to poses of its parts that keep them from sliding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap
+from mixseq.progress import Progress, silent
+from mixseq.retargeting.carried import vertex_parts
+from mixseq.retargeting.contacts import ContactReport, plant
+from mixseq.retargeting.linkage import Contact, Linkage, leg_ratio
+from mixseq.retargeting.mixed import MixedTransfer, PartPoses
+from mixseq.retargeting.pivots import Pivots
+from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.stored import blocks_of
+from mixseq.table import Table
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def planted(
+    mover: MixedTransfer,
+    points: Table,
+    header: SequenceHeader,
+    contacts: Mapping[str, ArrayLike],
+    workers: OrderedMap,
+    progress: Progress = silent,
+) -> tuple[MixedTransfer, PartPoses, ContactReport]:
+    """Keep contacts from sliding where those of the source rest.
+
+    The root travels farther, or less far, as the target's legs are longer or shorter than those of a copy.
+
+    Parameters
+    ----------
+    mover : MixedTransfer
+        The transfer.
+    points : (T, V, 3) table
+        The frames of the source.
+    header : SequenceHeader
+        The target, at the times of the source.
+    contacts : mapping of str to (k,) int
+        Vertices of the target that touch the ground together, by the name of each contact.
+    workers : OrderedMap
+        Who works on blocks of frames.
+    progress : callable, optional
+        Told about every block.
+
+    Returns
+    -------
+    MixedTransfer
+        With the stride of its legs.
+    PartPoses
+        Of the target's parts in all frames, rotations ``(T, p', 3, 3)`` and centres ``(T, p', 3)``.
+    ContactReport
+        What was done.
+
+    Raises
+    ------
+    SettingsError
+        If a contact has no vertices, or they are none of the target, or on no limb.
+    """
+    target, source, correspondence = (
+        mover.gradients.target,
+        mover.gradients.source,
+        mover.gradients.correspondence,
+    )
+    vertices = {name: _vertices(name, given, header.vertex_count) for name, given in contacts.items()}
+    part = vertex_parts(mover.carried.decomposition, target.topology)
+    on_source = correspondence.carry(source.reference)
+    linkage, copied = _linkage(mover.pivots), _linkage(mover.source_pivots)
+    own = [Contact(name, target.reference[chosen], part[chosen]) for name, chosen in vertices.items()]
+    theirs = [Contact(name, on_source[chosen], part[chosen]) for name, chosen in vertices.items()]
+    ratio = mover.gradients.alignment.scale * source.scale / target.scale
+    striding = replace(mover, stride=leg_ratio(copied, linkage, theirs, own) / ratio)
+
+    chosen = np.concatenate(list(vertices.values()))
+    rotations, centres, paths, done = [], [], [], 0
+    for poses, path in workers(_look, (striding, chosen), blocks_of(points)):
+        rotations.append(poses.rotations)
+        centres.append(poses.centres)
+        paths.append(path)
+        done += len(path)
+        progress(done, len(points), "placing feet")
+    ends = np.cumsum([len(each) for each in vertices.values()])[:-1]
+    ways = np.split(np.concatenate(paths) * ratio / source.scale, ends, axis=1)
+    found = plant(
+        linkage,
+        np.concatenate(rotations),
+        np.concatenate(centres),
+        own,
+        [mover.gradients.alignment.turned_points(way) for way in ways],
+        header.up_axis,
+        header.fps,
+        1.0,
+    )
+    return striding, PartPoses(found.rotations, found.centres), found.report
+
+
+def _look(shared: tuple[MixedTransfer, Index], block: FloatArray) -> tuple[PartPoses, Float]:
+    mover, vertices = shared
+    poses = [mover.poses(x) for x in block]
+    path = np.stack([mover.gradients.correspondence.carry(x)[vertices] for x in block])
+    return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path
+
+
+def _linkage(pivots: Pivots) -> Linkage:
+    return Linkage(pivots.centres, pivots.parts, pivots.points, pivots.root)
+
+
+def _vertices(name: str, given: ArrayLike, count: int) -> Index:
+    vertices = np.asarray(given)
+    if vertices.ndim != 1 or not vertices.size or not np.issubdtype(vertices.dtype, np.integer):
+        raise SettingsError(f"contact '{name}' is no list of vertices; give at least one number")
+    outside = vertices[(vertices < 0) | (vertices >= count)]
+    if outside.size:
+        raise SettingsError(
+            f"contact '{name}' names vertex {outside[0]}, but those of the target are 0 to {count - 1}"
+        )
+    return vertices.astype(np.int64)

@@ -1,0 +1,314 @@
+r"""How good a transfer is: strain, smoothness, triangles turned over, and self-intersections.
+
+- *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
+- *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` that the
+  source says it should have (`mixseq.retargeting.expected`), on average over the triangles at the edge: what the target
+  is strained and the source is not, or the other way round. What has no counterpart should not be strained.
+- a triangle is *turned over* if it faces away from where the source says that it should face to,
+- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the diagonal d at rest.
+  That of the source is taken at the points that the target's vertices are, so that it does not matter where meshes are
+  fine.
+
+All frames are looked at but for self-intersections, which are counted in some of them. Frames come block by block, and
+only the largest thousandth of the strains is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import InvalidSequenceError
+from mixseq.mapping import OrderedMap
+from mixseq.progress import Progress, silent
+from mixseq.retargeting.coverage import Coverage, coverage
+from mixseq.retargeting.expected import Expected
+from mixseq.retargeting.gathering import Acceleration, Strain, Strains
+from mixseq.retargeting.transfer import Transfer
+from mixseq.sequence import FloatArray, bounding_diagonal, check_block
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+FRAMES = 8
+"""In so many frames at most self-intersections are counted."""
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """Accelerations in diagonals per squared frame: root mean square, and the largest of a vertex in a frame.
+
+    Attributes
+    ----------
+    rms, max : float
+        Of the target.
+    source_rms, source_max : float
+        Of the source.
+    worst_frame : int
+        Frame of the target's largest.
+    """
+
+    rms: float
+    max: float
+    source_rms: float
+    source_max: float
+    worst_frame: int
+
+    @property
+    def ratio(self) -> float | None:
+        """Root mean square of the target relative to the source's; None if the source does not accelerate."""
+        return self.rms / self.source_rms if self.source_rms > 0 else None
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of something: at rest, and in some frames.
+
+    Attributes
+    ----------
+    rest : int
+        At rest.
+    frames : tuple of int
+        The frames ...
+    values : tuple of int
+        ... and the numbers in them.
+    """
+
+    rest: int
+    frames: tuple[int, ...]
+    values: tuple[int, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean over the frames."""
+        return float(np.mean(self.values))
+
+    @property
+    def worst(self) -> int:
+        """The largest number."""
+        return max(self.values)
+
+    @property
+    def worst_frame(self) -> int:
+        """The first frame that has it."""
+        return self.frames[self.values.index(self.worst)]
+
+    def as_dict(self, per_frame: bool = False) -> dict[str, Any]:
+        """Plain values for JSON; frames and values only if asked for."""
+        summary = {"rest": self.rest, "mean": self.mean, "worst": self.worst, "worst_frame": self.worst_frame}
+        return summary | ({"frames": list(self.frames), "values": list(self.values)} if per_frame else {})
+
+
+@dataclass(frozen=True)
+class TransferReport:
+    """What `measure` finds; formulas are at the head of this module.
+
+    Attributes
+    ----------
+    coverage : Coverage
+        What has a counterpart, and what follows.
+    strain, source_strain, excess : Strain
+        Of the target's edges, of the source's, and of the target's beside the source's.
+    smoothness : Smoothness or None
+        If there are at least three frames.
+    intersections, source_intersections : Counts
+        Pairs of triangles that go through each other, of the target and of the source.
+    turned_over, flat : Counts
+        Triangles of the target that are turned over, and that are flat though they were not at rest; in all frames.
+    """
+
+    coverage: Coverage
+    strain: Strain
+    source_strain: Strain
+    excess: Strain
+    smoothness: Smoothness | None
+    intersections: Counts
+    source_intersections: Counts
+    turned_over: Counts
+    flat: Counts
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        smooth = self.smoothness
+        return {
+            "coverage": self.coverage.as_dict(),
+            "strain": asdict(self.strain),
+            "source_strain": asdict(self.source_strain),
+            "excess_strain": asdict(self.excess),
+            "acceleration": None if smooth is None else asdict(smooth) | {"ratio": smooth.ratio},
+            "self_intersections": self.intersections.as_dict(per_frame=True),
+            "source_self_intersections": self.source_intersections.as_dict(per_frame=True),
+            "turned_over": self.turned_over.as_dict(),
+            "flat": self.flat.as_dict(),
+        }
+
+
+def measure(
+    transfer: Transfer,
+    blocks: Iterable[FloatArray] | None = None,
+    progress: Progress = silent,
+    workers: OrderedMap | None = None,
+) -> TransferReport:
+    """Measure a transfer.
+
+    Parameters
+    ----------
+    transfer : Transfer
+        What `mixseq.retargeting.transfer.plan` makes.
+    blocks : iterable of (B, V', 3) float, optional
+        The target's points, all frames in order, to measure another result by the same rules; by default those of the
+        transfer itself, which are made for it.
+    progress : callable, optional
+        Told how many frames are done.
+    workers : OrderedMap, optional
+        Who makes the frames, see `mixseq.mapping`.
+
+    Returns
+    -------
+    TransferReport
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the blocks are of another mesh, or there are more or fewer frames than the source has.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> from mixseq.creature import walk_cycle
+    >>> from mixseq.retargeting.transfer import plan
+    >>> walk = walk_cycle(frames=4)
+    >>> large = mixseq.MeshSequence.from_arrays(2 * walk.points[:1], walk.faces)
+    >>> report = measure(plan(walk, large, method="gradients"))
+    >>> report.excess.max < 1e-6, round(report.smoothness.ratio, 6), report.turned_over.worst
+    (True, 1.0, 0)
+    """
+    meter = Meter(transfer)
+    for block in transfer.blocks(progress, workers) if blocks is None else blocks:
+        meter.add(block)
+    return meter.report()
+
+
+def evenly(count: int, most: int) -> tuple[int, ...]:
+    """Choose at most so many of `count` frames, evenly, the first and the last among them.
+
+    Examples
+    --------
+    >>> evenly(9, 3), evenly(2, 8)
+    ((0, 4, 8), (0, 1))
+    """
+    return tuple(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist())
+
+
+class Meter:
+    """Measures a transfer while its frames pass by.
+
+    Parameters
+    ----------
+    transfer : Transfer
+        What is measured.
+    """
+
+    def __init__(self, transfer: Transfer) -> None:
+        self._transfer = transfer
+        self._expected = Expected.of(transfer)
+        self._count = len(transfer.source.points)
+        self._done = 0
+        edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
+        self._strain, self._excess = Strains(self._count * edges), Strains(self._count * edges)
+        self._source_strain = Strains(self._count * source_edges)
+        self._acceleration = Acceleration(), Acceleration()
+        self._looked_at = evenly(self._count, FRAMES)
+        self._crossings: list[tuple[int, int]] = []
+        self._turned_over: list[int] = []
+        self._flat: list[int] = []
+
+    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Pass on blocks of the target's points, and measure them."""
+        for block in blocks:
+            self.add(block)
+            yield block
+
+    def add(self, block: FloatArray) -> None:
+        """Measure the next frames ``(B, V', 3)`` of the target.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If they are of another mesh, or more than there are.
+        """
+        check_block(self._transfer.header, block, self._done)
+        if self._done + len(block) > self._count:
+            raise InvalidSequenceError(
+                f"there are more than the {self._count} frames of the source; give one frame for each of its frames"
+            )
+        source = self._transfer.source.points[self._done : self._done + len(block)].astype(np.float64)
+        points = block.astype(np.float64)
+        expected = self._expected
+        for number, (x, y) in enumerate(zip(source, points, strict=True), start=self._done):
+            sides = expected.sides(x)
+            lengths = expected.own_stretches(y)
+            self._strain.add(np.abs(lengths - 1.0))
+            self._excess.add(np.abs(lengths - expected.stretches(sides)))
+            self._source_strain.add(np.abs(expected.source_stretches(x) - 1.0))
+            self._turned_over.append(int(expected.turned_over(y, sides).sum()))
+            self._flat.append(int(expected.newly_flat(y).sum()))
+            if number in self._looked_at:
+                self._crossings.append((_crossings(y, expected.topology), _crossings(x, expected.source)))
+        for acceleration, frames in zip(
+            self._acceleration, (points, self._transfer.correspondence.carry(source)), strict=True
+        ):
+            acceleration.add(frames)
+        self._done += len(block)
+
+    def report(self) -> TransferReport:
+        """Return what was found, when all frames have passed.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If there are frames to come.
+        """
+        if self._done < self._count:
+            raise InvalidSequenceError(
+                f"{self._done} frames were measured, the source has {self._count}; give one frame for each of them"
+            )
+        transfer, expected = self._transfer, self._expected
+        target, source = zip(*self._crossings, strict=True)
+        at_rest = [
+            _crossings(*mesh)
+            for mesh in ((transfer.target, expected.topology), (transfer.source.rest, expected.source))
+        ]
+        every = tuple(range(self._count))
+        return TransferReport(
+            coverage=coverage(transfer),
+            strain=self._strain.result(),
+            source_strain=self._source_strain.result(),
+            excess=self._excess.result(),
+            smoothness=self._smoothness(),
+            intersections=Counts(at_rest[0], self._looked_at, target),
+            source_intersections=Counts(at_rest[1], self._looked_at, source),
+            turned_over=Counts(0, every, tuple(self._turned_over)),
+            flat=Counts(int(expected.flat.sum()), every, tuple(self._flat)),
+        )
+
+    def _smoothness(self) -> Smoothness | None:
+        target, source = self._acceleration
+        if self._count < 3:
+            return None
+        own, other = (
+            bounding_diagonal(x) or 1.0 for x in (self._transfer.target, self._transfer.source.rest)
+        )
+        return Smoothness(
+            target.rms / own, target.max / own, source.rms / other, source.max / other, target.worst_frame
+        )
+
+
+def _crossings(points: Float, topology: Topology) -> int:
+    from mixseq.geometry.intersections import self_intersections
+
+    return len(self_intersections(points, topology.faces))

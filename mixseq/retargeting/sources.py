@@ -1,0 +1,142 @@
+"""The source of a transfer: its motion, and its shape at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.progress import Progress, silent
+from mixseq.segmentation import segment
+from mixseq.segmentation.given import segment_by_labels
+from mixseq.segmentation.observed import frames_to_look_at
+from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames
+from mixseq.signals.model import Model
+from mixseq.spaces import MixedSpace
+from mixseq.stored import stored
+from mixseq.table import Table
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SAME_SIZE = 0.05
+"""A mesh at rest whose edges are, on the median, this much longer or shorter than in the motion is of another size."""
+
+
+@dataclass(frozen=True, eq=False)
+class SourceMotion:
+    """A motion with a shape at rest.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    topology : Topology
+        Connectivity.
+    points : (T, V, 3) table
+        The frames.
+    rest : (V, 3) float64
+        The shape at rest, as large as in the frames.
+    parts : int, (F,) int or None
+        Parts that are given, or how many there should be.
+    """
+
+    header: SequenceHeader
+    topology: Topology
+    points: Table
+    rest: Float
+    parts: int | ArrayLike | None
+
+    def part_of_face(self) -> Index:
+        """Return the part ``(F,)`` of every triangle: given, or found from the motion.
+
+        Raises
+        ------
+        SettingsError, SegmentationError
+            If the parts do not fit the mesh.
+        """
+        if not (self.parts is None or isinstance(self.parts, int | np.integer)):
+            return segment_by_labels(self.parts, self.topology)
+        some = self.points[frames_to_look_at(len(self.points))]
+        poses = np.concatenate([self.rest[None], some])
+        return segment(poses, self.topology, "motion", None if self.parts is None else int(self.parts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """The frames of a model, as a sequence that streams."""
+
+    model: Model
+
+    @property
+    def header(self) -> SequenceHeader:
+        return self.model.header_at()
+
+    def blocks(self, size: int = 4) -> Iterator[FloatArray]:
+        yield from self.model.blocks(self.model.times, size)
+
+
+def source_motion(
+    source: Frames | Model,
+    rest: int | MeshSequence = 0,
+    parts: int | ArrayLike | None = None,
+    progress: Progress = silent,
+) -> SourceMotion:
+    """Get hold of a motion.
+
+    Parameters
+    ----------
+    source : MeshSequence, SequenceReader or Model
+        The motion.
+    rest : int or MeshSequence
+        A frame of it, or its mesh at rest in any size.
+    parts : int or (F,) int, optional
+        Parts; those of a model in the mixed space if not given.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If it is no motion, or the rest has another mesh.
+    SettingsError
+        If there is no such frame.
+    """
+    if isinstance(source, Model):
+        if parts is None and isinstance(source.space, MixedSpace):
+            parts = source.space.decomposition.part_of_face
+        frames = stored(_Sampled(source), progress)
+    else:
+        check_frames(source)
+        frames = stored(source, progress)
+    header = frames.header
+    topology = Topology(header.faces, header.vertex_count)
+    if isinstance(rest, MeshSequence):
+        shape = _shape_at_rest(rest, topology, frames.points)
+    else:
+        count = len(frames.points)
+        if isinstance(rest, bool) or not isinstance(rest, int | np.integer) or not -count <= rest < count:
+            raise SettingsError(
+                f"rest is {rest!r}; a frame from 0 to {count - 1} is expected, or a mesh at rest"
+            )
+        number = int(rest) % count
+        shape = np.asarray(frames.points[number : number + 1][0], dtype=np.float64)
+    return SourceMotion(header, topology, frames.points, shape, parts)
+
+
+def _shape_at_rest(rest: MeshSequence, topology: Topology, points: Table) -> Float:
+    """Return the first frame of a mesh at rest, as large as it is in the motion."""
+    if not np.array_equal(rest.faces, topology.faces):
+        raise InvalidSequenceError(
+            f"the mesh at rest has {rest.vertex_count} vertices and {len(rest.faces)} triangles, the motion "
+            f"{topology.vertex_count} and {len(topology.faces)}, or they are in another order; give the same mesh"
+        )
+    shape = rest.points[0].astype(np.float64)
+    some = points[frames_to_look_at(len(points))].astype(np.float64)
+    still, moving = edge_lengths(shape, topology.edges), edge_lengths(some, topology.edges)
+    known = still > 0
+    ratio = float(np.median(moving[:, known] / still[known])) if known.any() else 1.0
+    return np.asarray(shape if abs(ratio - 1.0) <= SAME_SIZE else shape * ratio)

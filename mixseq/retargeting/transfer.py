@@ -1,0 +1,268 @@
+"""Deformation transfer: one character's motion on another's body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.quality import Quality
+from mixseq.errors import SettingsError
+from mixseq.mapping import OrderedMap, on_threads
+from mixseq.progress import Progress, silent
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.retargeting.contacts import ContactReport
+from mixseq.retargeting.making import gradient_transfer, mixed_transfer
+from mixseq.retargeting.mixed import MixedTransfer, PartPoses
+from mixseq.retargeting.planting import planted
+from mixseq.retargeting.sources import SourceMotion, source_motion
+from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames, collect
+from mixseq.signals.model import Model
+from mixseq.stored import blocks_of
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+
+MethodName = Literal["mixed", "gradients"]
+METHODS: tuple[MethodName, ...] = ("mixed", "gradients")
+
+
+class Mover(Protocol):
+    """A way to transfer, made for two meshes."""
+
+    def frame(self, x: FloatArray) -> Float:
+        """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """What a transfer consists of, before any frame is made; make it with `plan`.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        What the result is: the target's mesh, at the source's times.
+    source : SourceMotion
+        The source: its frames and its shape at rest.
+    target : (V', 3) float64
+        The target at rest.
+    correspondence : Correspondence
+        Where the target is on the source.
+    mover : Mover
+        What moves the target.
+    quality : Quality or None
+        How good the correspondence is, if it was found from markers.
+    poses : PartPoses or None
+        Poses of the target's parts in all frames, where contacts are kept from sliding.
+    contacts : ContactReport
+        What became of the contacts.
+    """
+
+    header: SequenceHeader
+    source: SourceMotion
+    target: Float
+    correspondence: Correspondence
+    mover: Mover
+    quality: Quality | None = None
+    poses: PartPoses | None = None
+    contacts: ContactReport = ContactReport()  # noqa: RUF009 - frozen all the way down
+
+    def blocks(self, progress: Progress = silent, workers: OrderedMap | None = None) -> Iterator[Float]:
+        """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
+        done, count = 0, len(self.source.points)
+        for block in (workers or on_threads())(_moved, self.mover, self._frames()):
+            yield block
+            done += len(block)
+            progress(done, count, "transferring frames")
+
+    def _frames(self) -> Iterator[tuple[FloatArray, PartPoses | None]]:
+        """Yield blocks of frames of the source, with poses for the target's parts where these are known."""
+        start = 0
+        for block in blocks_of(self.source.points):
+            frames = slice(start, start + len(block))
+            yield block, None if self.poses is None else PartPoses(*(values[frames] for values in self.poses))
+            start += len(block)
+
+
+def _moved(mover: Mover, item: tuple[FloatArray, PartPoses | None]) -> Float:
+    block, poses = item
+    if poses is None:
+        return np.stack([mover.frame(x) for x in block])
+    assert isinstance(mover, MixedTransfer)
+    each = zip(block, *poses, strict=True)
+    return np.stack([mover.frame(x, PartPoses(turns, centres)) for x, turns, centres in each])
+
+
+def plan(
+    source: Frames | Model | SourceMotion,
+    target: Frames,
+    markers: Markers | ArrayLike | None = None,
+    mapping: Correspondence | None = None,
+    method: MethodName = "mixed",
+    rest: int | MeshSequence = 0,
+    contacts: Mapping[str, ArrayLike] | None = None,
+    *,
+    parts: int | ArrayLike | None = None,
+    joint_width: int = 3,
+    shell: ShellSettings | None = None,
+    progress: Progress = silent,
+    workers: OrderedMap | None = None,
+) -> Transfer:
+    """Find all that a transfer needs to know before it makes frames; parameters and errors are those of `transfer`.
+
+    A source that was looked at before (`source_motion`) has its rest and its parts.
+    """
+    if method not in METHODS:
+        raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, METHODS))} is expected")
+    if contacts and method != "mixed":
+        raise SettingsError(
+            "contacts are kept by the poses of parts; leave them out, or choose the method 'mixed'"
+        )
+    check_frames(target)
+    with one_blas_thread():
+        motion = source if isinstance(source, SourceMotion) else source_motion(source, rest, parts, progress)
+        shape = next(iter(target.blocks(1)))[0].astype(np.float64)
+        topology = Topology(target.header.faces, target.header.vertex_count)
+        found, quality = correspondence_of(motion, shape, target.header, markers, mapping, progress)
+        gradients = gradient_transfer(motion.topology, motion.rest, topology, shape, found)
+        header = target.header.with_times(motion.header.times, motion.header.fps)
+        if method == "gradients":
+            return Transfer(header, motion, shape, found, gradients, quality)
+        progress(0, 1, "finding parts")
+        labels = motion.part_of_face()
+        mixed = mixed_transfer(gradients, motion.points, labels, joint_width, shell or ShellSettings())
+        if not contacts:
+            return Transfer(header, motion, shape, found, mixed, quality)
+        work = workers or on_threads()
+        mover, poses, report = planted(mixed, motion.points, header, contacts, work, progress)
+        return Transfer(header, motion, shape, found, mover, quality, poses, report)
+
+
+def correspondence_of(
+    source: SourceMotion,
+    shape: Float,
+    header: SequenceHeader,
+    markers: Markers | ArrayLike | None,
+    mapping: Correspondence | None,
+    progress: Progress = silent,
+) -> tuple[Correspondence, Quality | None]:
+    """Return the correspondence that is given, or that markers or the same connectivity tell; of markers its quality.
+
+    Raises
+    ------
+    SettingsError
+        If nothing tells, two things do, or what is given is of other meshes.
+    """
+    if markers is not None and mapping is not None:
+        raise SettingsError("markers and a map are two ways to say the same; give one of them")
+    sizes = tuple((t.vertex_count, len(t.faces)) for t in (source.header, header))
+    if mapping is not None:
+        mapping.check(*sizes)
+        return mapping, None
+    if markers is not None:
+        from mixseq.correspondence.correspond import correspond_and_assess
+
+        given = markers if isinstance(markers, Markers) else Markers.of(markers)
+        still = MeshSequence.from_header(source.header.with_times([0.0]), source.rest[None])
+        other = MeshSequence.from_header(header.with_times([0.0]), shape[None])
+        found = correspond_and_assess(still, other, given, progress=progress)
+        return found.correspondence, found.quality
+    if not np.array_equal(source.topology.faces, header.faces):
+        (vertices, faces), (others, other_faces) = sizes
+        raise SettingsError(
+            f"the source has {vertices} vertices and {faces} triangles, the target {others} and {other_faces}, or "
+            "they are in another order; give markers or a map that tell what corresponds"
+        )
+    return Correspondence.identity(*sizes[0]), None
+
+
+def transfer(
+    source: Frames | Model,
+    target: Frames,
+    markers: Markers | ArrayLike | None = None,
+    mapping: Correspondence | None = None,
+    method: MethodName = "mixed",
+    rest: int | MeshSequence = 0,
+    contacts: Mapping[str, ArrayLike] | None = None,
+    *,
+    parts: int | ArrayLike | None = None,
+    joint_width: int = 3,
+    shell: ShellSettings | None = None,
+    progress: Progress = silent,
+    workers: OrderedMap | None = None,
+) -> MeshSequence:
+    """Move a mesh as another one moves.
+
+    Parameters
+    ----------
+    source : MeshSequence, SequenceReader or Model
+        The motion. Of a model, its frames; and its parts, if its space is the mixed one.
+    target : MeshSequence
+        The mesh to move, as it is in its first frame, in a pose like the source's at rest. If it has the triangles of
+        the source, nothing else is needed.
+    markers : Markers or (n, 2) int, optional
+        Pairs of vertices, one of the source and one of the target, that are the same; see `mixseq.correspond`.
+    mapping : Correspondence, optional
+        A dense correspondence, instead of markers.
+    method : {"mixed", "gradients"}
+        Parts, joints and poses (S_m, the default), or deformation gradients (S_f; Sumner and Popović 2004).
+    rest : int or MeshSequence
+        The frame in which the source is at rest, or the source's mesh at rest (its first frame), in any size.
+    contacts : mapping of str to (k,) int, optional
+        S_m: vertices of the target that touch the ground together, by the name of each contact. They do not slide
+        while the points of the source that they are rest, and the body travels as its legs are long.
+    parts : int or (F,) int, optional
+        S_m: number of parts, or the part of every triangle of the source; found from the motion if not given.
+    joint_width : int
+        S_m: largest width of joints, in strips of triangles on each side of a boundary.
+    shell : ShellSettings, optional
+        S_m: settings of the joint solves.
+    progress : callable, optional
+        Told about every stage.
+    workers : OrderedMap, optional
+        Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
+
+    Returns
+    -------
+    MeshSequence
+        The target's mesh in float64, at the times of the source.
+
+    Raises
+    ------
+    SettingsError
+        If a setting is out of range, or the correspondence is missing, given twice, or of other meshes.
+    InvalidSequenceError
+        If a sequence is none, or the rest has another mesh.
+    SegmentationError
+        If given parts do not fit the source.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> from mixseq.creature import walk_cycle
+    >>> walk = walk_cycle(frames=6)
+    >>> tall = mixseq.MeshSequence.from_arrays(walk.points[:1] * [1.0, 1.5, 1.0], walk.faces)
+    >>> transfer(walk, tall).points.shape == walk.points.shape
+    True
+    """
+    planned = plan(
+        source,
+        target,
+        markers,
+        mapping,
+        method,
+        rest,
+        contacts,
+        parts=parts,
+        joint_width=joint_width,
+        shell=shell,
+        progress=progress,
+        workers=workers,
+    )
+    return collect(planned.header, planned.blocks(progress, workers))

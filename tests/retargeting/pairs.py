@@ -1,0 +1,73 @@
+"""Pairs of meshes whose correspondence is known from how they are made."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.retargeting.making import gradient_transfer
+from tests.meshes import Mesh, topology_of
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def subdivided(mesh: Mesh) -> Mesh:
+    """Every triangle cut into four, the middle one last; the points it had come first, then middles of edges."""
+    points, faces = mesh
+    topology = topology_of(mesh)
+    ab, bc, ca = (len(points) + topology.face_edges).T
+    a, b, c = faces.T
+    cut = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return np.concatenate([points, points[topology.edges].mean(axis=1)]), cut
+
+
+def to_subdivided(mesh: Mesh) -> Correspondence:
+    """Where the vertices and triangles of `subdivided` are on the mesh."""
+    points, faces = mesh
+    edges = topology_of(mesh).edges
+    own = np.arange(len(points))
+    corners = np.concatenate([np.repeat(own[:, None], 3, axis=1), edges[:, [0, 1, 1]]])
+    weights = np.repeat([[1.0, 0.0, 0.0], [0.5, 0.5, 0.0]], [len(points), len(edges)], axis=0)
+    count = len(points) + len(edges)
+    return Correspondence(
+        (len(points), len(faces)),
+        (count, 4 * len(faces)),
+        corners,
+        weights,
+        np.repeat(np.arange(len(faces)), 4),
+        np.arange(count),
+    )
+
+
+def from_subdivided(mesh: Mesh) -> Correspondence:
+    """Where the vertices and triangles of the mesh are on `subdivided`."""
+    points, faces = mesh
+    there, own = to_subdivided(mesh), np.arange(len(points))
+    return Correspondence(
+        there.target_size,
+        there.source_size,
+        np.repeat(own[:, None], 3, axis=1),
+        np.tile([1.0, 0.0, 0.0], (len(points), 1)),
+        4 * np.arange(len(faces)) + 3,
+        own,
+    )
+
+
+def same(mesh: Mesh) -> Correspondence:
+    """A mesh and another with its triangles."""
+    return Correspondence.identity(len(mesh[0]), len(mesh[1]))
+
+
+def gradients(source: Mesh, target: Mesh, correspondence: Correspondence | None = None) -> GradientTransfer:
+    """A transfer of gradients between meshes at rest."""
+    return gradient_transfer(
+        topology_of(source), source[0], topology_of(target), target[0], correspondence or same(source)
+    )
+
+
+def furthest(first: Float, second: Float) -> float:
+    """The largest distance of points ``(..., 3)``."""
+    return float(np.linalg.norm(first - second, axis=-1).max())

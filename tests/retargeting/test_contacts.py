@@ -1,0 +1,321 @@
+"""Feet that do not slide."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.geometry.rotations import matrices
+from mixseq.retargeting.contacts import plant
+from mixseq.retargeting.linkage import Contact, Linkage, leg_ratio
+from tests.retargeting.walkers import CYCLE, Walk, hung, walk
+
+ACCELERATION = 1.05
+"""Feet, joints and centres accelerate by at most so many times the largest acceleration there was before."""
+
+
+def bends(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, 2, axis=0), axis=-1).max())
+
+
+@pytest.mark.parametrize(("legs", "travel"), [(1.4, 1.0), (1.0, 0.8), (0.7, 1.0), (1.0, 1.1)])
+def test_feet_stay_where_they_are(legs: float, travel: float) -> None:
+    scene = walk(legs, travel)
+    result = scene.planted()
+    for group in result.report.groups:
+        assert group.before > 0.02
+        assert group.after < 1e-9
+        for stance in group.stances:
+            foot = scene.feet(result.rotations, result.centres)[stance.frames, int(group.name == "right")]
+            np.testing.assert_allclose(foot, np.broadcast_to(foot[0], foot.shape), atol=1e-12)
+    joints = scene.joints(result.rotations, result.centres)
+    np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
+    turned = result.rotations @ np.swapaxes(result.rotations, -1, -2)
+    np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), turned.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize(("legs", "travel"), [(1.4, 1.0), (1.0, 0.8), (0.7, 1.0)])
+def test_nothing_jerks(legs: float, travel: float) -> None:
+    scene = walk(legs, travel)
+    result = scene.planted()
+    before, after = (scene.rotations, scene.centres), (result.rotations, result.centres)
+    assert bends(scene.feet(*after)) < ACCELERATION * bends(scene.feet(*before))
+    assert bends(scene.joints(*after)[0]) < ACCELERATION * bends(scene.joints(*before)[0])
+    assert bends(result.centres) < ACCELERATION * bends(scene.centres)
+
+
+def test_strides_that_fit_the_legs_need_nothing() -> None:
+    scene = walk(1.4)
+    # The foot's length is not scaled by the walker, so that the ratio is only close to that of the bones.
+    ratio = leg_ratio(scene.source, scene.target, scene.source_contacts, scene.contacts)
+    assert ratio == pytest.approx(1.4, abs=0.01)
+    fitting = walk(1.4, 1.4)
+    result = fitting.planted()
+    assert result.rotations is fitting.rotations
+    assert result.centres is fitting.centres
+    assert [len(group.stances) for group in result.report.groups] == [3, 3]
+    assert max(group.before for group in result.report.groups) < 1e-12
+    assert result.report.shift == result.report.turn == 0.0
+
+
+def test_the_body_goes_as_far_as_its_legs() -> None:
+    """The travel that strides ask for is found, although the transfer had another: legs need not turn by much."""
+    result, fitting = walk(1.4, 1.0).planted(), walk(1.4, 1.4)
+    way, right = (np.diff(each[[10, -10], 0, 0])[0] for each in (result.centres, fitting.centres))
+    assert way == pytest.approx(right, rel=0.02)
+    assert result.report.turn < 2.0
+
+
+def test_upwards_the_body_keeps_its_height() -> None:
+    scene = walk(1.4, 1.0)
+    height = scene.planted().centres[:, 0, 1]
+    assert np.abs(height - scene.centres[:, 0, 1]).max() < 0.005 * scene.diagonal
+
+
+def test_a_foot_in_the_air_keeps_to_its_path() -> None:
+    """Only the right foot is stated; frames far from its stances only go along with the body."""
+    whole = walk(1.0, 0.9, frames=2 * CYCLE)
+    late = [np.concatenate([np.repeat(path[28:29], 60, axis=0), path[28:]]) for path in whole.paths]
+    motions = [
+        np.concatenate([np.repeat(each[28:29], 60, axis=0), each[28:]])
+        for each in (whole.rotations, whole.centres)
+    ]
+    scene = replace(
+        whole, rotations=motions[0], centres=motions[1], paths=late[:1], contacts=whole.contacts[:1]
+    )
+    result = scene.planted()
+    assert result.report.groups[0].stances[0].start > 60
+    np.testing.assert_array_equal(result.rotations[:40], scene.rotations[:40])
+    shift = result.centres[:40] - scene.centres[:40]
+    np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
+def test_commutes_with_motions_over_the_ground(angle: float) -> None:
+    scene = walk(1.3, 1.0)
+    rotation, shift = matrices(np.array([0.0, angle, 0.0])), np.array([3.0, 0.0, -8.0])
+    result, moved = scene.planted(), scene.moved(rotation, shift).planted()
+    np.testing.assert_allclose(moved.rotations, rotation @ result.rotations, atol=1e-8)
+    np.testing.assert_allclose(moved.centres, result.centres @ rotation.T + shift, atol=1e-8)
+
+
+def test_any_axis_may_point_up() -> None:
+    scene = walk(1.3, 1.0)
+    result = scene.planted()
+    turn = np.roll(np.eye(3), 1, axis=0)  # x to y, y to z
+    turned = replace(scene.moved(turn, np.zeros(3)), up="Z").planted()
+    np.testing.assert_allclose(turned.centres, result.centres @ turn.T, atol=1e-8)
+
+
+def test_time_may_run_backwards() -> None:
+    scene = walk(1.3, 1.0)
+    back = replace(
+        scene,
+        rotations=scene.rotations[::-1],
+        centres=scene.centres[::-1],
+        paths=[path[::-1] for path in scene.paths],
+    )
+    np.testing.assert_allclose(back.planted().centres[::-1], scene.planted().centres, atol=1e-8)
+
+
+def test_units_do_not_matter() -> None:
+    scene = walk(1.3, 1.0)
+    large = replace(
+        scene,
+        target=replace(scene.target, centres=50 * scene.target.centres, pivots=50 * scene.target.pivots),
+        contacts=[replace(each, points=50 * each.points) for each in scene.contacts],
+        centres=50 * scene.centres,
+        paths=[50 * path for path in scene.paths],
+        diagonal=50 * scene.diagonal,
+    )
+    one, other = scene.planted(), large.planted()
+    np.testing.assert_allclose(other.centres, 50 * one.centres, atol=1e-6)
+    assert other.report.groups[0].before == pytest.approx(one.report.groups[0].before)
+
+
+def test_toes_go_along() -> None:
+    """A part below the one on the ground moves with it as one body."""
+    scene = walk(1.4, 1.0)
+    linkage = scene.target
+    toe = np.array([[0.1, 0.0, -0.1]])
+    longer = Linkage(
+        np.concatenate([linkage.centres, toe]),
+        np.concatenate([linkage.links, [[3, 7]]]),
+        np.concatenate([linkage.pivots, toe - [0.03, 0.0, 0.0]]),
+        0,
+    )
+    rotations = np.concatenate([scene.rotations, scene.rotations[:, 3:4]], axis=1)
+    centres = hung(longer, rotations, scene.centres[:, 0])
+    grown = replace(scene, target=longer, rotations=rotations, centres=centres)
+    result, plain = grown.planted(), scene.planted()
+    np.testing.assert_allclose(result.centres[:, :7], plain.centres, atol=1e-12)
+
+    def relative(rotations: np.ndarray, centres: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("tji,tj->ti", rotations[:, 3], centres[:, 7] - centres[:, 3]))
+
+    np.testing.assert_allclose(
+        relative(result.rotations, result.centres), relative(rotations, centres), atol=1e-12
+    )
+
+
+def test_gaps_of_joints_turn_with_the_part_above() -> None:
+    """Where parts of the source slide in a joint, those of the target do so as before."""
+    scene = walk(1.4, 1.0)
+    gap = 0.02 * np.sin(np.arange(len(scene.centres)) / 9)[:, None] * [1.0, 0.0, 0.5]
+    centres = scene.centres.copy()
+    centres[:, 2:4] += np.einsum("tij,tj->ti", scene.rotations[:, 1], gap)[:, None]
+    result = replace(scene, centres=centres).planted()
+    knee, other = scene.joints(result.rotations, result.centres)[:, :, 1]
+    open_by = np.einsum("tji,tj->ti", result.rotations[:, 1], knee - other)
+    np.testing.assert_allclose(open_by, gap, atol=1e-9)
+    assert result.report.groups[0].after < 1e-9
+
+
+def test_a_swinging_bar() -> None:
+    """A pendulum of two bars, its lower end planted in the source while its top goes on."""
+    frames, lengths = 60, np.array([1.0, 1.0])
+    angle = 0.5 + 0.2 * np.sin(np.linspace(0.0, 3.0, frames))
+    rotations = np.tile(np.eye(3), (frames, 3, 1, 1))
+    for part, sign in ((1, 1.0), (2, -1.0)):
+        turn = sign * angle
+        rotations[:, part, 0, 0] = rotations[:, part, 1, 1] = np.cos(turn)
+        rotations[:, part, 1, 0], rotations[:, part, 0, 1] = np.sin(turn), -np.sin(turn)
+
+    def chain(scale: float) -> tuple[Linkage, Contact]:
+        knee, end = -scale * lengths[0], -scale * lengths.sum()
+        heights = np.array([0.5, knee / 2, (knee + end) / 2])
+        centres = np.stack([np.zeros(3), heights, np.zeros(3)], axis=1)
+        pivots = np.array([[0.0, 0, 0], [0, knee, 0]])
+        return Linkage(centres, np.array([[0, 1], [1, 2]]), pivots, 0), Contact(
+            "end", np.array([[0.0, end, 0.0]]), np.array([2])
+        )
+
+    source, foot = chain(1.0)
+    root = np.zeros((frames, 3))
+    root[:, 1] = 2.0 * np.cos(angle) + 0.5  # the end stays in the origin
+    path = source.placed(foot.points, foot.parts, rotations, hung(source, rotations, root))
+    np.testing.assert_allclose(path, 0.0, atol=1e-12)
+    target, end = chain(1.4)
+    ours = hung(target, rotations, root + np.array([0.0, 0.8, 0.0]))
+    result = plant(target, rotations, ours, [end], [path], "Y", 24.0, 4.0)
+    (group,) = result.report.groups
+    assert [(each.start, each.stop) for each in group.stances] == [(0, frames)]
+    assert group.before > 0.02
+    assert group.after < 1e-9
+    assert group.residual < 1e-12
+    joints = [target.placed(target.pivots, side, result.rotations, result.centres) for side in target.links.T]
+    np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
+
+
+def test_a_contact_on_the_root_moves_the_body_only() -> None:
+    frames = 30
+    linkage = Linkage(np.zeros((1, 3)), np.zeros((0, 2), np.int64), np.zeros((0, 3)), 0)
+    rotations, centres = np.tile(np.eye(3), (frames, 1, 1, 1)), np.zeros((frames, 1, 3))
+    centres[:, 0, 0] = np.linspace(0.0, 1.0, frames)
+    base = Contact("base", np.zeros((1, 3)), np.zeros(1, np.int64))
+    result = plant(linkage, rotations, centres, [base], [np.zeros((frames, 1, 3))], "Z", 24.0, 1.0)
+    assert result.report.groups[0].before == pytest.approx(1.0)
+    assert result.report.groups[0].after < 0.05
+    np.testing.assert_array_equal(result.rotations, rotations)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_short_sequences(frames: int) -> None:
+    scene = walk(1.4, 0.5, frames)
+    result = scene.planted()
+    assert result.centres.shape == scene.centres.shape
+    assert max(group.after for group in result.report.groups if group.stances) < 1e-9
+
+
+def test_without_contacts_nothing_is_touched() -> None:
+    scene = replace(walk(), contacts=[], paths=[])
+    result = scene.planted()
+    assert result.rotations is scene.rotations
+    assert result.centres is scene.centres
+    assert result.report.groups == ()
+
+
+def test_input_stays_as_it_was() -> None:
+    scene = walk()
+    rotations, centres = scene.rotations.copy(), scene.centres.copy()
+    scene.planted()
+    np.testing.assert_array_equal(scene.rotations, rotations)
+    np.testing.assert_array_equal(scene.centres, centres)
+
+
+def test_warns_of_a_contact_that_never_rests() -> None:
+    scene = walk()
+    walking = scene.paths[1] - np.arange(len(scene.centres))[:, None, None] * [0.5 / CYCLE, 0.0, 0.0]
+    with pytest.warns(MixseqWarning, match="contact 'right' never rests"):
+        result = replace(scene, paths=[scene.paths[0], walking]).planted()
+    assert result.report.groups[1].stances == ()
+    assert result.report.groups[0].after < 1e-9
+
+
+def test_refusals_name_the_contact() -> None:
+    scene = walk()
+    stray = replace(scene.contacts[0], parts=np.array([3, -1, 3]))
+    with pytest.raises(SettingsError, match="'left' follow no part"):
+        replace(scene, contacts=[stray, scene.contacts[1]]).planted()
+    with pytest.raises(
+        SettingsError, match="2 contacts and motions of 100 frames, but 1 paths of 100 frames"
+    ):
+        replace(scene, paths=scene.paths[:1]).planted()
+    with pytest.raises(SettingsError, match="2 paths of 9, 100 frames"):
+        replace(scene, paths=[scene.paths[0][:9], scene.paths[1]]).planted()
+    with pytest.raises(SettingsError, match="the up axis is 'W'"):
+        replace(scene, up="W").planted()
+
+
+def fox(legs: float) -> Walk:
+    """The walking fox with longer legs, its way as long as before."""
+    from mixseq.creature.gait import DUTY as ON_GROUND
+    from mixseq.creature.gait import LEGS, STEP, pose
+    from mixseq.creature.skeleton import HEADS, NAMES, PARENTS, TAILS
+
+    phase = np.arange(96) / 48
+    rotations, _ = pose(phase)
+    bones = {NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
+
+    def at_rest(scale: float) -> tuple[Linkage, list[Contact]]:
+        sizes = np.where([bone in bones for bone in range(len(NAMES))], scale, 1.0)
+        heads = HEADS.copy()
+        for bone, above in enumerate(PARENTS):
+            if above >= 0:
+                heads[bone] = heads[above] + sizes[above] * (HEADS[bone] - HEADS[above])
+        tails = heads + sizes[:, None] * (TAILS - HEADS)
+        links = np.array([(PARENTS[bone], bone) for bone in range(1, len(NAMES))])
+        linkage = Linkage((heads + tails) / 2, links, heads[1:], 0)
+        paws = [NAMES.index(leg.paw) for leg in LEGS]
+        return linkage, [Contact(NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
+
+    source, source_contacts = at_rest(1.0)
+    target, contacts = at_rest(legs)
+    _, heads = pose(phase)
+    root = heads[:, 0] + np.einsum("tij,j->ti", rotations[:, 0], source.centres[0] - HEADS[0])
+    root = root + phase[:, None] * [STEP / ON_GROUND, 0.0, 0.0]  # over the ground, not on the spot
+    # The fox's pasterns turn in the air as it likes: its own skeleton tells where paws are.
+    places = heads + np.einsum("tbij,bj->tbi", rotations, TAILS - HEADS)
+    places += phase[:, None, None] * [STEP / ON_GROUND, 0.0, 0.0]
+    paths = [places[:, contact.parts] for contact in source_contacts]
+    centres = hung(target, rotations, root + target.centres[0] - source.centres[0])
+    return Walk(source, target, source_contacts, contacts, rotations, centres, paths, 48.0, "Y", 2.0)
+
+
+def test_a_fox_on_long_legs() -> None:
+    scene = fox(1.4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = scene.planted()
+    for group in result.report.groups:
+        assert len(group.stances) in (2, 3)
+        assert group.before > 0.1
+        assert group.after < 1e-9
+        assert group.residual < 1e-3
+    before, after = (scene.rotations, scene.centres), (result.rotations, result.centres)
+    assert bends(scene.feet(*after)) < ACCELERATION * bends(scene.feet(*before))
+    assert bends(result.centres) < ACCELERATION * bends(scene.centres)

@@ -1,0 +1,227 @@
+"""Lengths and angles of the target's joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.geometry.nearest import Nearest
+from mixseq.geometry.rigid import kabsch
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.retargeting.joints import OtherEdges, SameEdges
+from mixseq.retargeting.making import mixed_transfer
+from mixseq.retargeting.mixed import MixedTransfer
+from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
+from tests.retargeting.pairs import furthest, gradients, same
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BEND = 1.0
+"""Radians by which `arched` turns the end of a tube."""
+
+
+def arched(points: Float, share: float = 1.0) -> Float:
+    """Bend a tube along z in [0, 4] towards y, evenly over a share of it about its middle; its axis keeps its length."""
+    start, bent_length = 2.0 - 2.0 * share, 4.0 * share
+    along = points[:, 2] - start
+    angle = BEND * np.clip(along / bent_length, 0.0, 1.0)
+    radius = bent_length / BEND
+    before, after = np.minimum(along, 0.0), np.maximum(along - bent_length, 0.0)
+    y = radius * (1 - np.cos(angle)) + after * np.sin(angle)
+    z = start + before + radius * np.sin(angle) + after * np.cos(angle)
+    return np.stack(
+        [points[:, 0], y + points[:, 1] * np.cos(angle), z - points[:, 1] * np.sin(angle)], axis=1
+    )
+
+
+def on(source: Mesh, target: Mesh) -> Correspondence:
+    """Closest points of a mesh with nearly the same surface."""
+    nearest = Nearest.of(*source)
+    points, corners = target[0], target[0][target[1]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    found, faces = nearest.query(points), nearest.query(corners.mean(axis=1), normals)
+    sizes = ((len(mesh[0]), len(mesh[1])) for mesh in (source, target))
+    return Correspondence(
+        *sizes, source[1][found.faces], found.weights, faces.faces, np.arange(len(points))
+    )
+
+
+def joined_in_the_middle(source: Mesh, target: Mesh, correspondence: Correspondence) -> MixedTransfer:
+    """Two parts, and a joint over most of them."""
+    halves = (source[0][source[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
+    frames = np.stack([source[0], bent(source[0], 3.1)])
+    made = gradients(source, target, correspondence)
+    return mixed_transfer(made, frames, halves, 40, ShellSettings())
+
+
+def hinges_of(mover: MixedTransfer) -> tuple[Float, Float]:
+    """Sides ``(H', 3)`` of the stored hinges, and the way ``(H', 3)`` from the centre of one face to the other's."""
+    topology, rest = mover.gradients.target.topology, mover.gradients.target.reference
+    a, b, c, d = (rest[corner] for corner in topology.hinges[mover.placement.hinge_ids].T)
+    return b - a, (d - c) / 3
+
+
+@pytest.mark.parametrize(("sides", "rings"), [(18, 49), (6, 17), (10, 33)])
+def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, rings: int) -> None:
+    """Steiner's measure of a bend, angles times lengths, of the strip of squares at the top and at the bottom.
+
+    Turns of faces are averaged around their corners, so the triangles of a square no longer turn as one.
+    """
+    source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
+    mover = joined_in_the_middle(source, target, on(source, target))
+    joints, scale = OtherEdges(mover.gradients, mover.placement.rows), mover.gradients.source.scale
+    change = joints.of(arched(source[0], 0.125) / scale)[1] - joints.of(source[0] / scale)[1]
+    topology = mover.gradients.target.topology
+    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[mover.placement.hinge_ids]]
+    width = np.linalg.norm(target[0][1] - target[0][0])
+    lengths = np.linalg.norm(hinges_of(mover)[0], axis=1) * mover.gradients.target.scale
+    for top in (-1, 1):
+        chosen = (np.abs(middles[:, 0]) < 1e-9) & (top * middles[:, 1] > 0)
+        total = np.sum((lengths * change)[chosen]) / width
+        assert 0.8 * BEND < -top * total < 1.01 * BEND  # 0.84 to 0.97
+
+
+@pytest.mark.parametrize(
+    ("sides", "rings", "length"),
+    [(18, 49, 4.0), (6, 17, 4.0), (10, 33, 4.0), (18, 49, 7.0), (6, 33, 3.0)],
+)
+@pytest.mark.parametrize("share", [0.125, 0.25])
+def test_a_tube_bends_as_much_in_all_as_its_source(
+    sides: int, rings: int, length: float, share: float
+) -> None:
+    source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
+    correspondence = on(source, target)
+    longer = target[0] * [1.0, 1.0, length / 4]
+    mover = joined_in_the_middle(source, (longer, target[1]), correspondence)
+    moved = mover.frame(arched(source[0], share))
+    ends = (np.flatnonzero(some) for some in (target[0][:, 2] < 0.6, target[0][:, 2] > 3.4))
+    first, last = (kabsch(longer[end], moved[end])[0] for end in ends)
+    turn = np.arccos((np.trace(first.T @ last) - 1) / 2)
+    assert turn == pytest.approx(BEND, rel=5e-3)  # 0.4 % at most
+    if length == 4.0:  # it is a copy but for its triangles
+        assert furthest(moved, arched(target[0], share)) < 0.016 * 4.0  # 0.7 %, and 1.4 % where coarse
+
+
+@pytest.mark.parametrize(("sides", "rings"), [(30, 65), (14, 17), (18, 33)])
+def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
+    """Faces turn about x by how far apart their centres are, hinges by what of that is about them."""
+    source, target = tube(18, 33, radius=0.3), tube(sides, rings, radius=0.3)
+    mover = joined_in_the_middle(source, target, on(source, target))
+    joints = OtherEdges(mover.gradients, mover.placement.rows)
+    lengths, angles = joints.of(arched(source[0]) / mover.gradients.source.scale)
+    rest_lengths, rest_angles = joints.of(mover.gradients.source.reference)
+    sides_of, ways = hinges_of(mover)
+    curvature = BEND / 4 * mover.gradients.target.scale
+    wanted = -curvature * ways[:, 2] * sides_of[:, 0] / np.linalg.norm(sides_of, axis=1)
+    wrong = angles - rest_angles - wanted
+    assert np.sqrt(np.mean(wrong**2)) < 0.3 * np.sqrt(np.mean(wanted**2))  # 0.26 at most
+    # Edges along the tube are as much shorter as they are on its inner side.
+    rest, topology = mover.gradients.target.reference, mover.gradients.target.topology
+    edges = rest[topology.edges[mover.placement.edge_ids]]
+    along = np.linalg.norm(np.diff(edges, axis=1)[:, 0, :2], axis=1) < 1e-9
+    stretch = (lengths / rest_lengths)[along] - 1
+    bent_in = -curvature * edges[along, 0, 1]
+    assert np.abs(stretch - bent_in).max() < 0.1 * np.abs(bent_in).max()
+
+
+def test_at_rest_other_edges_are_at_rest() -> None:
+    source, target = tube(10, 33), tube(6, 20)
+    turned = target[0] * [1.0, 1.0, 1.5] @ rotation((0.0, np.pi / 2, 0.0)).T
+    mover = joined_in_the_middle(source, (turned, target[1]), on(source, target))
+    assert isinstance(mover.joints, OtherEdges)
+    lengths, angles = mover.joints.of(mover.gradients.source.reference)
+    topology, rest = mover.gradients.target.topology, mover.gradients.target.reference
+    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[mover.placement.edge_ids]))
+    np.testing.assert_allclose(
+        angles, dihedral_angles(rest, topology.hinges[mover.placement.hinge_ids]), atol=1e-9
+    )
+
+
+def test_a_rigid_motion_changes_no_joint_and_a_size_all_lengths() -> None:
+    source, target = tube(10, 33), tube(6, 20)
+    mover = joined_in_the_middle(source, target, on(source, target))
+    rest = mover.joints.of(mover.gradients.source.reference)
+    moved = mover.joints.of(2.0 * mover.gradients.source.reference @ rotation((1.0, -2.0, 0.4)).T + 3.0)
+    np.testing.assert_allclose(moved[0], 2.0 * rest[0])
+    np.testing.assert_allclose(moved[1], rest[1], atol=1e-9)
+
+
+def same_edges(source: Mesh, target: Mesh) -> tuple[SameEdges, MixedTransfer]:
+    mover = joined_in_the_middle(source, target, same(source))
+    assert isinstance(mover.joints, SameEdges)
+    return mover.joints, mover
+
+
+def test_on_the_same_mesh_joints_are_the_sources() -> None:
+    mesh = tube(10, 33)
+    joints, mover = same_edges(mesh, mesh)
+    x = arched(mesh[0]) / mover.gradients.source.scale
+    lengths, angles = joints.of(x)
+    topology = mover.gradients.target.topology
+    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[mover.placement.edge_ids]))
+    np.testing.assert_allclose(
+        angles, dihedral_angles(x, topology.hinges[mover.placement.hinge_ids]), atol=1e-12
+    )
+
+
+def test_on_the_same_triangles_lengths_are_ratios_and_angles_are_differences() -> None:
+    source = tube(10, 33)
+    target = source[0] * [2.0, 1.5, 1.2], source[1]
+    joints, mover = same_edges(source, target)
+    topology = mover.gradients.target.topology
+    edges, hinges = topology.edges[mover.placement.edge_ids], topology.hinges[mover.placement.hinge_ids]
+    theirs, ours = mover.gradients.source.reference, mover.gradients.target.reference
+    x = arched(source[0]) / mover.gradients.source.scale
+    lengths, angles = joints.of(x)
+    np.testing.assert_allclose(
+        lengths / edge_lengths(ours, edges), edge_lengths(x, edges) / edge_lengths(theirs, edges)
+    )
+    np.testing.assert_allclose(
+        angles - dihedral_angles(ours, hinges),
+        dihedral_angles(x, hinges) - dihedral_angles(theirs, hinges),
+        atol=1e-12,
+    )
+
+
+def folded(points: Float, angle: float) -> Float:
+    """A sheet folded along y = 2 by an angle."""
+    upper = points[:, 1] > 2
+    result = points.copy()
+    pivot = np.array([0.0, 2.0, 0.0])
+    result[upper] = (points[upper] - pivot) @ rotation((angle, 0, 0)).T + pivot
+    return result
+
+
+def test_an_angle_changes_the_short_way() -> None:
+    """From 170 degrees of a fold to -170 is 20 degrees, whichever angle the target's own fold has."""
+    sheet = grid(4, 4)
+    topology = topology_of(sheet)
+    fold = np.flatnonzero((sheet[0][topology.edges][:, :, 1] == 2).all(axis=1)[topology.hinge_edges])
+    rest, own = folded(sheet[0], np.radians(170.0)), folded(sheet[0], np.radians(30.0))
+
+    class Rows:
+        edge_ids, hinge_ids = np.zeros(0, dtype=np.int64), fold
+
+    joints = SameEdges(topology, Rows(), rest, own)  # type: ignore[arg-type]
+    angles = joints.of(folded(sheet[0], np.radians(190.0)))[1]
+    sign = np.sign(dihedral_angles(own, topology.hinges[fold]))
+    np.testing.assert_allclose(sign * angles, np.radians(50.0))
+
+
+def test_an_edge_without_a_length_keeps_the_targets() -> None:
+    sheet = grid(1, 1)
+    topology = topology_of(sheet)
+
+    class Rows:
+        edge_ids, hinge_ids = np.arange(5), np.zeros(0, dtype=np.int64)
+
+    collapsed = sheet[0].copy()
+    collapsed[1] = collapsed[0]
+    joints = SameEdges(topology, Rows(), collapsed, sheet[0])  # type: ignore[arg-type]
+    lengths = joints.of(2.0 * collapsed)[0]
+    own = edge_lengths(sheet[0], topology.edges)
+    np.testing.assert_allclose(lengths, own * [1.0, 2.0, 2.0, 2.0, 2.0])

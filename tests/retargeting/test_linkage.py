@@ -1,0 +1,84 @@
+"""Parts that hang on each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixseq.errors import SettingsError
+from mixseq.retargeting.linkage import Contact, Linkage, leg_length, leg_ratio
+from tests.retargeting.walkers import BONES, body
+
+
+def contact(parts: list[int], name: str = "sole") -> Contact:
+    return Contact(name, np.zeros((len(parts), 3)), np.array(parts, dtype=np.int64))
+
+
+def test_limbs_lead_from_the_root_to_the_ground() -> None:
+    linkage, (left, right) = body(1.0)
+    assert linkage.limb(left) == (1, 2, 3)
+    assert linkage.limb(right) == (4, 5, 6)
+    assert replace(linkage, root=3).limb(right) == (2, 1, 0, 4, 5, 6)
+
+
+def test_vertices_on_several_parts_belong_to_the_first_that_carries_all() -> None:
+    linkage, _ = body(1.0)
+    assert linkage.limb(contact([3, 2, 3])) == (1, 2)
+    assert linkage.limb(contact([0, 0])) == ()
+
+
+def test_pivots_may_form_loops() -> None:
+    linkage, (left, _) = body(1.0)
+    loop = replace(linkage, links=np.concatenate([linkage.links, [[1, 3]]]), pivots=np.zeros((7, 3)))
+    assert loop.limb(left) == (1, 3)  # the shorter way
+
+
+def test_legs_are_as_long_as_their_bones() -> None:
+    linkage, (left, _) = body(1.4)
+    middle = np.hypot(1.4 * BONES["foot"], left.points.mean(axis=0)[0])
+    assert leg_length(linkage, left) == pytest.approx(1.4 * (BONES["thigh"] + BONES["shank"]) + middle)
+    assert leg_length(linkage, contact([0])) == pytest.approx(np.linalg.norm(linkage.centres[0]))
+
+
+def test_ratio_of_legs() -> None:
+    source, target = body(1.0), body(1.0)
+    grown = replace(target[0], pivots=3 * target[0].pivots, centres=3 * target[0].centres)
+    contacts = [replace(each, points=3 * each.points) for each in target[1]]
+    assert leg_ratio(source[0], grown, source[1], contacts) == pytest.approx(3.0)
+
+
+def test_placed_points_follow_their_parts() -> None:
+    linkage = Linkage(np.array([[1.0, 0, 0], [3, 0, 0]]), np.array([[0, 1]]), np.array([[2.0, 0, 0]]), 0)
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    rotations, centres = np.stack([np.eye(3), quarter])[None], np.array([[[1.0, 0, 0], [2, 1, 0]]])
+    both = linkage.placed(np.array([[2.0, 0, 0], [2, 0, 0]]), [0, 1], rotations, centres)
+    np.testing.assert_allclose(both, [[[2, 0, 0], [2, 0, 0]]], atol=1e-15)
+
+
+def test_refuses_vertices_that_follow_nothing() -> None:
+    linkage, _ = body(1.0)
+    with pytest.raises(SettingsError, match="contact 'sole' follow no part"):
+        linkage.limb(contact([3, -1]))
+    loose = replace(linkage, links=linkage.links[1:], pivots=linkage.pivots[1:])
+    with pytest.raises(SettingsError, match="follow part 3, which nothing links to the root"):
+        loose.limb(contact([3]))
+    with pytest.raises(SettingsError, match="contact 'sole' has 0 vertices"):
+        linkage.limb(contact([]))
+
+
+def test_refuses_a_contact_on_several_limbs() -> None:
+    with pytest.raises(SettingsError, match=r"'sole' are on several limbs \(parts 3, 6\); name one contact"):
+        body(1.0)[0].limb(contact([3, 6]))
+
+
+def test_refuses_legs_that_cannot_be_compared() -> None:
+    linkage, contacts = body(1.0)
+    with pytest.raises(SettingsError, match="2 contacts of the source and 1 of the target"):
+        leg_ratio(linkage, linkage, contacts, contacts[:1])
+    with pytest.raises(SettingsError, match="at least one"):
+        leg_ratio(linkage, linkage, [], [])
+    point = replace(linkage, centres=np.zeros((7, 3)))
+    with pytest.raises(SettingsError, match="legs of the source have no length"):
+        leg_ratio(point, linkage, [contact([0])], [contact([0])])

@@ -1,0 +1,149 @@
+"""Transfer in the mixed space: parts, poses and joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.correspondence.dense import Correspondence
+from mixseq.geometry.rigid import kabsch
+from mixseq.reconstruction.shells import ShellSettings
+from mixseq.retargeting.making import mixed_transfer, vertex_areas
+from mixseq.retargeting.mixed import MixedTransfer, PartPoses, Parts
+from mixseq.segmentation.given import segment_by_labels
+from mixseq.segmentation.joints import decompose
+from tests.meshes import Mesh, bent, grid, joined, rotation, tetrahedron, topology_of, tube
+from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+TUBE = tube(8, 33, radius=0.3)
+ELBOW = 1.3
+"""Radians."""
+
+
+def lengthened(points: Float, thicker: float = 1.0) -> Float:
+    """Bones of 3 and 1.5 for two of 2; the elbow is at z = 3."""
+    below, above = np.minimum(points[:, 2], 2.0), np.maximum(points[:, 2] - 2.0, 0.0)
+    return np.stack([thicker * points[:, 0], thicker * points[:, 1], 1.5 * below + 0.75 * above], axis=1)
+
+
+def moving(
+    source: Mesh, target: Mesh, frames: Float, correspondence: Correspondence | None = None
+) -> MixedTransfer:
+    """Two parts that meet at z = 2."""
+    halves = (source[0][source[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
+    labels = segment_by_labels(halves, topology_of(source))
+    made = gradients(source, target, correspondence or same(source))
+    return mixed_transfer(made, frames, labels, 3, ShellSettings())
+
+
+@pytest.mark.parametrize("finer", [False, True], ids=["same triangles", "finer"])
+@pytest.mark.parametrize(("thicker", "degrees"), [(1.0, 0.2), (2.0, 2.5)])  # 0.015 and 2.2
+def test_bones_keep_their_lengths_and_take_the_angle(finer: bool, thicker: float, degrees: float) -> None:
+    x = bent(TUBE[0], ELBOW, blend=0.3)
+    target, correspondence = (lengthened(TUBE[0], thicker), TUBE[1]), same(TUBE)
+    if finer:
+        target, correspondence = subdivided(target), to_subdivided(TUBE)
+    mover = moving(TUBE, target, np.stack([TUBE[0], x]), correspondence)
+    moved, rest = mover.frame(x), target[0]
+    bones = np.flatnonzero(rest[:, 2] < 2.4), np.flatnonzero(rest[:, 2] > 3.4)
+    turns, shifts = zip(*(kabsch(rest[bone], moved[bone]) for bone in bones), strict=True)
+    between = turns[0].T @ turns[1]
+    assert abs(np.arccos((np.trace(between) - 1) / 2) - ELBOW) < np.radians(degrees)
+    # Bones are as they were, 4.5 long in all.
+    for bone, turn, shift in zip(bones, turns, shifts, strict=True):
+        assert furthest(rest[bone] @ turn.T + shift, moved[bone]) < 2e-3 * 4.5
+    # The elbow of both is at the same place.
+    first, second = (turn @ [0.0, 0.0, 3.0] + shift for turn, shift in zip(turns, shifts, strict=True))
+    assert np.linalg.norm(first - second) < 0.02 * 4.5
+
+
+def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
+    """A telescope: the gap between parts is that of the source, as large as the target is."""
+    x = TUBE[0] + np.clip((TUBE[0][:, 2:] - 1.9) / 0.2, 0.0, 1.0) * [0.0, 0.0, 0.4]
+    size, turn = 3.0, rotation((0.4, -1.0, 2.0))
+    target = size * TUBE[0] @ turn.T, TUBE[1]
+    mover = moving(TUBE, target, np.stack([TUBE[0], x]))
+    poses, rest = mover.poses(x), mover.pivots.centres
+    away = (poses.centres - rest) * mover.gradients.target.scale
+    np.testing.assert_allclose(away[1] - away[0], size * turn @ [0.0, 0.0, 0.4], atol=0.05 * 0.4 * size)
+
+
+def test_the_root_goes_as_far_as_its_stride() -> None:
+    mover = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
+    way = np.array([0.3, 1.0, -2.0])
+    rest = mover.parts.centres
+    for stride in (1.0, 1.7):
+        centres = replace(mover, stride=stride).poses(TUBE[0] + way).centres
+        expected = stride * mover.gradients.alignment.scale * way / mover.gradients.target.scale
+        np.testing.assert_allclose(centres - rest, np.tile(expected, (2, 1)), atol=1e-9)
+
+
+def test_parts_go_where_they_are_told() -> None:
+    """Other poses move the target rigidly with them: the whole, if all parts move as one."""
+    target = lengthened(TUBE[0]), TUBE[1]
+    x = bent(TUBE[0], ELBOW, blend=0.3)
+    mover = moving(TUBE, target, np.stack([TUBE[0], x]))
+    own = mover.poses(x)
+    np.testing.assert_array_equal(mover.frame(x, own), mover.frame(x))
+    turn, shift = rotation((0.3, 2.0, -0.5)), np.array([1.0, 2.0, 3.0])
+    told = PartPoses(turn @ own.rotations, own.centres @ turn.T + shift)
+    expected = mover.frame(x) @ turn.T + shift * mover.gradients.target.scale
+    assert furthest(mover.frame(x, told), expected) < 1e-7
+
+
+def test_pieces_that_no_edge_joins_are_linked() -> None:
+    """An eye on the upper bone turns with it, in its own place."""
+    eye = 0.1 * tetrahedron()[0] + [0.0, 0.45, 3.5], tetrahedron()[1]
+    source = joined(TUBE, eye)
+    target = lengthened(source[0]), source[1]
+    x = bent(source[0], ELBOW, blend=0.3)
+    mover = moving(source, target, np.stack([source[0], x]))
+    assert mover.pivots.parts.tolist()[0] == [0, 1]
+    assert len(mover.pivots.parts) == 2
+    assert 2 in mover.pivots.parts[1]
+    moved = mover.frame(x)
+    upper = np.flatnonzero(target[0][:, 2] > 3.6)
+    turn, shift = kabsch(target[0][upper], moved[upper])
+    assert furthest(target[0][upper] @ turn.T + shift, moved[upper]) < 5e-3
+
+
+def test_a_mesh_of_one_part_moves_as_gradients_move_it() -> None:
+    target = lengthened(TUBE[0]), TUBE[1]
+    x = bent(TUBE[0], 0.2, blend=3.0)
+    made = gradients(TUBE, target)
+    alone = np.zeros(len(TUBE[1]), dtype=np.int64)
+    mover = mixed_transfer(made, x[None], alone, 3, ShellSettings())
+    moved, other = mover.frame(x), made.frame(x)
+    np.testing.assert_allclose(moved - moved.mean(axis=0), other - other.mean(axis=0), atol=1e-9)
+
+
+def test_parts_are_registered_to_their_shapes() -> None:
+    labels = (TUBE[0][TUBE[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
+    parts = Parts.of(decompose(topology_of(TUBE), labels, 3), TUBE[0])
+    turn, shift = rotation((1.0, 2.0, -0.5)), np.array([3.0, 1.0, 0.0])
+    aligned, poses = parts.register(TUBE[0] @ turn.T + shift)
+    np.testing.assert_allclose(aligned, parts.shapes, atol=1e-9)
+    np.testing.assert_allclose(poses.rotations, np.tile(turn, (2, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(poses.centres, parts.centres @ turn.T + shift, atol=1e-9)
+
+
+def test_areas_of_vertices_are_thirds_of_triangles() -> None:
+    sheet = grid(2, 3)
+    areas = vertex_areas(*sheet)
+    assert areas.sum() == pytest.approx(6.0)
+    assert areas[5] == pytest.approx(1.0)  # within, six triangles of 1/2
+
+
+def test_the_same_frame_is_the_same_whatever_was_asked_before() -> None:
+    target = subdivided((lengthened(TUBE[0]), TUBE[1]))
+    x = bent(TUBE[0], ELBOW, blend=0.3)
+    first = moving(TUBE, target, np.stack([TUBE[0], x]), to_subdivided(TUBE))
+    second = moving(TUBE, target, np.stack([TUBE[0], x]), to_subdivided(TUBE))
+    second.frame(TUBE[0])
+    np.testing.assert_array_equal(first.frame(x), second.frame(x))

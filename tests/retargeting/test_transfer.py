@@ -1,0 +1,305 @@
+"""One character's motion on another's body, as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.markers import Markers
+from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
+from mixseq.mapping import on_threads, serially
+from mixseq.retargeting.sources import source_motion
+from mixseq.retargeting.transfer import METHODS, MethodName, plan
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Model
+from mixseq.spaces import MixedSpace
+from tests.meshes import SEQUENCES, bar, rigid_motions, rotation
+from tests.retargeting.pairs import from_subdivided, furthest, subdivided, to_subdivided
+
+Float = NDArray[np.float64]
+
+both = pytest.mark.parametrize("method", METHODS)
+
+
+def first(sequence: MeshSequence) -> MeshSequence:
+    return MeshSequence.from_arrays(sequence.points[:1], sequence.faces)
+
+
+def one(points: Float, like: MeshSequence) -> MeshSequence:
+    return MeshSequence.from_arrays(points[None], like.faces)
+
+
+def shaped(points: Float) -> Float:
+    """Another body: longer above than below, and a little thicker."""
+    z = points[:, 2]
+    return np.stack([1.2 * points[:, 0], 1.1 * points[:, 1], z + 0.1 * z**2], axis=1)
+
+
+@both
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_onto_itself_nothing_changes(name: str, method: MethodName) -> None:
+    sequence = SEQUENCES[name]()
+    moved = mixseq.transfer(sequence, first(sequence), method=method)
+    assert furthest(moved.points, sequence.points) <= 1e-6 * sequence.diagonal
+
+
+@both
+@pytest.mark.parametrize("name", ["bar", "rigid component", "several components", "three pages", "unused vertices"])
+def test_onto_a_copy_of_another_size_it_commutes(name: str, method: MethodName) -> None:
+    sequence = SEQUENCES[name]()
+    turn, size, shift = rotation((0.5, -1.3, 2.1)), 7.3, np.array([10.0, -3.0, 5.0])
+    copies = size * sequence.points @ turn.T + shift
+    moved = mixseq.transfer(sequence, one(copies[0], sequence), method=method)
+    assert furthest(moved.points, copies) <= 1e-6 * size * sequence.diagonal
+
+
+@both
+@given(motion=rigid_motions)
+@settings(max_examples=8, deadline=None)
+def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
+    method: MethodName, motion: tuple[Float, Float]
+) -> None:
+    """With the rest where it was; whatever body the target is."""
+    turn, shift = motion
+    source = bar(sides=5, rings=15, frames=3)
+    rest, target = first(source), one(shaped(source.points[0]), source)
+    planned = plan(source, target, method=method, rest=rest, workers=serially)
+    still = mixseq.transfer(source, target, method=method, rest=rest, workers=serially).points
+    away = source.with_points(source.points @ turn.T + shift)
+    moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serially).points
+    # About the middle of the root at rest: the target's is elsewhere.
+    alignment = planned.mover.gradients.alignment if method == "mixed" else planned.mover.alignment  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(alignment.rotation, np.eye(3))
+    expected = still @ turn.T
+    offset = moved[0].mean(axis=0) - expected[0].mean(axis=0)
+    assert furthest(moved, expected + offset) <= 2e-6 * source.diagonal
+    way = (turn - np.eye(3)) @ source.points[0].mean(axis=0) + shift
+    assert np.linalg.norm(offset) < 10 * (1 + np.linalg.norm(way)) * alignment.scale
+
+
+@both
+def test_a_source_that_lies_elsewhere_moves_the_target_the_same_way(method: MethodName) -> None:
+    """Source and rest moved together: that is only another place of the source."""
+    source = bar(sides=5, rings=15, frames=3)
+    target = one(2.0 * source.points[0], source)
+    moved = source.with_points(source.points @ rotation((1.0, 0.3, -2.0)).T + [5.0, 6.0, 7.0])
+    results = [mixseq.transfer(each, target, method=method).points for each in (source, moved)]
+    assert furthest(*results) <= 1e-6 * 2 * source.diagonal
+
+
+@both
+def test_there_and_back_over_a_dense_map(method: MethodName) -> None:
+    """A to its subdivision, and back: within 1e-4 diagonals by gradients, 1.5 % with joints solved twice."""
+    source = bar(sides=6, rings=21, frames=4)
+    mesh = source.points[0], source.faces.astype(np.int64)
+    fine = MeshSequence.from_arrays(subdivided(mesh)[0][None], subdivided(mesh)[1])
+    there = mixseq.transfer(source, fine, mapping=to_subdivided(mesh), method=method)
+    back = mixseq.transfer(there, first(source), mapping=from_subdivided(mesh), method=method)
+    bound = {"gradients": 1e-9, "mixed": 0.015}[method]
+    assert furthest(back.points, source.points) <= bound * source.diagonal
+
+
+@both
+def test_there_and_back_on_the_same_triangles(method: MethodName) -> None:
+    source = bar(sides=6, rings=21, frames=4)
+    other = one(shaped(source.points[0]), source)
+    there = mixseq.transfer(source, other, method=method)
+    back = mixseq.transfer(there, first(source), method=method)
+    assert furthest(back.points, source.points) <= 0.01 * source.diagonal
+
+
+def test_methods_differ_where_proportions_do() -> None:
+    source = bar(frames=3)
+    target = one(shaped(source.points[0]), source)
+    mixed, gradients = (mixseq.transfer(source, target, method=method).points for method in METHODS)
+    assert 1e-4 * source.diagonal < furthest(mixed, gradients) < 0.1 * source.diagonal
+    np.testing.assert_allclose(mixed[0], target.points[0], atol=1e-6)
+    np.testing.assert_allclose(gradients[0], target.points[0], atol=1e-9)
+
+
+def test_the_result_has_the_targets_mesh_and_the_sources_times() -> None:
+    source = bar(frames=4)
+    target = MeshSequence.from_arrays(
+        shaped(source.points[0])[None], source.faces, name="tall", up_axis="Z", metres_per_unit=0.01
+    )
+    moved = mixseq.transfer(source, target)
+    np.testing.assert_array_equal(moved.times, source.times)
+    assert (moved.name, moved.up_axis, moved.metres_per_unit) == ("tall", "Z", 0.01)
+    assert moved.fps == source.fps
+    assert moved.points.dtype == np.float64
+
+
+def test_a_model_moves_as_its_frames_do_with_its_own_parts(bent_bar: MeshSequence, bar_model: Model) -> None:
+    assert isinstance(bar_model.space, MixedSpace)
+    target = one(shaped(bent_bar.points[0]), bent_bar)
+    parts = bar_model.space.decomposition.part_of_face
+    moved = mixseq.transfer(bar_model, target)
+    expected = mixseq.transfer(bent_bar, target, parts=parts)
+    assert furthest(moved.points, expected.points) <= 1e-6 * bent_bar.diagonal
+    planned = plan(bar_model, target)
+    np.testing.assert_array_equal(planned.mover.source.part_of_face, parts)  # type: ignore[attr-defined]
+
+
+@both
+def test_any_frame_may_be_the_rest(method: MethodName) -> None:
+    """Onto the shape of another frame: all come back from there."""
+    source = bar(frames=4)
+    for rest in (2, -1):
+        moved = mixseq.transfer(source, one(source.points[rest], source), rest=rest, method=method)
+        assert furthest(moved.points, source.points) <= 1e-6 * source.diagonal
+    shape = MeshSequence.from_arrays(source.points[2:], source.faces)
+    again = mixseq.transfer(source, one(source.points[2], source), rest=shape, method=method)
+    assert furthest(again.points, source.points) <= 1e-6 * source.diagonal
+
+
+@both
+def test_a_rest_of_another_size_is_brought_to_size(method: MethodName) -> None:
+    source = bar(frames=4)
+    target = one(shaped(source.points[0]), source)
+    rest = one(1.67 * source.points[0], source)
+    moved = mixseq.transfer(source, target, rest=rest, method=method).points
+    expected = mixseq.transfer(source, target, method=method).points
+    moved, expected = (points - points.mean(axis=1, keepdims=True) for points in (moved, expected))
+    assert furthest(moved, expected) <= 0.03 * source.diagonal
+
+
+@both
+def test_one_frame_is_a_motion_as_well(method: MethodName) -> None:
+    source = bar(frames=4)
+    target = one(shaped(source.points[0]), source)
+    parts = (source.points[0][source.faces].mean(axis=1)[:, 2] > 2).astype(int)
+    whole = mixseq.transfer(source, target, method=method, parts=parts)
+    last = MeshSequence.from_arrays(source.points[3:], source.faces)
+    alone = mixseq.transfer(last, target, method=method, rest=first(source), parts=parts)
+    assert alone.frame_count == 1
+    assert furthest(alone.points[0], whole.points[3]) <= 1e-6 * source.diagonal
+    still = mixseq.transfer(first(source), target, method=method)
+    assert furthest(still.points, target.points) <= 1e-6 * source.diagonal
+
+
+@both
+def test_blocks_are_the_whole(method: MethodName) -> None:
+    source = bar(sides=5, rings=15, frames=21)
+    target = one(shaped(source.points[0]), source)
+    told: list[tuple[int, int, str]] = []
+    planned = plan(source, target, method=method)
+    blocks = list(planned.blocks(lambda *what: told.append(what)))  # type: ignore[arg-type]
+    assert len(blocks) > 1
+    assert planned.header.frame_count == 21
+    np.testing.assert_array_equal(
+        np.concatenate(blocks), mixseq.transfer(source, target, method=method).points
+    )
+    assert told[-1] == (21, 21, "transferring frames")
+
+
+@both
+def test_threads_do_not_change_a_bit(method: MethodName) -> None:
+    source = bar(sides=6, rings=15, frames=20)
+    mesh = source.points[0], source.faces.astype(np.int64)
+    fine = MeshSequence.from_arrays(shaped(subdivided(mesh)[0])[None], subdivided(mesh)[1])
+    results = [
+        mixseq.transfer(source, fine, mapping=to_subdivided(mesh), method=method, workers=on_threads(count))
+        for count in (1, 2)
+    ]
+    assert np.array_equal(results[0].points, results[1].points)
+
+
+def test_a_source_that_was_looked_at_may_be_used_again() -> None:
+    source = bar(frames=3)
+    motion = source_motion(source, parts=2)
+    target = one(shaped(source.points[0]), source)
+    planned = plan(motion, target)
+    moved = np.concatenate(list(planned.blocks()))
+    np.testing.assert_array_equal(moved, mixseq.transfer(source, target, parts=2).points)
+
+
+def test_a_map_of_the_same_mesh_is_the_same_as_none() -> None:
+    source = bar(frames=3)
+    target = one(shaped(source.points[0]), source)
+    given_map = Correspondence.identity(source.vertex_count, len(source.faces))
+    np.testing.assert_array_equal(
+        mixseq.transfer(source, target, mapping=given_map).points, mixseq.transfer(source, target).points
+    )
+
+
+def test_markers_take_the_place_of_a_map() -> None:
+    """A tube on one that is cut otherwise, by pairs of vertices."""
+    source = bar(sides=8, rings=21, frames=3)
+    other = bar(sides=8, rings=31, frames=3)
+    rings = ((0, 0), (6, 9), (14, 21), (20, 30))
+    pairs = [(8 * a + side, 8 * b + side) for a, b in rings for side in (0, 2, 4, 6)]
+    pairs += [(168, 248), (169, 249)]
+    planned = plan(source, first(other), markers=pairs)
+    assert planned.quality is not None
+    moved = np.concatenate(list(planned.blocks()))
+    assert furthest(moved, other.points) <= 0.06 * source.diagonal
+    same = mixseq.transfer(source, first(other), markers=Markers.of(pairs))
+    np.testing.assert_array_equal(same.points, moved)
+
+
+# Refusals -------------------------------------------------------------------------------------------------
+
+SOURCE = bar(sides=5, rings=15, frames=2)
+TARGET = first(SOURCE)
+OTHER = first(bar(sides=6, rings=15, frames=2))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "edges"}, r"method is 'edges'; 'mixed' or 'gradients' is expected"),
+        ({"rest": 2}, r"rest is 2; a frame from 0 to 1 is expected"),
+        ({"rest": "0"}, r"rest is '0'; a frame"),
+        ({"markers": [[0, 0]], "mapping": Correspondence.identity(77, 150)}, "markers and a map.*give one"),
+        ({"markers": [0, 1, 2]}, r"markers have shape \(3,\)"),
+        ({"mapping": Correspondence.identity(77, 151)}, "a source with 77 vertices and 151 triangles.*77 and 150"),
+        (
+            {"mapping": replace(Correspondence.identity(77, 150), target_size=(78, 150))},
+            "a target with 78 vertices and 150 triangles.*77 and 150",
+        ),
+        ({"contacts": {"left": [0]}, "method": "gradients"}, "contacts.*the method 'mixed'"),
+        ({"contacts": {"left": [0, 77]}}, "contact 'left' names vertex 77, but those of the target are 0 to 76"),
+        ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' names vertex -1"),
+        ({"contacts": {"left": []}}, "contact 'left' is no list of vertices"),
+        ({"contacts": {"left": [0.5]}}, "contact 'left' is no list of vertices"),
+        ({"contacts": {"left": 3}}, "contact 'left' is no list of vertices"),
+        ({"joint_width": 0}, "joint_width is 0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        mixseq.transfer(SOURCE, TARGET, **options)  # type: ignore[arg-type]
+
+
+def test_other_triangles_need_a_correspondence() -> None:
+    with pytest.raises(
+        SettingsError,
+        match="the source has 77 vertices and 150 triangles, the target 92 and 180.*give markers or a map",
+    ):
+        mixseq.transfer(SOURCE, OTHER)
+    swapped = MeshSequence.from_arrays(TARGET.points, TARGET.faces[::-1])
+    with pytest.raises(SettingsError, match="in another order; give markers or a map"):
+        mixseq.transfer(SOURCE, swapped)
+
+
+def test_a_rest_of_another_mesh_is_refused() -> None:
+    with pytest.raises(InvalidSequenceError, match="the mesh at rest has 92 vertices and 180 triangles"):
+        mixseq.transfer(SOURCE, TARGET, rest=OTHER)
+
+
+def test_parts_of_another_mesh_are_refused() -> None:
+    with pytest.raises(SegmentationError, match="150 triangles"):
+        mixseq.transfer(SOURCE, TARGET, parts=[0, 1])
+
+
+@pytest.mark.parametrize("wrong", ["source", "target"])
+def test_what_is_no_sequence_is_refused(wrong: str) -> None:
+    meshes: dict[str, object] = {"source": SOURCE, "target": TARGET, wrong: SOURCE.points}
+    with pytest.raises(InvalidSequenceError):
+        mixseq.transfer(**meshes)  # type: ignore[arg-type]
