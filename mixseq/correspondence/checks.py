@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.orientation import check_orientation
 from mixseq.correspondence.sides import exchanged_groups
 from mixseq.correspondence.suspects import (
     FEWEST_COMPARED,
@@ -39,8 +38,6 @@ from mixseq.correspondence.thin_plate import Bending
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.sequence import FloatArray
 from mixseq.topology import Topology
-
-__all__ = ["check_markers", "check_orientation"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -57,11 +54,12 @@ MIRRORED = 0.5
 SIMILAR = 0.01
 """What a rotation leaves, below which markers are too flat to tell it from a reflection."""
 
-MOST_COMPARED = 2000
+MOST_COMPARED = 1000
 """Markers that are compared with each other; more are not set by people, and take long."""
 
 GROUPS_EXCHANGED, MOST_GROUPED = 0.7, 200
-"""Exchanged, the centres of two groups are closer than this to where they should be, relative to as they are; and the most markers whose groups are compared: the time is quadratic."""
+"""Exchanged, the centres of two groups are closer than this to where they should be, relative to as they are; and the
+most markers whose groups are compared, which takes time by their square."""
 
 NAMED = 6
 """Most markers that a message names."""
@@ -84,13 +82,14 @@ def check_markers(
     target_points : (V', 3) float
         The target at rest.
     source_topology, target_topology : Topology, optional
-        Their connectivity, to refuse markers on vertices that no triangle uses.
+        Their connectivity, to refuse markers on vertices that no triangle uses; these then do not count as the mesh's
+        extent.
 
     Raises
     ------
     SettingsError
-        If there are fewer than four markers, vertices that do not exist or that no triangle uses, a vertex that is
-        paired with two others, markers on a line, or such that fit a mirrored mesh far better.
+        If there are fewer than four different markers, vertices that do not exist or that no triangle uses, a vertex
+        that is paired with two others, markers on a line, or such that fit a mirrored mesh far better.
 
     Warns
     -----
@@ -98,9 +97,11 @@ def check_markers(
         If all markers are on a plane, but the mesh is not; if two of them, or two groups, seem exchanged; if one seems
         wrong.
     """
-    if len(markers) < FEWEST:
+    once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
+    if len(once) < FEWEST:
+        repeated = f" that differ, of {len(markers)}" if len(once) < len(markers) else ""
         raise SettingsError(
-            f"there are {len(markers)} markers; at least {FEWEST} that are on no plane are needed"
+            f"there are {len(once)} markers{repeated}; at least {FEWEST} that are on no plane are needed"
         )
     for side, vertices, points, topology in (
         ("source", markers.source, source_points, source_topology),
@@ -110,13 +111,14 @@ def check_markers(
         if topology is not None:
             _check_used(markers, side, vertices, topology)
     _check_pairs(markers)
-    source, target = source_points[markers.source], target_points[markers.target]
-    for side, chosen, points in (("source", source, source_points), ("target", target, target_points)):
-        _check_spread(side, np.asarray(chosen, np.float64), np.asarray(points, np.float64))
+    own, other = _used(source_points, source_topology), _used(target_points, target_topology)
+    source = np.asarray(source_points[markers.source], np.float64)
+    target = np.asarray(target_points[markers.target], np.float64)
+    for side, chosen, points in (("source", source, own), ("target", target, other)):
+        _check_spread(side, chosen, points)
     _check_hand(_normalised(source), _normalised(target))
-    once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
     if FEWEST_COMPARED <= len(once) <= MOST_COMPARED:
-        diagonal = float(np.linalg.norm(np.ptp(target_points, axis=0)))
+        diagonal = float(np.linalg.norm(np.ptp(other, axis=0)))
         _compare(
             markers,
             once,
@@ -217,13 +219,19 @@ def _compare(markers: Markers, rows: Index, source: Float, target: Float, unit: 
         )
 
 
-def _normalised(points: FloatArray) -> Float:
-    return np.asarray((points - points.mean(axis=0)) / _size(points), np.float64)
+def _used(points: FloatArray, topology: Topology | None) -> Float:
+    """Points in triangles, or all if nothing is known of these."""
+    used = points if topology is None else np.delete(points, topology.unused_vertices, axis=0)
+    return np.asarray(used, np.float64)
 
 
-def _size(points: FloatArray) -> float:
+def _normalised(points: Float) -> Float:
+    return np.asarray((points - points.mean(axis=0)) / _size(points))
+
+
+def _size(points: Float) -> float:
     """Root mean square distance from the centre."""
-    centred = np.asarray(points, np.float64) - points.mean(axis=0)
+    centred = points - points.mean(axis=0)
     return max(float(np.sqrt((centred**2).sum(axis=1).mean())), np.finfo(float).tiny)
 
 

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mixseq.correspondence.checks import check_markers, check_orientation
+from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.matching import MatchingSettings, match
-from mixseq.correspondence.pairing import pair_components
+from mixseq.correspondence.orientation import check_facing, check_orientation
+from mixseq.correspondence.pairing import Pairing, pair_components
 from mixseq.correspondence.quality import Quality, assess
 from mixseq.correspondence.registration import RegistrationSettings, register
 from mixseq.correspondence.surfaces import Surface
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence
+from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
+
+LITTLE = 0.5
+"""Share of a mesh's area that should be of components with markers; ours."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +76,12 @@ def correspond(
     ------
     SettingsError
         If there are fewer than four markers, markers cannot be meant as they are (see `check_markers`), the frame does
-        not exist, a mesh has no faces, or one is inside out.
+        not exist, a mesh has no faces or no area where it is marked, or one is inside out.
 
     Warns
     -----
     MixseqWarning
-        If markers seem exchanged or wrong, or components are inside out.
+        If markers seem exchanged or wrong, components are inside out, or most of a mesh has no markers.
     """
     return correspond_and_assess(source, target, markers, rest, settings, progress).correspondence
 
@@ -89,6 +95,18 @@ def correspond_and_assess(
     progress: Progress = silent,
 ) -> Assessed:
     """Find a correspondence like `correspond`, and how good it is."""
+    with one_blas_thread():
+        return _assessed(source, target, markers, rest, settings, progress)
+
+
+def _assessed(
+    source: MeshSequence,
+    target: MeshSequence,
+    markers: Markers,
+    rest: int,
+    settings: CorrespondenceSettings | None,
+    progress: Progress,
+) -> Assessed:
     settings = CorrespondenceSettings() if settings is None else settings
     if not -source.frame_count <= rest < source.frame_count:
         raise SettingsError(
@@ -97,12 +115,35 @@ def correspond_and_assess(
     start, goal = _surface(source, rest, "source"), _surface(target, 0, "target")
     check_markers(markers, start.points, goal.points, start.topology, goal.topology)
     pairings = pair_components(start.topology, goal.topology, markers)
+    _check_areas(start, goal, pairings)
+    check_orientation(start.points, start.faces, goal.points, goal.faces)
     points = register(start, goal, pairings, markers, settings.registration, progress).points
-    check_orientation(start.points, start.faces, goal.points, goal.faces, points)
+    check_facing(points, start.faces, goal.points, goal.faces)
     registered = Surface(points, start.topology)
     matches = match(registered, goal, pairings, settings.matching)
     quality = assess(registered, goal, pairings, markers, matches, settings.matching)
     return Assessed(matches.correspondence, quality)
+
+
+def _check_areas(source: Surface, target: Surface, pairings: tuple[Pairing, ...]) -> None:
+    """There must be a surface to be fitted, and one to be fitted to; it should be most of the mesh."""
+    for what, surface, chosen in (
+        ("source", source, [pairing.source_faces for pairing in pairings]),
+        ("target", target, [pairing.target_faces for pairing in pairings]),
+    ):
+        marked = float(surface.face_areas[np.concatenate(chosen)].sum())
+        if not marked > 0:
+            raise SettingsError(
+                f"all markers of the {what} are on components whose triangles have no area; mark vertices of others"
+            )
+        share = marked / float(surface.face_areas.sum())
+        if share < LITTLE:
+            warnings.warn(
+                f"components with markers are only {100 * share:.0f} % of the {what}'s area, and all others follow "
+                "them as if stuck; mark them too, or weld vertices that are in one place",
+                MixseqWarning,
+                stacklevel=4,
+            )
 
 
 def _surface(sequence: MeshSequence, frame: int, what: str) -> Surface:

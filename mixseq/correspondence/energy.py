@@ -35,7 +35,10 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _EDGE_WEIGHTS = 0.05, 20.0
-"""Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld."""
+"""Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld. Ours."""
+
+_LEAST_AREA = 1e-6
+"""Area about a vertex, in means of all, that it has at least: components without area would have any map. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ class Pull:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """The energy of a mesh, of which each vertex is in a triangle.
+    """The energy of a mesh, of which each vertex is in a triangle, and some triangle has an area.
 
     Attributes
     ----------
@@ -80,9 +83,9 @@ class Energy:
 
     @cached_property
     def areas(self) -> Float:
-        """Areas ``(V,)`` about the vertices; they add to one."""
+        """Areas ``(V,)`` about the vertices; they add to one, but for what those without area get."""
         areas = self.surface.vertex_areas
-        return np.asarray(areas / areas.sum())
+        return np.asarray(np.maximum(areas / areas.sum(), _LEAST_AREA / len(areas)))
 
     @cached_property
     def _matrix(self) -> sparse.csc_array:

@@ -1,10 +1,8 @@
 r"""Correspondence from maps that somebody else made: of vertices, of triangles, or of points on triangles.
 
-Each is completed. *Triangles* of the target are moved by the source triangle of the same three vertices, or else by the
-closest to the mean of their mapped corners, of those that face the same way. *Vertices* are on the source vertex that
+Each is completed (`mixseq.correspondence.completing`). Of a map of triangles, *vertices* are on the source vertex that
 all triangles around them share, or else at the point that is closest to the mean, by area, of the mapped triangles'
-centroids. *Vertices that the map leaves out* follow the nearest vertex of their component that it does not, and
-components that it leaves out follow one vertex, as if stuck to it.
+centroids.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.correspondence.completing import closest_facing, complete
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import SettingsError
@@ -20,18 +19,12 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 Mesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""
 
 ADDS_TO_ONE = 1e-3
 """How far weights may be from adding to one, rounded as files have them; they are then divided by their sum. Ours."""
-
-
-def same_connectivity(source_faces: IntArray, target_faces: IntArray) -> bool:
-    """Whether two meshes have the same triangles, so that every vertex and triangle is itself."""
-    return np.array_equal(source_faces, target_faces)
 
 
 def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
@@ -58,7 +51,7 @@ def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspond
     a, b = _surface(source), _surface(target)
     numbers = _numbers(vertices, len(b.points), len(a.points), "vertices")
     weights = np.where(numbers[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
-    return _complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
+    return complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
 
 
 def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
@@ -79,7 +72,7 @@ def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspo
     a, b = _surface(source), _surface(target)
     numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
     corners, weights = _vertices_of(numbers, a, b)
-    return _complete(a, b, corners, weights, numbers)
+    return complete(a, b, corners, weights, numbers)
 
 
 def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
@@ -104,9 +97,11 @@ def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, targe
     numbers = _numbers(flat, 3 * len(b.points), len(a.points), "corners, three for each of its vertices")
     on = numbers.reshape(-1, 3)
     on = np.where((on >= 0).all(axis=1, keepdims=True), on, -1)
-    parts = np.asarray(weights, np.float64)
-    if parts.shape != on.shape or not np.isfinite(parts).all():
-        raise SettingsError(f"weights have shape {parts.shape}; finite numbers {on.shape} are expected")
+    parts = np.asarray(weights)
+    if parts.shape != on.shape or parts.dtype.kind not in "fiu" or not np.isfinite(parts).all():
+        raise SettingsError(
+            f"weights have shape {parts.shape} and type {parts.dtype}; finite numbers {on.shape} are expected"
+        )
     sums, matched = parts.sum(axis=1), on[:, 0] >= 0
     wrong = np.flatnonzero(matched & (np.abs(sums - 1) > ADDS_TO_ONE))
     if wrong.size:
@@ -115,7 +110,7 @@ def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, targe
             + (f" ({len(wrong)} vertices)" if len(wrong) > 1 else "")
         )
     parts = np.where(matched[:, None], parts / np.where(matched, sums, 1.0)[:, None], 0.0)
-    return _complete(a, b, on, parts, np.full(len(b.faces), -1))
+    return complete(a, b, on, parts, np.full(len(b.faces), -1))
 
 
 def _surface(mesh: Mesh) -> Surface:
@@ -147,73 +142,6 @@ def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) 
     return numbers.astype(np.int64)
 
 
-def _complete(
-    source: Surface, target: Surface, corners: Index, weights: Float, faces: Index
-) -> Correspondence:
-    matched = np.asarray((corners >= 0).all(axis=1))
-    whole = np.asarray(matched[target.faces].all(axis=1))
-    open_faces = np.flatnonzero(whole & (faces < 0))
-    faces = np.where(whole, faces, -1)
-    faces[open_faces] = _faces_of(source, target, corners, weights, open_faces)
-    return Correspondence(
-        (len(source.points), len(source.faces)),
-        (len(target.points), len(target.faces)),
-        corners,
-        weights,
-        faces,
-        _leaders(target, matched),
-    )
-
-
-def _faces_of(source: Surface, target: Surface, corners: Index, weights: Float, chosen: Index) -> Index:
-    """The source triangles that move chosen target triangles, by where their corners are."""
-    triangles = target.faces[chosen]
-    # A corner with all its weight on one vertex is that vertex, which may be written in several ways.
-    heaviest = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
-    exact = _same_triangles(source.faces, heaviest[triangles])
-    exact[~(weights.max(axis=1) == 1)[triangles].all(axis=1)] = -1
-    rest = np.flatnonzero(exact < 0)
-    if rest.size and len(source.faces):
-        mapped = np.einsum("vk,vkc->vc", weights, source.points[corners])
-        normals = np.einsum("vk,vkc->vc", weights, source.vertex_normals[corners])
-        exact[rest] = _closest(
-            source, mapped[triangles[rest]].mean(axis=1), normals[triangles[rest]].sum(axis=1)
-        )[0]
-    return exact
-
-
-def _same_triangles(source: Index, wanted: Index) -> Index:
-    """Number of the first source triangle ``(F, 3)`` of the same three vertices as each wanted one, or -1.
-
-    Of two with the same vertices the one that runs the same way round comes first.
-    """
-    both = np.concatenate([source, wanted])
-    first = np.argmin(both, axis=1)
-    turned = np.take_along_axis(both, (first[:, None] + np.arange(3)) % 3, axis=1)
-    result = np.full(len(wanted), -1)
-    for keys in (np.sort(both, axis=1), turned):
-        number = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-        known = np.full(number.max(initial=-1) + 1, -1)
-        known[number[: len(source)][::-1]] = np.arange(len(source))[::-1]
-        found = known[number[len(source) :]]
-        result = np.where(found >= 0, found, result)
-    return result
-
-
-def _closest(source: Surface, points: Float, normals: Float) -> tuple[Index, Float]:
-    """Triangles, with weights, closest to points; of those that face the same way, if there are any."""
-    from mixseq.geometry.nearest import Nearest
-
-    nearest = Nearest.of(source.points, source.faces)
-    found = nearest.query(points, normals)
-    faces, weights = found.faces.copy(), found.weights.copy()
-    lost = np.flatnonzero(faces < 0)
-    if lost.size:
-        again = nearest.query(points[lost])
-        faces[lost], weights[lost] = again.faces, again.weights
-    return faces, weights
-
-
 def _vertices_of(triangles: Index, source: Surface, target: Surface) -> tuple[Index, Float]:
     """Corners and weights of target vertices, from the source triangles of the triangles around them."""
     count = len(target.points)
@@ -231,7 +159,7 @@ def _vertices_of(triangles: Index, source: Surface, target: Surface) -> tuple[In
         sums[1, :, k] = np.bincount(vertex, areas * source.face_normals[on, k], count)
     matched = np.flatnonzero(around > 0)
     means, normals = sums[:, matched] / total[matched, None]
-    closest, parts = _closest(source, means, normals)
+    closest, parts = closest_facing(source, means, normals)
     corners = np.full((count, 3), -1)
     corners[matched], weights[matched] = source.faces[closest], parts
     shared = _shared(vertex, source.faces[on], source.faces[on, corner], around)
@@ -262,20 +190,3 @@ def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index)
         alone = np.bincount(pairs[:, 0], minlength=len(around))[pairs[:, 0]] == 1
         result[pairs[alone, 0]] = pairs[alone, 1]
     return result
-
-
-def _leaders(target: Surface, matched: Mask) -> Index:
-    """Whom vertices that are on nothing follow: see the head of this module."""
-    from scipy.spatial import cKDTree
-
-    leaders = np.arange(len(target.points))
-    component = target.topology.component_of_vertex
-    everywhere = np.flatnonzero(matched)
-    for number in np.unique(component[~matched]):
-        own = component == number
-        lost, near = np.flatnonzero(own & ~matched), np.flatnonzero(own & matched)
-        if near.size:
-            leaders[lost] = near[cKDTree(target.points[near]).query(target.points[lost])[1]]
-        else:
-            leaders[lost] = target.nearest_vertex(everywhere, lost)
-    return leaders

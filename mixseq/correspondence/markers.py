@@ -35,7 +35,7 @@ class Markers:
         Raises
         ------
         SettingsError
-            If they are no pairs of whole numbers.
+            If they are no pairs of whole numbers, or there are more or fewer names.
         """
         try:
             table = np.asarray(pairs)
@@ -48,6 +48,10 @@ class Markers:
         if table.ndim != 2 or table.shape[1] != 2 or not np.array_equal(whole, table):
             raise SettingsError(
                 f"markers have shape {table.shape}; (n, 2) whole numbers, source and target, are expected"
+            )
+        if names and len(names) != len(whole):
+            raise SettingsError(
+                f"there are {len(whole)} markers and {len(names)} names; give one each, or none"
             )
         return cls(whole[:, 0].copy(), whole[:, 1].copy(), names)
 

@@ -93,29 +93,29 @@ def match(
     normals = np.concatenate([target.vertex_normals, target.face_normals])
     faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
     distances = np.full(len(queries), np.inf)
-    for pairing in pairings:
-        own = np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces])
-        found = Part(registered, pairing.source_faces).closest(
-            queries[own], normals[own], settings.largest_angle
+    parts = [
+        (
+            Part(registered, pairing.source_faces),
+            np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
+        for pairing in pairings
+    ]
+    for part, own in parts:
+        found = part.closest(queries[own], normals[own], settings.largest_angle)
         near = found.distances <= settings.largest_distance * target.diagonal
-        own = own[near]
-        faces[own], weights[own], distances[own] = (
-            found.faces[near],
-            found.weights[near],
-            found.distances[near],
-        )
+        close = own[near]
+        faces[close], weights[close] = found.faces[near], found.weights[near]
+        distances[close] = found.distances[near]
     found_themselves = faces >= 0
     graph, is_vertex = _surface_graph(target), np.arange(len(queries)) < vertex_count
     for kind in (is_vertex, ~is_vertex):
         nearest = _nearest_along(graph, np.flatnonzero(kind & found_themselves))
         filled = np.flatnonzero(kind & (nearest >= 0))
         faces[filled], weights[filled] = faces[nearest[filled]], weights[nearest[filled]]
-    for pairing in pairings:  # components of which nothing is near: anything is better than nothing
-        own = np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces])
-        own = own[faces[own] < 0]
-        found = Part(registered, pairing.source_faces).closest(queries[own])
-        faces[own], weights[own] = found.faces, found.weights
+    for part, own in parts:  # components of which nothing is near: anything is better than nothing
+        lost = own[faces[own] < 0]
+        found = part.closest(queries[lost])
+        faces[lost], weights[lost] = found.faces, found.weights
     on = faces[:vertex_count]
     corners = np.where(on[:, None] >= 0, registered.faces[on], -1)
     correspondence = Correspondence(
@@ -161,10 +161,6 @@ def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
 
 def _leaders(target: Surface, matched: Mask) -> Index:
     """Return every vertex itself, but for components without a match the matched vertex that is nearest to them."""
-    leaders = np.arange(len(target.points))
-    component = target.topology.component_of_vertex
-    among = np.flatnonzero(matched)
-    for number in np.unique(component[~matched]):
-        own = np.flatnonzero(component == number)
-        leaders[own] = target.nearest_vertex(among, own)
+    leaders, lost = np.arange(len(target.points)), np.flatnonzero(~matched)
+    leaders[lost] = target.anchors(lost, np.flatnonzero(matched))
     return leaders

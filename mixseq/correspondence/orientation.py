@@ -81,9 +81,8 @@ def check_orientation(
     source_faces: IntArray,
     target_points: FloatArray,
     target_faces: IntArray,
-    registered: FloatArray | None = None,
 ) -> None:
-    """Refuse meshes of which one is inside out.
+    """Refuse meshes of which one is inside out, as far as they have an outside.
 
     Parameters
     ----------
@@ -91,8 +90,6 @@ def check_orientation(
         Both at rest.
     source_faces, target_faces : (F, 3) and (F', 3) int
         Their triangles.
-    registered : (V, 3) float, optional
-        The source, deformed to lie on the target; asked where a mesh has no outside of its own.
 
     Raises
     ------
@@ -108,13 +105,6 @@ def check_orientation(
     if source.sign * target.sign == -1:
         which = "target" if target.sign < 0 else "source"
         raise SettingsError(f"the {which} is inside out, its volume is negative; {_CURE}")
-    if source.sign * target.sign == 0 and registered is not None:
-        share = _against(registered, source_faces, target_points, target_faces)
-        if share > 0.5:
-            raise SettingsError(
-                f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of "
-                f"them is inside out; of the target, {_CURE}"
-            )
     turned = np.flatnonzero(target.signs * target.sign == -1)
     if turned.size:
         named = ", ".join(f"that of triangle {target.faces[number]}" for number in turned[:NAMED])
@@ -124,6 +114,35 @@ def check_orientation(
             "turn their triangles over if they are no cavities",
             MixseqWarning,
             stacklevel=2,
+        )
+
+
+def check_facing(
+    registered: FloatArray, source_faces: IntArray, target_points: FloatArray, target_faces: IntArray
+) -> None:
+    """Refuse a target that faces away from the source that was fitted to it, where one of them has no outside.
+
+    Parameters
+    ----------
+    registered : (V, 3) float
+        The source, deformed to lie on the target.
+    source_faces : (F, 3) int
+        Its triangles.
+    target_points, target_faces : (V', 3) float and (F', 3) int
+        The target.
+
+    Raises
+    ------
+    SettingsError
+        If most of the target, by area, faces the other way than what is closest.
+    """
+    if sides(registered, source_faces).sign * sides(target_points, target_faces).sign != 0:
+        return  # `check_orientation` knows better
+    share = _against(registered, source_faces, target_points, target_faces)
+    if share > 0.5:
+        raise SettingsError(
+            f"{100 * share:.0f} % of the target's area faces away from the source that was fitted to it: one of them "
+            f"is inside out; of the target, {_CURE}"
         )
 
 

@@ -32,7 +32,7 @@ class Quality:
     filled_vertices, filled_faces : int
         How many took over the match of a neighbour.
     followers : int
-        Components of the target that follow a vertex.
+        Components of the target that follow a vertex; vertices that no triangle uses are none.
     marker_distances : (n,) float64
         Distances of marked vertices of the registered source from the vertices of the target that they should be at.
     markers : Markers
@@ -83,7 +83,8 @@ def assess(
     agreement = np.einsum(
         "fc,fc->f", target.face_normals[mapped], registered.face_normals[correspondence.faces[mapped]]
     )
-    component = target.topology.component_of_vertex
+    first = target.faces[:, 0]
+    following = target.topology.component_of_vertex[first[~correspondence.matched[first]]]
     gaps = registered.points[markers.source] - target.points[markers.target]
     return Quality(
         covered / max(float(registered.face_areas.sum()), 1e-300),
@@ -94,7 +95,7 @@ def assess(
         int((agreement < 0).sum()),
         int((correspondence.matched & ~matches.found_vertices).sum()),
         int((mapped & ~matches.found_faces).sum()),
-        len(np.unique(component[~correspondence.matched])),
+        len(np.unique(following)),
         np.linalg.norm(gaps, axis=1) / size,
         markers,
     )

@@ -31,7 +31,7 @@ from mixseq.progress import Progress, silent
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_BEGINNING = 3  # minimisations with markers alone: similarities follow from the maps before
+_BEGINNING = 3  # minimisations with markers alone, ours: similarities follow from the maps before
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def register(
     settings : RegistrationSettings, optional
         How it is done.
     progress : callable
-        Told every round.
+        Told every minimisation.
 
     Raises
     ------
@@ -132,25 +132,27 @@ def register(
     settings = RegistrationSettings() if settings is None else settings
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
     # In diagonals of the target, about its centre: far from the origin digits would be lost.
-    size, centre = target.diagonal, target.points.mean(axis=0)
+    size, centre = target.diagonal, target.centroids.mean(axis=0)
     moved = Surface((similarity(source.points) - centre) / size, source.topology)
     goal = Surface((target.points - centre) / size, target.topology)
     fitting = Fitting.of(moved, goal, pairings, markers, settings.markers)
     energy = Energy(fitting.surface, settings.bending, settings.shear)
     maps = np.broadcast_to(np.eye(3), (len(fitting.vertices), 3, 3))
-    for _ in range(_BEGINNING):
+    rounds = settings.steps * settings.rounds
+    work = _BEGINNING + rounds
+    for k in range(_BEGINNING):
+        progress(k, work, "registering")
         points, maps = energy.minimise(settings.stiffest, maps, [fitting.held])
     residuals = []
-    rounds = settings.steps * settings.rounds
     strengths = np.geomspace(settings.stiffest, settings.softest, settings.steps)
     reaches = np.linspace(settings.largest_distance, settings.last_distance, settings.steps)
     for k in range(rounds):
-        progress(k, rounds, "registering")
+        progress(_BEGINNING + k, work, "registering")
         step = k // settings.rounds
         pulls, residual = fitting.pulls(points, settings.largest_angle, float(reaches[step]))
         points, maps = energy.minimise(float(strengths[step]), maps, pulls)
         residuals.append(residual)
-    progress(rounds, rounds, "registering")
+    progress(work, work, "registering")
     whole = _carried(moved, fitting.vertices, points, maps)
     return Registration(whole * size + centre, similarity, np.array(residuals))
 
@@ -160,12 +162,8 @@ def _carried(source: Surface, vertices: Index, points: Float, maps: Float) -> Fl
     x = source.points
     result = x.copy()
     result[vertices] = points
-    fitted = np.zeros(len(x), dtype=bool)
-    fitted[vertices] = True
-    component = source.topology.component_of_vertex
-    for number in np.unique(component[~fitted]):
-        own = np.flatnonzero(component == number)
-        anchor = source.nearest_vertex(vertices, own)
-        k = int(np.searchsorted(vertices, anchor))
-        result[own] = points[k] + (x[own] - x[anchor]) @ maps[k].T
+    others = np.setdiff1d(np.arange(len(x)), vertices)
+    anchors = source.anchors(others, vertices)
+    k = np.searchsorted(vertices, anchors)
+    result[others] = points[k] + np.einsum("nij,nj->ni", maps[k], x[others] - x[anchors])
     return result

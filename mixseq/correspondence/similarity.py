@@ -45,7 +45,7 @@ def fit_similarity(source: Float, target: Float) -> Similarity:
     Raises
     ------
     SettingsError
-        If the points of either side are all in one place, or are mirrored so that no scale fits.
+        If the points of either side are all in one place.
     """
     rotation, _ = kabsch(source, target)
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.nearest import Found, Nearest
+from mixseq.spaces.normals import unit
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -37,8 +38,8 @@ class Surface:
 
     @cached_property
     def diagonal(self) -> float:
-        """Length of the diagonal of the bounding box."""
-        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        """Length of the diagonal of the bounding box of the triangles; strays that no triangle uses do not count."""
+        return float(np.linalg.norm(np.ptp(self.points[self.faces.reshape(-1)], axis=0)))
 
     @cached_property
     def vectors(self) -> Float:
@@ -54,7 +55,7 @@ class Surface:
     @cached_property
     def face_normals(self) -> Float:
         """Unit normals ``(F, 3)``; zero where a triangle has no area."""
-        return _unit(self.vectors)
+        return unit(self.vectors)
 
     @cached_property
     def centroids(self) -> Float:
@@ -75,7 +76,7 @@ class Surface:
             np.bincount(corners, weights=np.repeat(self.vectors[:, d], 3), minlength=len(self.points))
             for d in range(3)
         ]
-        return _unit(np.stack(sums, axis=1))
+        return unit(np.stack(sums, axis=1))
 
     @cached_property
     def squared_lengths(self) -> Float:
@@ -94,14 +95,31 @@ class Surface:
         """Points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
         return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
 
-    def nearest_vertex(self, among: Index, to: Index) -> int:
-        """The vertex of the first that is nearest to any vertex of the second; of equals the lowest."""
+    def anchors(self, lost: Index, among: Index) -> Index:
+        """Find where components hold on as a whole.
+
+        Parameters
+        ----------
+        lost : (n,) int64
+            Vertices of some components, ascending.
+        among : (m,) int64
+            Vertices that they may hold on to, at least one.
+
+        Returns
+        -------
+        (n,) int64
+            For each that of the others that is nearest to any lost vertex of its component; of equals that of the
+            lowest of these.
+        """
         from scipy.spatial import cKDTree
 
-        distances, places = (
-            np.asarray(found) for found in cKDTree(self.points[among]).query(self.points[to])
-        )
-        return int(among[places[np.argmin(distances)]])
+        found = cKDTree(self.points[among]).query(self.points[lost])
+        distances, places = (np.asarray(part) for part in found)
+        component = self.topology.component_of_vertex[lost]
+        order = np.lexsort((distances, component))
+        components, nearest = np.unique(component[order], return_index=True)
+        own = np.searchsorted(components, component)
+        return np.asarray(among[places[order[nearest[own]]]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +144,3 @@ class Part:
         """Find closest points, where the surface faces the same way; triangles are numbered as in the surface."""
         found = self._nearest.query(points, normals, largest_angle)
         return Found(np.where(found.faces >= 0, self.chosen[found.faces], -1), found.weights, found.distances)
-
-
-def _unit(vectors: Float) -> Float:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0))

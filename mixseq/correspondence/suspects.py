@@ -25,6 +25,9 @@ STRIKING = 2.5
 FAR, SURPRISING = 0.5, 5.0
 """Distance of a wrong marker in root mean square distances from the centre, and surprise in medians of all."""
 
+MOST_FOUND = 20
+"""Exchanges, and wrong markers, that are looked for."""
+
 NOTHING = 1e-6
 """Distance that is rounding."""
 
@@ -45,7 +48,7 @@ def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, flo
         Two markers, and how far they are from where they should be: as they are, and exchanged.
     """
     target, found = target.copy(), []
-    for _ in range(len(target) // 4):
+    for _ in range(min(len(target) // 4, MOST_FOUND)):
         pairs = bending.exchanges(target)
         typical = np.median(bending.left_out(target)[0])
         better = pairs.exchanged < EXCHANGED * pairs.straight
@@ -74,7 +77,9 @@ def wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]
         A marker, its distance, and how much energy that takes: the square root, in medians of all.
     """
     kept, found = np.arange(len(source)), []
-    while len(kept) >= max(FEWEST_COMPARED, len(source) - len(source) // 4):
+    for _ in range(min(len(source) // 4, MOST_FOUND)):
+        if len(kept) < FEWEST_COMPARED:
+            break
         distances, surprises = Bending.of(source[kept]).left_out(target[kept])
         surprises = surprises / max(float(np.median(surprises)), np.finfo(float).tiny)
         wrong = (distances > FAR) & (surprises > SURPRISING)

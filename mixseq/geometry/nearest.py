@@ -152,9 +152,8 @@ class Nearest:
 
 
 def _directions_or_points(values: FloatArray, what: str) -> Float:
-    result = np.array(
-        values, dtype=np.float64, order="C"
-    )  # a copy: read-only arrays would be compiled for again
+    # A copy: read-only arrays would be compiled for again.
+    result = np.array(values, dtype=np.float64, order="C")
     if result.ndim != 2 or result.shape[1] != 3:
         raise SettingsError(f"{what} have the shape {result.shape}; give (n, 3)")
     broken = ~np.isfinite(result).all(axis=1)

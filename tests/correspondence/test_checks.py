@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.correspondence.checks import check_markers, check_orientation
+from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.orientation import sides
+from mixseq.correspondence.orientation import check_facing, check_orientation, sides
 from mixseq.correspondence.thin_plate import Bending
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
@@ -216,6 +216,21 @@ def test_markers_on_vertices_without_triangles_are_refused() -> None:
         check_markers(Markers.of([[0, 0], [1, 1], [2, 2], [3, 3]]), creature(), creature(), unused)
 
 
+def test_the_same_marker_twice_is_one() -> None:
+    pairs = [[0, 0], [1, 1], [2, 2], [1, 1]]
+    with pytest.raises(SettingsError, match="3 markers that differ, of 4; at least 4"):
+        check_markers(Markers.of(pairs), creature(), other(creature()))
+
+
+def test_a_flat_mesh_may_have_strays() -> None:
+    """What no triangle uses is not beside the plane of the markers."""
+    points, faces = grid(4, 4)
+    points = np.concatenate([points, [[1.0, 1.0, 7.0]]])
+    topology = Topology(faces, len(points))
+    pairs = [[k, k] for k in (0, 4, 12, 20, 24)]
+    check_markers(Markers.of(pairs), points, 2 * points, topology, topology)
+
+
 # Inside out ---------------------------------------------------------------------------------------------------
 
 
@@ -252,9 +267,9 @@ def test_single_components_inside_out_are_told() -> None:
 def test_open_surfaces_are_told_by_a_registration() -> None:
     points, faces = grid(4, 4)
     check_orientation(points, faces, points, faces[:, ::-1])
-    check_orientation(points, faces, points, faces, registered=points)
+    check_facing(points, faces, points, faces)
     with pytest.raises(SettingsError, match=r"100 % of the target's area faces away"):
-        check_orientation(points, faces, points, faces[:, ::-1], registered=points)
+        check_facing(points, faces, points, faces[:, ::-1])
 
 
 # Markers that people set --------------------------------------------------------------------------------------

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.correspondence.correspond import correspond, correspond_and_assess
 from mixseq.correspondence.markers import Markers
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
-from tests.meshes import Mesh, joined, rotation, topology_of, tube
+from tests.meshes import Mesh, grid, joined, rotation, topology_of, tube
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -125,6 +125,67 @@ def test_a_frame_that_does_not_exist_is_refused() -> None:
 def test_a_mesh_inside_out_is_refused() -> None:
     with pytest.raises(SettingsError, match="inside out"):
         correspond(still(*BODY), still(BODY[0], BODY[1][:, ::-1]), Markers(MARKED, MARKED))
+
+
+def test_it_is_refused_before_the_long_work() -> None:
+    """A closed mesh tells by itself that it is inside out."""
+    told: list[int] = []
+    with pytest.raises(SettingsError, match="inside out"):
+        correspond(
+            still(*BODY),
+            still(BODY[0], BODY[1][:, ::-1]),
+            Markers(MARKED, MARKED),
+            progress=lambda done, *_: told.append(done),
+        )
+    assert told == []
+
+
+def test_an_open_mesh_inside_out_is_refused_by_what_was_fitted() -> None:
+    points, faces = grid(8, 8)
+    bumpy = points + [0, 0, 1] * np.sin(points[:, :1]) * np.cos(points[:, 1:2])
+    marked = Markers(np.array([0, 8, 30, 40, 50, 72, 80]), np.array([0, 8, 30, 40, 50, 72, 80]))
+    with pytest.raises(SettingsError, match="faces away from the source that was fitted"):
+        correspond(still(bumpy, faces), still(bumpy, faces[:, ::-1]), marked)
+
+
+def test_vertices_that_no_triangle_uses_change_nothing() -> None:
+    """Neither the unit of lengths, nor what follows."""
+    markers, target = Markers(MARKED, MARKED), warp(BODY[0])
+    alone = correspond_and_assess(still(*BODY), still(target, BODY[1]), markers)
+    stray = np.random.default_rng(0).normal(size=(50, 3)) * 1e4
+    source = still(np.concatenate([BODY[0], stray]), BODY[1])
+    result = correspond_and_assess(source, still(np.concatenate([target, stray]), BODY[1]), markers)
+    carried, expected = (found.correspondence.carry(BODY[0]) for found in (result, alone))
+    np.testing.assert_allclose(carried[: len(BODY[0])], expected, atol=1e-6)
+    assert result.quality.largest == pytest.approx(alone.quality.largest)
+    assert result.quality.followers == 0
+
+
+def test_a_marked_component_without_area_is_carried_along() -> None:
+    """Three vertices in one place, as exporters leave them."""
+    count = len(BODY[0])
+    faces = np.concatenate([BODY[1], [[count, count + 1, count + 2]]])
+    source = np.concatenate([BODY[0], np.tile(BODY[0][62] * 1.2, (3, 1))])
+    marked = np.append(MARKED, count)
+    found = correspond(still(source, faces), still(warp(source), faces), Markers(marked, marked))
+    assert error(found.carry(source), source).max() < 0.015
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_a_mesh_without_area_is_refused(side: str) -> None:
+    flat = BODY[0], BODY[1][:, [0, 1, 1]]
+    meshes = (flat, BODY) if side == "source" else (BODY, flat)
+    with pytest.raises(SettingsError, match=f"markers of the {side} are on components .* have no area"):
+        correspond(still(*meshes[0]), still(*meshes[1]), Markers(MARKED, MARKED))
+
+
+def test_a_mesh_that_falls_apart_is_told() -> None:
+    """No two triangles share a vertex, so that markers lead few of them."""
+    points, faces = BODY
+    loose = points[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+    first = np.array([np.flatnonzero(faces.reshape(-1) == vertex)[0] for vertex in MARKED])
+    with pytest.warns(MixseqWarning, match="only 3 % of the target's area.*weld"):
+        correspond(still(*BODY), still(*loose), Markers(MARKED, first))
 
 
 WOLF_TO_HORSE = [

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.given import from_barycentric, from_triangles, from_vertices, same_connectivity
+from mixseq.correspondence.given import from_barycentric, from_triangles, from_vertices
 from mixseq.errors import SettingsError
 from tests.meshes import Mesh, grid, joined, pages, tetrahedron, torus, tube
 
@@ -117,13 +117,6 @@ def test_two_sides_of_a_sheet_keep_apart() -> None:
     nearest = np.array([np.linalg.norm(points - p / 2, axis=1).argmin() for p in fine])
     found = from_vertices(nearest + len(points), both, (fine / 2, fine_faces[:, ::-1]))
     assert (found.faces >= len(faces)).all()
-
-
-def test_same_connectivity() -> None:
-    faces = MESHES["torus"][1]
-    assert same_connectivity(faces, faces.astype(np.int32))
-    assert not same_connectivity(faces, faces[::-1])
-    assert not same_connectivity(faces, faces[1:])
 
 
 def test_weights_are_made_to_add_to_one() -> None:

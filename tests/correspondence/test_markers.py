@@ -37,3 +37,8 @@ def test_what_is_no_pairs_is_refused(pairs: Any) -> None:
 )
 def test_messages_call_them_by_name_or_number(names: tuple[str, ...], called: str) -> None:
     assert Markers.of([[1, 2], [3, 4]], names).name(1) == called
+
+
+def test_names_are_one_each_or_none() -> None:
+    with pytest.raises(SettingsError, match="2 markers and 1 names"):
+        Markers.of([[1, 2], [3, 4]], ("nose",))

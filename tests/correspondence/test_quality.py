@@ -60,6 +60,12 @@ def test_followers_are_counted_and_lower_the_coverage() -> None:
     assert found.source_coverage == pytest.approx(1.0)
 
 
+def test_vertices_in_no_triangle_are_no_followers() -> None:
+    points, faces = tube(8, 12)
+    stray = np.concatenate([points, [[9.0, 0, 0]]])
+    assert quality((points, faces), (stray, faces), Markers.of([(0, 0)])).followers == 0
+
+
 def test_flipped_faces_are_counted() -> None:
     sheet = grid(6, 6)
     faces = sheet[1].copy()

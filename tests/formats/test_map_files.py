@@ -181,13 +181,17 @@ WRONG = {
     "broken.json": ("[", "cannot be read as JSON"),
     "empty.json": ("{}", "has no map"),
     "text.json": ('["a"]', "row 1: a is no row of numbers"),
+    "digits.json": (f"[{'9' * 5000}]", "cannot be read as JSON"),
     "huge.json": (f"[{10**400}]", "is no row of numbers"),
     "few.txt": ("5\n6\n", r"few.txt: there are 2 rows; one for each of the target's 4"),
     "target.txt": ("5 4\n", "there is no target 4: it has 4 .vertices.*the source's number first"),
     "source.txt": ("99\n6\n7\n8\n", "entry 0 of the map is 99, but the source has 54"),
     "twice.txt": ("5 0\n6 0\n", "target 0 is given two sources, 5 and 6"),
     "sum.txt": ("4 0.5 0.25 0.1\n5 1 0 0\n6 0 1 0\n-1 0 0 0\n", "target vertex 0 add to 0.85"),
-    "outside.txt": ("4 1 0 0\n500 1 0 0\n6 0 1 0\n-1 0 0 0\n", "there is no triangle 500"),
+    "outside.txt": (
+        "4 1 0 0\n500 1 0 0\n6 0 1 0\n-1 0 0 0\n",
+        "target vertex 1 is on triangle 500, but the source has",
+    ),
 }
 
 
@@ -199,3 +203,28 @@ def test_errors_name_file_and_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(FormatError, match=message) as caught:
         loaded(file)
     assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        (
+            {"version": "two", "corners": some_map().corners},
+            "is a map of version two; this mixseq reads version 1",
+        ),
+        ({"version": [1, 1], "corners": some_map().corners}, "this mixseq reads version 1"),
+        (
+            {"corners": some_map().corners, "weights": some_map().weights.astype(str)},
+            "type <U32; finite numbers",
+        ),
+        (
+            {"corners": some_map().corners, "weights": some_map().weights + 0j},
+            "type complex128; finite numbers",
+        ),
+    ],
+)
+def test_arrays_of_other_types_are_refused(tmp_path: Path, arrays: dict[str, Any], message: str) -> None:
+    file = tmp_path / "map.npz"
+    np.savez(file, **arrays)
+    with pytest.raises(FormatError, match=message):
+        loaded(file)

@@ -6,11 +6,10 @@ JSON, ``{"left foot": [12, 13, 20], "right foot": [40, 41]}``, with vertices num
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from mixseq.errors import FormatError
-from mixseq_io.reader import brief, reading
+from mixseq_io.correspondence.text import parse_json, read_text
 from mixseq_io.registry import PathLike
 
 
@@ -32,18 +31,13 @@ def read_contacts(path: PathLike) -> dict[str, list[int]]:
     {'left': [3, 4], 'right': [7]}
     """
     file = Path(path)
-    with reading(file, "contacts", UnicodeDecodeError):
-        text = file.read_text(encoding="utf-8-sig")
-    try:
-        groups = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+    groups = parse_json(file, read_text(file, "contacts"))
     if isinstance(groups, dict) and isinstance(groups.get("contacts"), dict):
         groups = groups["contacts"]
     if not isinstance(groups, dict) or not groups:
         raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
     for name, vertices in groups.items():
-        whole = isinstance(vertices, list) and all(type(vertex) is int for vertex in vertices)
+        whole = isinstance(vertices, list) and all(type(vertex) is int and vertex >= 0 for vertex in vertices)
         if not whole or not vertices:
             raise FormatError(f"{file}: contact '{name}' is no list of vertices, numbered from 0")
     return groups

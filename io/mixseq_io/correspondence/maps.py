@@ -123,7 +123,10 @@ def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspond
             return from_triangles(numbers, source, target)
         outside = numbers[(numbers < -1) | (numbers >= len(source[1]))]
         if outside.size:
-            raise SettingsError(f"there is no triangle {outside[0]}: the source has {len(source[1])}, from 0")
+            place = int(np.flatnonzero(numbers == outside[0])[0])
+            raise SettingsError(
+                f"target vertex {place} is on triangle {outside[0]}, but the source has {len(source[1])}, from 0"
+            )
         corners = np.where(numbers[:, None] >= 0, np.asarray(source[1])[numbers], -1)
         return from_barycentric(corners, weights, source, target)
     except SettingsError as error:
@@ -172,9 +175,10 @@ def _read_npz(file: Path) -> GivenMap:
         arrays = {name: archive[name] for name in archive.files}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
-        version = int(arrays["version"]) if arrays["version"].shape == () else -1
-        if version != VERSION:
-            raise FormatError(f"{file} is a map of version {version}; this mixseq reads version {VERSION}")
+        if not np.array_equal(arrays["version"], VERSION):
+            raise FormatError(
+                f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {VERSION}"
+            )
         missing = [name for name in _STORED if name not in arrays]
         if missing:
             raise FormatError(f"{file} has no array {missing[0]!r}; it is damaged")

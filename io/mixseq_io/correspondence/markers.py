@@ -27,14 +27,18 @@ from typing import Any
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import FormatError
 from mixseq_io.atomic import replacing
-from mixseq_io.reader import brief, reading
+from mixseq_io.correspondence.text import parse_json, read_text
+from mixseq_io.reader import brief
 from mixseq_io.registry import PathLike
 
 YAML = (".yml", ".yaml")
 
 _PAIR = re.compile(r"(\d+)\s*(?:->|[\s,:;])\s*(\d+)")
+_COUNT = re.compile(r"\d{1,18}")
 _HEADING = re.compile(r"source\s*(?:->|[\s,:;])\s*target", re.IGNORECASE)
-_EXPECTED = "two numbers of vertices are expected, separated by a space, comma, colon, semicolon or '->'"
+_EXPECTED = (
+    "two numbers of vertices, from 0, are expected, separated by a space, comma, colon, semicolon or '->'"
+)
 
 
 @dataclass(frozen=True)
@@ -78,9 +82,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     ([750, 524], [3386, 3737], ('nose', ''))
     """
     file = Path(path)
-    with reading(file, "markers", UnicodeDecodeError):
-        text = file.read_text(encoding="utf-8-sig")
-    entries = _entries(file, text)
+    entries = _entries(file, read_text(file, "markers"))
     if not entries:
         raise FormatError(f"{file} has no markers; {_EXPECTED}")
     found = [_marker(f"{file}, {entry.where}", entry) for entry in entries]
@@ -119,10 +121,7 @@ def _entries(file: Path, text: str) -> list[_Entry]:
     if file.suffix.lower() in YAML:
         return _yaml(file, text)
     if file.suffix.lower() == ".json":
-        try:
-            values = _listed(file, json.loads(text))
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+        values = _listed(file, parse_json(file, text))
         return [_Entry(f"marker {number}", value) for number, value in enumerate(values, start=1)]
     return _lines(file, text)
 
@@ -134,7 +133,7 @@ def _lines(file: Path, text: str) -> list[_Entry]:
         body, _, comment = line.partition("#")
         body = body.strip()
         first = not entries and announced is None
-        if first and body.isdecimal():
+        if first and _COUNT.fullmatch(body):
             announced = int(body)
         elif body and not (first and _HEADING.fullmatch(body)):
             entries.append(_Entry(f"line {number}", body, comment))
@@ -152,12 +151,12 @@ def _yaml(file: Path, text: str) -> list[_Entry]:
 
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
+        values = _listed(file, _plain(root))
     except (yaml.YAMLError, RecursionError) as error:
         where = getattr(error, "problem_mark", None)
         what = getattr(error, "problem", None) or brief(error)
         line = f", line {where.line + 1}" if where else ""
         raise FormatError(f"{file}{line} cannot be read as YAML: {what}") from None
-    values = _listed(file, _plain(root))
     nodes = root
     if isinstance(root, yaml.MappingNode):
         nodes = next((value for key, value in root.value if key.value == "markers"), None)
@@ -226,7 +225,7 @@ def _marker(where: str, entry: _Entry) -> tuple[int, int, str]:
 
 
 def _vertex(where: str, value: Any) -> int:
-    if isinstance(value, str) and re.fullmatch(r"\d{1,18}", value.strip()):
+    if isinstance(value, str) and _COUNT.fullmatch(value.strip()):
         return int(value)
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62:
         return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.reader import brief, reading
+from mixseq_io.correspondence.text import parse_json, read_text
 
 Float = NDArray[np.float64]
 
@@ -34,8 +33,7 @@ def read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
     FormatError
         If there is no such file, or a row is not of that kind.
     """
-    with reading(file, "a map", UnicodeDecodeError):
-        text = file.read_text(encoding="utf-8-sig")
+    text = read_text(file, "a map")
     said, rows = _of_json(file, text) if file.suffix.lower() == ".json" else _of_text(file, text)
     if not rows:
         raise FormatError(f"{file} has no rows of a map")
@@ -89,10 +87,7 @@ def _of_text(file: Path, text: str) -> tuple[Kind | None, _Rows]:
 
 
 def _of_json(file: Path, text: str) -> tuple[Kind | None, _Rows]:
-    try:
-        tree = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise FormatError(f"{file} cannot be read as JSON: {brief(error)}") from None
+    tree = parse_json(file, text)
     said: Kind | None = None
     if isinstance(tree, dict):
         said = next((kind for kind in get_args(Kind) if kind in tree), None)
