@@ -81,7 +81,10 @@ def rows_of(text: str) -> Iterator[list[str]]:
     "name",
     [
         "README.md",
-        *(f"docs/{name}.md" for name in ("tutorial", "editing", "resampling", "engines", "compression")),
+        *(
+            f"docs/{name}.md"
+            for name in ("tutorial", "editing", "resampling", "transfer", "engines", "compression")
+        ),
     ],
 )
 def test_code_and_commands_run_from_top_to_bottom(

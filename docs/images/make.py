@@ -1,18 +1,25 @@
-"""Draw the pictures of the documentation: ``python docs/images/make.py [NAME ...]``, all of them by default."""
+"""Draw the pictures of the documentation: ``python docs/images/make.py [NAME ...]``, all of them by default.
+
+Two of them show animals and people of other makers (Quaternius, CC0), from the folder that ``MIXSEQ_DATA`` names; they
+are left out where it is not set.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 import mixseq
+from mixseq.cli.transfer import command as transfer_command
 from mixseq.coding.decode import decode_basis
 from mixseq.coding.graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
@@ -38,11 +45,14 @@ from mixseq.operations import (
 from mixseq.operations.interpolation import Blend
 from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
 from mixseq.plots import shared_limits as limits_of
-from mixseq.plots.charts import chart_style
+from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
 from mixseq.plots.colours import CLAY, INK, JOINT_RED, segmentation_colours
 from mixseq.plots.layout import Sheet, matplotlib_module
 from mixseq.plots.shading import area_normals
+from mixseq.plots.transfers import transfer_sheet
 from mixseq.plots.two_sides import height_per_width, two_sides
+from mixseq.retargeting.report import evenly
+from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model
 from mixseq.spaces import MixedSpace
@@ -51,6 +61,7 @@ Float = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 HERE = Path(__file__).parent
+MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
 WIDTH = 1600  # pixels of large pictures
 SHEET_WIDTH = 1280  # pixels of contact sheets
 COLOURS = 96  # of a contact sheet, which no eye misses and PNG packs well
@@ -60,7 +71,10 @@ FPS = 24
 def main() -> None:
     """Draw the pictures that are asked for, or all of them."""
     for name in sys.argv[1:] or PICTURES:
-        PICTURES[name](HERE / f"{name}.png")
+        if name in NEED_DATA and "MIXSEQ_DATA" not in os.environ:
+            print(f"{name}.png: left out, MIXSEQ_DATA is not set")
+        else:
+            PICTURES[name](HERE / f"{name}.png")
 
 
 # Overviews ------------------------------------------------------------------------------------------------
@@ -325,6 +339,96 @@ def sketched(path: Path) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
+# Transfers ------------------------------------------------------------------------------------------------
+
+
+def transfer_fox(path: Path) -> None:
+    """The walk on long legs."""
+    made = plan(walk_cycle(frames=FPS, fps=FPS), long_legs())
+    frames = evenly(FPS, 5)[1:]
+    page, points = BytesIO(), np.concatenate(list(made.blocks()))
+    transfer_sheet(page, made, frames, points[list(frames)], "The walk of the fox, on long legs")
+    save(page, path, SHEET_WIDTH, 256)
+
+
+def transfer_wolf(path: Path) -> None:
+    """The wolf's gallop on the horse."""
+    wolf = "gltf/Wolf.glb"
+    options = "--animation", "Gallop", "--rest", *of_data(wolf), "--markers", f"{MARKERS / 'wolf_horse.txt'}"
+    transferred(path, *of_data(wolf, "gltf/Horse.glb"), *options)
+
+
+def transfer_man(path: Path) -> None:
+    """The man's run on the woman."""
+    options = "--up-axis", "Z", "--markers", f"{MARKERS / 'man_woman.txt'}"
+    transferred(path, *of_data("npz/q_man_run.npz", "npz/q_woman_run.npz"), *options)
+
+
+def contacts(path: Path) -> None:
+    """How fast the paws of the fox on long legs are, with and without contacts."""
+    walk = walk_cycle(frames=FPS, fps=FPS)
+    ahead = np.arange(FPS)[:, None, None] / FPS * [0.469, 0.0, 0.0]
+    walk = mixseq.MeshSequence.from_arrays(walk.points + ahead, walk.polygons, fps=FPS)
+    bone, names = part_of_vertex()
+    feet = {
+        f"{where} {side}": np.flatnonzero(bone == names.index(f"{where}paw.{side[0]}"))
+        for where in ("fore", "hind")
+        for side in ("left", "right")
+    }
+    free, planted = plan(walk, long_legs()), plan(walk, long_legs(), contacts=feet)
+    with chart_style():
+        figure = new_page(12, 2.9, "")
+        panels = figure.subplots(1, len(feet), sharey=True)
+        for ax, group in zip(panels, planted.contacts.groups, strict=True):
+            for stance in group.stances:
+                ax.axvspan(stance.start / FPS, (stance.stop - 1) / FPS, color=FAINT, alpha=0.35, linewidth=0)
+            for made, colour, label in (
+                (free, LINES[1], "without contacts"),
+                (planted, LINES[0], "with contacts"),
+            ):
+                middle = middles(made, feet[group.name])
+                speeds = FPS * np.linalg.norm(np.diff(middle, axis=0), axis=1)
+                ax.plot((np.arange(FPS - 1) + 0.5) / FPS, speeds, color=colour, label=label)
+            ax.set_title(group.name)
+            ax.set_xlabel("seconds")
+        panels[0].set_ylabel("speed, m/s")
+        panels[0].legend()
+        page = BytesIO()
+        figure.savefig(page, format="png", dpi=150)
+    save(page, path, SHEET_WIDTH, COLOURS)
+
+
+def middles(made: Transfer, vertices: Labels) -> Float:
+    """Return the middle ``(T, 3)`` of some vertices of the target."""
+    return np.concatenate([block[:, vertices].mean(axis=1) for block in made.blocks()])
+
+
+@cache
+def long_legs() -> mixseq.MeshSequence:
+    """The fox in the first frame of its walk, with legs half as long again, and thicker."""
+    walk = walk_cycle(frames=FPS, fps=FPS)
+    x, y, z = walk.points[0].T
+    points = np.stack([x, y + 0.5 * np.minimum(y, 0.45), 1.3 * z], axis=1)
+    return mixseq.MeshSequence.from_arrays(points[None], walk.polygons, name="long legs")
+
+
+def of_data(*names: str) -> list[str]:
+    """Return paths of files in the folder of animations of other makers."""
+    return [str(Path(os.environ["MIXSEQ_DATA"], name)) for name in names]
+
+
+def transferred(path: Path, source: str, target: str, *options: str) -> None:
+    """Take the picture that ``mixseq transfer`` draws."""
+    with TemporaryDirectory() as folder:
+        out, picture = str(Path(folder, "out.npz")), Path(folder, "out.png")
+        arguments = [source, target, out, *options, "--picture", str(picture), "--quiet"]
+        transfer_command.main(arguments, standalone_mode=False)
+        page = BytesIO(picture.read_bytes())
+    save(page, path, SHEET_WIDTH, 256)
+
+
+NEED_DATA = ("transfer-wolf", "transfer-man")
+
 PICTURES: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
     "parts": parts,
@@ -342,6 +446,10 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "edit-sculpt": sculpted,
     "edit-swap": swapped,
     "edit-sketch": sketched,
+    "transfer-fox": transfer_fox,
+    "transfer-wolf": transfer_wolf,
+    "transfer-man": transfer_man,
+    "transfer-contacts": contacts,
 }
 
 
