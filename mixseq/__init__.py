@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
     from mixseq_io import open_sequence, read, write, write_blocks, write_rig
+    from mixseq_io.correspondence.markers import read_markers
     from mixseq_io.hdf5.model import load, save
     from mixseq_io.verification import Verification, verify
 
@@ -62,6 +63,7 @@ _HOME = {
     "load": "mixseq_io.hdf5.model",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
+    "read_markers": "mixseq_io.correspondence.markers",
     "save": "mixseq_io.hdf5.model",
     "segment": "mixseq.operations.segmenting",
     "transfer": "mixseq.retargeting.transfer",
@@ -97,6 +99,7 @@ __all__ = [
     "open_sequence",
     "operations",
     "read",
+    "read_markers",
     "save",
     "segment",
     "transfer",

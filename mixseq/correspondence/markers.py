@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +43,10 @@ class Markers:
             table = table.reshape(-1, 2) if table.size == 0 else table
             whole = table.astype(np.int64)
         except (TypeError, ValueError):
+            if isinstance(pairs, str | PathLike):
+                raise SettingsError(
+                    f"markers are the name of a file, {str(pairs)!r}; read it with mixseq.read_markers"
+                ) from None
             raise SettingsError(
                 "markers are no pairs of vertices; (n, 2) whole numbers are expected"
             ) from None

@@ -12,7 +12,7 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.given import Mesh, from_barycentric, from_vertices
 from mixseq.errors import FormatError, OutputError
 from mixseq_io.correspondence.maps import checksum, read_map, to_correspondence, write_map
-from tests.meshes import tetrahedron, torus
+from tests.meshes import grid, tetrahedron, torus
 
 SOURCE, TARGET = torus(9, 6), tetrahedron()
 
@@ -228,3 +228,12 @@ def test_arrays_of_other_types_are_refused(tmp_path: Path, arrays: dict[str, Any
     np.savez(file, **arrays)
     with pytest.raises(FormatError, match=message):
         loaded(file)
+
+
+def test_a_few_rows_are_no_map(tmp_path: Path) -> None:
+    """Markers, given as a map by mistake."""
+    points, faces = grid(5, 5)
+    file = tmp_path / "pairs.txt"
+    file.write_text("1 2\n3 4\n")
+    with pytest.raises(FormatError, match=r"pairs\.txt: it has rows for 2 of the target's 36 vertices.*as markers"):
+        to_correspondence(read_map(file), (points, faces), (points, faces))

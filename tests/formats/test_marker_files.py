@@ -158,3 +158,10 @@ def test_two_files_of_one_correspondence_are_each_others_reverse(data: Path) -> 
     assert set(zip(one.source.tolist(), one.target.tolist(), strict=True)) == set(
         zip(two.source.tolist(), two.target.tolist(), strict=True)
     )
+
+
+def test_a_map_is_no_list_of_markers(tmp_path: Path) -> None:
+    file = tmp_path / "map.npz"
+    file.write_bytes(b"PK")
+    with pytest.raises(FormatError, match=r"map\.npz is a map.*--map"):
+        read_markers(file)

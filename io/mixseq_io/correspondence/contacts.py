@@ -37,7 +37,13 @@ def read_contacts(path: PathLike) -> dict[str, list[int]]:
     if not isinstance(groups, dict) or not groups:
         raise FormatError(f'{file} has no contacts; an object such as {{"left foot": [12, 13]}} is expected')
     for name, vertices in groups.items():
-        whole = isinstance(vertices, list) and all(type(vertex) is int and vertex >= 0 for vertex in vertices)
-        if not whole or not vertices:
-            raise FormatError(f"{file}: contact '{name}' is no list of vertices, numbered from 0")
+        if not isinstance(vertices, list) or not vertices:
+            raise FormatError(
+                f"{file}: contact '{name}' is no list of vertices; give at least one number, from 0"
+            )
+        wrong = [vertex for vertex in vertices if type(vertex) is not int or vertex < 0]
+        if wrong:
+            raise FormatError(
+                f"{file}: contact '{name}' names {wrong[0]!r}, which is no vertex; they count from 0"
+            )
     return groups

@@ -72,6 +72,10 @@ class GivenMap:
     arrays: dict[str, NDArray[Any]]
 
 
+FEW = 0.1
+"""A map tells of at least this share of a mesh; with less it is a list of markers, given by mistake. Ours."""
+
+
 def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
     """Read a map; see the head of this module.
 
@@ -117,6 +121,11 @@ def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspond
         else:
             targets = len(target[1] if given.kind == "triangles" else target[0])
             numbers, weights = _columns(given.rows, targets, given.kind)
+            if np.count_nonzero(numbers >= 0) < FEW * targets:
+                raise SettingsError(
+                    f"it has rows for {np.count_nonzero(numbers >= 0)} of the target's {targets} {given.kind}, too few "
+                    "for a map; if these are markers, give them as markers"
+                )
         if given.kind == "vertices":
             return from_vertices(numbers, source, target)
         if given.kind == "triangles":

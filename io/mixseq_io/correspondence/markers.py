@@ -82,6 +82,8 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     ([750, 524], [3386, 3737], ('nose', ''))
     """
     file = Path(path)
+    if file.suffix.lower() == ".npz" and file.exists():
+        raise FormatError(f"{file} is a map, not a list of markers; give it as the map (--map)")
     entries = _entries(file, read_text(file, "markers"))
     if not entries:
         raise FormatError(f"{file} has no markers; {_EXPECTED}")
