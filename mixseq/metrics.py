@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
+from mixseq.spread import Gathered, Spread
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -38,25 +39,6 @@ FLAT = 1e-6
 """A face lower than this, relative to its longest side, has no normal to speak of."""
 
 _BLOCK = 50_000  # vertices compared at once, some 40 MB of temporaries
-_PERCENTILE = 0.999
-
-
-@dataclass(frozen=True)
-class Spread:
-    """How the values of one error are distributed over all elements and frames.
-
-    Attributes
-    ----------
-    rms, p999, max : float
-        Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
-    skipped : int
-        How many values are not defined and were left out, counted over all frames.
-    """
-
-    rms: float
-    p999: float
-    max: float
-    skipped: int
 
 
 @dataclass(frozen=True)
@@ -152,8 +134,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     header = a.header
     check_comparable(header, b.header)
     topology = Topology(header.faces, header.vertex_count)
-    strains = _Gathered(header.frame_count * len(topology.edges))
-    angles = _Gathered(header.frame_count * len(topology.hinges))
+    strains = Gathered(header.frame_count * len(topology.edges))
+    angles = Gathered(header.frame_count * len(topology.hinges))
     closed = not any(
         len(edges)
         for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
@@ -262,13 +244,13 @@ def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Floa
         raise InvalidSequenceError("the other sequence goes on after the reference ends; its header is wrong")
 
 
-def _gather_strains(strains: _Gathered, topology: Topology, x: Float, y: Float) -> None:
+def _gather_strains(strains: Gathered, topology: Topology, x: Float, y: Float) -> None:
     lengths = edge_lengths(x, topology.edges)
     there = lengths > 0
     strains.add(np.abs(edge_lengths(y, topology.edges)[there] / lengths[there] - 1))
 
 
-def _gather_angles(angles: _Gathered, topology: Topology, x: Float, y: Float) -> None:
+def _gather_angles(angles: Gathered, topology: Topology, x: Float, y: Float) -> None:
     flat = flat_faces(x, topology.faces, FLAT) | flat_faces(y, topology.faces, FLAT)
     there = ~flat[:, topology.hinge_faces].any(axis=2)
     turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])
@@ -288,47 +270,6 @@ def _volume_error(volumes: Float, diagonal: float) -> VolumeError | None:
         return None
     errors = np.abs(theirs / ours - 1)
     return VolumeError(mean=float(errors.mean()), max=float(errors.max()))
-
-
-class _Gathered:
-    """Collects values block by block, and keeps only what `Spread` needs: the sum of squares and the largest.
-
-    Parameters
-    ----------
-    total : int
-        How many values there would be if none were skipped.
-    """
-
-    def __init__(self, total: int) -> None:
-        self._total = total
-        self._seen = 0
-        self._squares = 0.0
-        self._keep = total - int(_PERCENTILE * total) + 1
-        self._largest = np.zeros(0)
-
-    def add(self, values: Float) -> None:
-        """Take another block of values, none of them negative."""
-        self._seen += values.size
-        self._squares += float(np.square(values).sum())
-        if len(self._largest) == self._keep:
-            values = values[values > self._largest[0]]
-        largest = np.concatenate([self._largest, values])
-        if len(largest) >= self._keep:
-            # Partitioned so that the smallest of those kept comes first.
-            largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
-        self._largest = largest
-
-    def result(self) -> Spread:
-        """Return the spread of all values; zeros if there were none."""
-        if not self._seen:
-            return Spread(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
-        above = self._seen - int(np.ceil(_PERCENTILE * self._seen))
-        return Spread(
-            rms=float(np.sqrt(self._squares / self._seen)),
-            p999=float(np.sort(self._largest)[-1 - above]),
-            max=float(self._largest.max()),
-            skipped=self._total - self._seen,
-        )
 
 
 def _ratio(value: float, unit: float) -> float:

@@ -5,14 +5,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mixseq import metrics
 from mixseq.errors import InvalidSequenceError
-from mixseq.metrics import Spread, compare, shared_frames
+from mixseq.metrics import compare, shared_frames
 from mixseq.sequence import MeshSequence
-from tests.meshes import SEQUENCES, Float, bar, grid, rotation, seeds, tetrahedron, topology_of, tube
+from mixseq.spread import Spread
+from tests.meshes import SEQUENCES, Float, bar, grid, rotation, tetrahedron, topology_of, tube
 
 
 def still(points: Float, faces: object, frames: int = 1) -> MeshSequence:
@@ -212,38 +211,6 @@ def test_a_mesh_in_one_point() -> None:
     plain = moved.as_dict()
     assert (plain["kg_percent"], plain["rms_error"], plain["max_error"]) == (None, None, None)
     json.dumps(plain, allow_nan=False)
-
-
-# Percentiles ----------------------------------------------------------------------------------------------
-
-
-@given(seeds, st.lists(st.integers(0, 1500), min_size=1, max_size=8), st.integers(0, 5000), st.booleans())
-@settings(max_examples=60, deadline=None)
-def test_spread_equals_brute_force(seed: int, sizes: list[int], skipped: int, ties: bool) -> None:
-    rng = np.random.default_rng(seed)
-    blocks = [rng.exponential(size=size) for size in sizes]
-    if ties:
-        blocks = [np.round(block, 1) for block in blocks]
-    everything = np.concatenate(blocks)
-    gathered = metrics._Gathered(everything.size + skipped)
-    for block in blocks:
-        gathered.add(block)
-    result = gathered.result()
-    assert result.skipped == skipped
-    if not everything.size:
-        assert (result.rms, result.p999, result.max) == (0, 0, 0)
-        return
-    assert result.max == everything.max()
-    assert result.p999 == np.quantile(everything, 0.999, method="inverted_cdf")
-    assert result.rms == pytest.approx(np.sqrt(np.square(everything).mean()))
-
-
-def test_spread_when_a_block_is_as_long_as_what_is_kept() -> None:
-    gathered = metrics._Gathered(1000)
-    everything = np.concatenate([[9.0, 1.0], np.full(997, 2.0), [5.0]])
-    for block in (everything[:2], everything[2:]):
-        gathered.add(block)
-    assert gathered.result().p999 == 5.0
 
 
 def test_percentile_of_strain() -> None:

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 COLUMNS = 5
 """Frames in the picture, beside the rest."""
 
+_ANIMATED = (".glb", ".gltf")  # formats that have a pose beside their animations
+
 _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every file
 
 
@@ -131,7 +133,8 @@ def command(
     """Move a mesh as another one moves.
 
     SOURCE is a sequence in any format, or a model. TARGET is the mesh in its first frame, in a pose like that of SOURCE
-    at --rest. OUT's format follows from its extension, see "mixseq formats"; it is written while frames are made.
+    at --rest; of glTF files TARGET and --rest are the pose without animation. OUT's format follows from its extension,
+    see "mixseq formats"; it is written while frames are made.
 
     Meshes with the same triangles need nothing else. For others, --markers names pairs of vertices, a file with a pair
     a line, counted from 0; what corresponds in between is found by bending SOURCE onto TARGET, which takes a while:
@@ -300,10 +303,11 @@ def _opened(source: Path, reading: Mapping[str, Any]) -> AbstractContextManager[
 
 
 def _first_frame(path: Path, reading: Mapping[str, Any]) -> MeshSequence:
-    """Read the first frame of a file."""
+    """Read the first frame of a file; of glTF, whose animations rarely begin at rest, the pose without any."""
     from mixseq.sequence import MeshSequence
 
-    with mixseq.open_sequence(path, **options_of(path, reading)) as reader:
+    still = {"animation": "none"} if path.suffix.lower() in _ANIMATED else {}
+    with mixseq.open_sequence(path, **options_of(path, still | dict(reading))) as reader:
         first = next(iter(reader.blocks(1)))[:1]
         return MeshSequence.from_header(reader.header.with_times(reader.header.times[:1]), first)
 

@@ -20,8 +20,13 @@ def area_normals(points: Array, faces: IntArray) -> Array:
 
 def smooth_normals(normals: Array, faces: IntArray, vertex_count: int) -> Array:
     """Return unit normals ``(F, 3)``: the mean of the vertex normals, which hides the facets."""
+    return _unit(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
+
+
+def vertex_normals(normals: Array, faces: IntArray, vertex_count: int) -> Array:
+    """Return unit normals ``(V, 3)`` of the vertices: the mean of the faces around them, by area."""
     sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
-    return _unit(_unit(np.stack(sums, axis=1, dtype=np.float64))[faces].mean(axis=1))
+    return _unit(np.stack(sums, axis=1, dtype=np.float64))
 
 
 def shade(rgb: Array, normals: Array, contrast: float) -> Array:

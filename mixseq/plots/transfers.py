@@ -13,7 +13,7 @@ from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
 from mixseq.plots.colours import INK, part_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import Sheet, Target
-from mixseq.sequence import FloatArray, IntArray
+from mixseq.sequence import FloatArray
 
 if TYPE_CHECKING:
     from mixseq.retargeting.transfer import Transfer
@@ -88,6 +88,7 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
     Gradients know no parts: those of the source are what its motion tells, and they are carried to the target.
     """
+    from mixseq.retargeting.carried import carry_labels
     from mixseq.retargeting.mixed import MixedTransfer
 
     mover = transfer.mover
@@ -95,21 +96,7 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
         carried = mover.carried
         return mover.source.part_of_face, carried.sources[carried.decomposition.part_of_face]
     labels = transfer.source.part_of_face()
-    return labels, carried_labels(transfer, labels)
-
-
-def carried_labels(transfer: Transfer, part_of_face: IntArray) -> Index:
-    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``.
-
-    Triangles without a source have the label of one at the vertex that they follow.
-    """
-    mapping, faces = transfer.correspondence, transfer.header.faces
-    labels, known = np.asarray(part_of_face, dtype=np.int64), mapping.faces >= 0
-    at_vertex = np.zeros(transfer.header.vertex_count, dtype=np.int64)
-    at_vertex[faces[known]] = labels[mapping.faces[known], None]
-    first = (~mapping.matched[faces]).argmax(axis=1)  # the corner that follows
-    led = at_vertex[mapping.leaders[faces[np.arange(len(faces)), first]]]
-    return np.where(known, labels[np.maximum(mapping.faces, 0)], led)
+    return labels, carry_labels(labels, transfer.correspondence, transfer.header.faces)
 
 
 def heading(transfer: Transfer) -> float:

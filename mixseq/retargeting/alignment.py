@@ -16,12 +16,17 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.rigid import kabsch
 
 Float = NDArray[np.float64]
 
 ASKEW = 1.5
 """A quarter turn is taken if its distances are at most this many times those of the best rotation."""
+
+
+ONE_PLACE = 1e-12
+"""Points that are no farther apart, relative to how far they are from the origin, are one but for rounding; ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +55,29 @@ def align(source: Float, target: Float, weights: Float) -> Alignment:
     Parameters
     ----------
     source, target : (n, 3) float64
-        The points, not all in one place.
+        The points.
     weights : (n,) float64
         What each counts.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If nothing counts, as the target has no area, or all points of a mesh are in one place.
     """
+    if not weights.sum() > 0:
+        raise InvalidSequenceError(
+            "where the target corresponds to the source it has no area at rest, so that nothing tells how it moves; "
+            "give a target with triangles that are not flat"
+        )
     weights = weights / weights.sum()
     from_centre, to_centre = source - weights @ source, target - weights @ target
     radii = [np.sqrt(weights @ np.square(x).sum(axis=1)) for x in (from_centre, to_centre)]
+    for name, radius, points in zip(("source", "target"), radii, (source, target), strict=True):
+        if not radius > ONE_PLACE * np.abs(points).max():
+            raise InvalidSequenceError(
+                f"all that corresponds of the {name} is in one place at rest, so that it has no size; give another "
+                "rest or another mesh"
+            )
     scale = float(radii[1] / radii[0])
     best, _ = kabsch(from_centre, to_centre, weights)
     simple = max(_quarter_turns(), key=lambda turn: float(np.sum(turn * best)))

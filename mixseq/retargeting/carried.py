@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.surfaces import Surface
 from mixseq.geometry.lengths_angles import flat_faces
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.observed import FLAT, Observed
+from mixseq.sequence import IntArray
 from mixseq.topology import Topology, split_labels, vertices_of
 
 Float = NDArray[np.float64]
@@ -66,12 +68,8 @@ def carry_parts(
         Largest width of joints in strips of triangles.
     """
     faces = topology.faces
-    leading = correspondence.faces[np.maximum(_leading_faces(topology, correspondence), 0)]
-    labels = source.part_of_face[np.where(correspondence.faces >= 0, correspondence.faces, leading)]
-    areas = np.linalg.norm(
-        np.cross(rest[faces[:, 1]] - rest[faces[:, 0]], rest[faces[:, 2]] - rest[faces[:, 0]]), axis=1
-    )
-    labels = without_crumbs(topology, labels, areas)
+    labels = carry_labels(source.part_of_face, correspondence, faces)
+    labels = without_crumbs(topology, labels, Surface(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
     seen = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))
@@ -80,11 +78,34 @@ def carry_parts(
     return CarriedParts(decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
 
 
-def _leading_faces(topology: Topology, correspondence: Correspondence) -> Index:
-    """A face ``(F',)`` at the leader of the first corner of every face."""
-    at_vertex = np.zeros(topology.vertex_count, dtype=np.int64)
-    at_vertex[topology.faces[::-1].reshape(-1)] = np.repeat(np.arange(len(topology.faces))[::-1], 3)
-    return np.asarray(at_vertex[correspondence.leaders[topology.faces[:, 0]]])
+def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
+    """Carry labels ``(F,)`` of the source's triangles to the target's ``(F',)``.
+
+    Parameters
+    ----------
+    labels : (F,) int64
+        From 0 on.
+    correspondence : Correspondence
+        Where the target is on the source.
+    faces : (F', 3) int
+        Triangles of the target.
+
+    Returns
+    -------
+    (F',) int64
+        Triangles that no triangle moves have the label of the first one that is moved at the vertex that they follow;
+        0 if none is.
+    """
+    known = np.flatnonzero(correspondence.faces >= 0)
+    result = np.zeros(len(faces), dtype=np.int64)
+    result[known] = labels[correspondence.faces[known]]
+    at_vertex = np.zeros(len(correspondence.leaders), dtype=np.int64)
+    at_vertex[faces[known[::-1]]] = result[known[::-1], None]
+    led = np.flatnonzero(correspondence.faces < 0)
+    follows = ~correspondence.matched[faces[led]]
+    first = faces[led, follows.argmax(axis=1)]
+    result[led] = at_vertex[correspondence.leaders[first]]
+    return result
 
 
 def without_crumbs(topology: Topology, labels: Index, areas: Float) -> Index:

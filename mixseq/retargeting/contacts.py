@@ -183,7 +183,7 @@ def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stan
 
 def _paths(linkage: Linkage, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
     """Middles ``(g, T, 3)`` of contacts."""
-    paths = [linkage.placed(each.points, each.parts, rotations, centres).mean(axis=1) for each in contacts]
+    paths = [linkage.path(each, rotations, centres).mean(axis=1) for each in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
 
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.correspondence.surfaces import Surface
 from mixseq.retargeting.transfer import Transfer
-from mixseq.sequence import IntArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -80,8 +81,8 @@ def coverage(transfer: Transfer) -> Coverage:
     moving[mapping.faces[known]] = True
     return Coverage(
         vertices=float(mapping.matched.mean()),
-        area=_share(known, _areas(transfer.target, header.faces)),
-        source_area=_share(moving, _areas(transfer.source.rest, transfer.source.header.faces)),
+        area=_share(known, Surface(transfer.target, topology).face_areas),
+        source_area=_share(moving, Surface(transfer.source.rest, transfer.source.topology).face_areas),
         followers=tuple(followers),
     )
 
@@ -107,12 +108,6 @@ def component_names(header: SequenceHeader, topology: Topology) -> list[str]:
         whole = len(own) == 1 and int((component == number).sum()) == counts[int(own[0])]
         names.append(name if name and whole else f"component {number + 1}" + (f" of {name}" if name else ""))
     return names
-
-
-def _areas(points: Float, faces: IntArray) -> Float:
-    """Twice the area ``(F,)`` of every triangle."""
-    a, b, c = (points[faces[:, corner]] for corner in range(3))
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def _share(chosen: NDArray[np.bool_], areas: Float) -> float:

@@ -10,7 +10,9 @@ average; every other piece is held by the vertex next to it (`mixseq.retargeting
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
 
-with the target's rest y, and the gap g between the points of the source that a and b are, which may open and close.
+with the target's rest y, the rotation :math:`\bar R_b` of the source around b, which is :math:`R_b = G \bar R_b G^T` on
+the target, and the gap g between the points of the source that a and b are, which may open and close. Triangles that
+correspond to none turn with the vertex that they follow.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from scipy import sparse
 
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import nearest_rotations
+from mixseq.pickling import Remade
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.bridges import Bridges, bridges
 from mixseq.sequence import FloatArray
@@ -34,7 +37,7 @@ Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class GradientTransfer:
+class GradientTransfer(Remade):
     """From frames of the source to frames of the target.
 
     Attributes

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.geometry.rigid import turned
 from mixseq.retargeting.linkage import Contact, Linkage
 from mixseq.retargeting.reach import reach
 
@@ -88,7 +89,7 @@ def reached(
     levers = np.zeros((len(frames), *member.shape, 3))
     poses = rotations[frames], centres[frames]
     for number, (limb, contact) in enumerate(zip(limbs, contacts, strict=True)):
-        levers[:, number, columns[number]] = _levers(linkage, limb, contact, *poses)
+        levers[:, number, columns[number]] = _levers(linkage, limb, contact, *poses, frames)
     turns[frames], left[frames] = reach(levers, moves[frames], compliance)
     share = easy[:, None] * member.T @ np.linalg.pinv(member * easy @ member.T)
     stretches = np.einsum("kg,tgi->tki", share, left)
@@ -97,12 +98,17 @@ def reached(
 
 
 def _levers(
-    linkage: Linkage, limb: tuple[int, ...], contact: Contact, rotations: Float, centres: Float
+    linkage: Linkage,
+    limb: tuple[int, ...],
+    contact: Contact,
+    rotations: Float,
+    centres: Float,
+    frames: NDArray[np.int64],
 ) -> Float:
     """From pivot to pivot of a limb, and on to the middle of its contact, ``(N, len(limb), 3)``."""
     pivots = np.array([linkage.pivot(part) for part in limb]).reshape(-1, 3)
     joints = linkage.placed(pivots, limb, rotations, centres)
-    end = linkage.placed(contact.points, contact.parts, rotations, centres).mean(axis=1, keepdims=True)
+    end = linkage.path(contact, rotations, centres, frames).mean(axis=1, keepdims=True)
     return np.diff(np.concatenate([joints, end], axis=1), axis=1)
 
 
@@ -110,7 +116,7 @@ def _carried(
     linkage: Linkage, rotations: Float, centres: Float, own: dict[int, tuple[Float, Float]]
 ) -> tuple[Float, Float]:
     """Motions of all parts when those of limbs turn and move off by `own` turns and stretches."""
-    turned, placed = rotations.copy(), centres.copy()
+    facing, placed = rotations.copy(), centres.copy()
     identity, none = np.eye(3), np.zeros(3)
     turns: dict[int, Float] = {linkage.root: identity}
     for part, (above, _) in linkage.hung.items():
@@ -120,12 +126,8 @@ def _carried(
         pivot = linkage.placed(linkage.pivot(part), [part], rotations, centres)[:, 0]
         # Differences to what was, so that frames in which nothing turns stay as they are to the last bit.
         change = placed[:, above] - centres[:, above] + stretch
-        change += _applied(carried - identity, pivot - centres[:, above])
-        change += _applied(turn - identity, centres[:, part] - pivot)
+        change += turned(carried - identity, pivot - centres[:, above])
+        change += turned(turn - identity, centres[:, part] - pivot)
         placed[:, part] += change
-        turned[:, part] = turn @ rotations[:, part]
-    return turned, placed
-
-
-def _applied(matrices: Float, vectors: Float) -> Float:
-    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))
+        facing[:, part] = turn @ rotations[:, part]
+    return facing, placed

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.rigid import turned
 from mixseq.sequence import FloatArray
 
 Float = NDArray[np.float64]
@@ -34,11 +35,14 @@ class Contact:
         The vertices at rest.
     parts : (k,) int64
         The part that carries each.
+    seen : (T, k, 3) float64, optional
+        Where they are for parts that stay at rest, frame by frame, if the parts do not only move rigidly.
     """
 
     name: str
     points: Float
     parts: Index
+    seen: Float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +109,19 @@ class Linkage:
             )
         return ways[0][:common]
 
+    def gaps(self, rotations: Float, centres: Float) -> Float:
+        """Return by how much the first part of every link is away from the second at their pivot ``(n, 3)``.
+
+        Parameters
+        ----------
+        rotations, centres : (p, 3, 3), (p, 3) float64
+            Poses of the parts.
+        """
+        first, second = (
+            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.links.T
+        )
+        return np.asarray(first - second)
+
     def pivot(self, part: int) -> Float:
         """Return the rest point ``(3,)`` that a part hangs by."""
         return np.asarray(self.pivots[self.hung[part][1]])
@@ -115,7 +132,16 @@ class Linkage:
         """Return where parts ``(k,)`` take rest points ``(k, 3)`` in all frames, ``(T, k, 3)``."""
         some = np.asarray(parts, dtype=np.int64)
         arms = np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.centres[some]
-        return np.asarray(np.einsum("tkij,kj->tki", rotations[:, some], arms) + centres[:, some])
+        return turned(rotations[:, some], arms) + centres[:, some]
+
+    def path(
+        self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
+    ) -> Float:
+        """Return the vertices of a contact ``(T, k, 3)``, for motions of some frames."""
+        if contact.seen is None:
+            return self.placed(contact.points, contact.parts, rotations, centres)
+        arms = contact.seen[frames] - self.centres[contact.parts]
+        return turned(rotations[:, contact.parts], arms) + centres[:, contact.parts]
 
     def _way(self, part: int) -> tuple[int, ...]:
         way: list[int] = []

@@ -21,19 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.surfaces import Surface
+from mixseq.pickling import Remade
 from mixseq.reconstruction.anchored import AnchoredPlacement
 from mixseq.reconstruction.joint import length_weights
-from mixseq.reconstruction.links import Boundaries
 from mixseq.reconstruction.placement import MixedFrame
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.alignment import Alignment
-from mixseq.retargeting.bridges import Bridges
-from mixseq.retargeting.carried import CarriedParts, vertex_parts
+from mixseq.retargeting.carried import CarriedParts
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.joints import JointChanges, OtherEdges, SameEdges
+from mixseq.retargeting.linkage import Linkage
+from mixseq.retargeting.meetings import Meetings
 from mixseq.retargeting.pivots import Pivots
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray
+from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.registered import registered
 
 Float = NDArray[np.float64]
@@ -88,7 +91,7 @@ class Parts:
 
 
 @dataclass(frozen=True, eq=False)
-class MixedTransfer:
+class MixedTransfer(Remade):
     """From frames of the source to frames of the target.
 
     Attributes
@@ -102,7 +105,7 @@ class MixedTransfer:
     settings : ShellSettings
         Settings of the joint solves.
     stride : float
-        By how much farther the root goes than the scale of the meshes tells.
+        How many times as far the root goes as the scale of the meshes tells.
     """
 
     gradients: GradientTransfer
@@ -143,56 +146,30 @@ class MixedTransfer:
         return AnchoredPlacement(topology, self.carried.decomposition, self.parts.shapes, self._rest)
 
     @cached_property
-    def _meetings(self) -> tuple[Boundaries, Bridges]:
-        """Where parts of the target meet: boundaries, and what holds its pieces."""
-        topology, labels = self.gradients.target.topology, self.carried.decomposition.part_of_face
-        return Boundaries.of(topology, labels), self.gradients.bridges
-
-    def _at_meetings(self, points: Float) -> Float:
-        """Where parts meet ``(n, 3)``, for points ``(V', 3)``."""
-        boundaries, held = self._meetings
-        return np.concatenate([boundaries.middles(points), points[held.own]])
+    def _meetings(self) -> Meetings:
+        return Meetings.of(self.gradients, self.carried.decomposition)
 
     @cached_property
-    def pivots(self) -> Pivots:
-        """Where the target's parts meet; the largest is the root."""
-        boundaries, held = self._meetings
-        bridged = np.stack(
-            [self._parts_at(held.pieces, held.own), self._parts_at(held.holders, held.other)], axis=1
-        )
-        root = int(np.bincount(self.carried.decomposition.part_of_face).argmax())
-        pairs, points = np.concatenate([boundaries.parts, bridged]), self._at_meetings(self._rest)
-        lengths, radii = self._sizes(points)
-        return Pivots(pairs, points, self.parts.centres, root, lengths, radii)
+    def linkage(self) -> Linkage:
+        """The target's parts, and where they meet at rest.
 
-    def _sizes(self, pivots: Float) -> tuple[Float, Float]:
-        """Lengths and radii ``(n,)`` of the boundaries at pivots; zero where pieces are held by a vertex."""
-        boundaries, _ = self._meetings
-        ends = self._rest[boundaries.edges]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        away = np.square(ends.mean(axis=1) - pivots[boundaries.link]).sum(axis=1)
-        whole, squares = (
-            np.bincount(boundaries.link, each, len(pivots)) for each in (lengths, lengths * away)
-        )
-        squared = np.divide(squares, whole, out=np.zeros(len(pivots)), where=whole > 0)
-        return whole.astype(np.float64), np.sqrt(squared)
-
-    def _parts_at(self, pieces: Index, vertices: Index) -> Index:
-        """A part ``(n,)`` at each vertex, of the piece that is meant: several may share the vertex."""
-        topology, decomposition = self.gradients.target.topology, self.carried.decomposition
-        result = vertex_parts(decomposition, topology)[vertices]
-        for row, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):
-            faces = self.gradients.target.pieces.faces[piece]
-            here = faces[(topology.faces[faces] == vertex).any(axis=1)]
-            if here.size:  # vertices of no face have none
-                result[row] = decomposition.part_of_face[here].min()
-        return result
+        The root has the largest product of areas on both meshes: it is the same back.
+        """
+        areas = _part_areas(self.gradients.target, self.carried.decomposition)
+        others = _part_areas(self.gradients.source, self.source)
+        root = int((areas * others[self.carried.sources[: len(areas)]]).argmax())
+        meetings = self._meetings
+        return Linkage(self.parts.centres, meetings.parts, meetings.points(self._rest), root)
 
     @cached_property
-    def source_pivots(self) -> Pivots:
-        """The target's parts and pivots on the source: the parts that move them, and the points that they are."""
-        points = self._at_meetings(self._correspondence.carry(self.gradients.source.reference))
-        return replace(self.pivots, points=points, centres=self._source_parts.centres[self.carried.sources])
+    def source_linkage(self) -> Linkage:
+        """The same on the source: the parts that move those of the target, and the points that their pivots are."""
+        points = self._meetings.points(self._correspondence.carry(self.gradients.source.reference))
+        return replace(self.linkage, pivots=points, centres=self._source_parts.centres[self.carried.sources])
+
+    @cached_property
+    def _pivots(self) -> Pivots:
+        return Pivots(self.linkage, *self._meetings.sizes(self._rest))
 
     @cached_property
     def joints(self) -> JointChanges:
@@ -202,34 +179,35 @@ class MixedTransfer:
             return SameEdges(target.topology, rows, source.reference, target.reference)
         return OtherEdges(self.gradients, rows)
 
-    def poses(self, x: FloatArray) -> PartPoses:
-        """Place the target's parts as a frame ``(V, 3)`` of the source places its own."""
-        return self._poses(x, self._registered(x)[1])
-
-    def _registered(self, x: FloatArray) -> tuple[Float, PartPoses]:
-        """The target's parts as gradients move them."""
-        return self.parts.register(self._by_gradients(x))
-
-    def _by_gradients(self, x: FloatArray) -> Float:
+    def by_gradients(self, x: FloatArray) -> Float:
+        """Return the target ``(V', 3)`` as gradients move it in a frame ``(V, 3)``, in its unit."""
         return self.gradients.frame(x) / self.gradients.target.scale
 
-    def _poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
-        """Find the poses in a frame ``(V, 3)``, with those of the parts as gradients move them."""
+    def poses(self, x: FloatArray, moved: PartPoses) -> PartPoses:
+        """Place the target's parts as a frame ``(V, 3)`` of the source places its own.
+
+        Parameters
+        ----------
+        x : (V, 3) float
+            The frame, in the source's units.
+        moved : PartPoses
+            The target's parts as gradients move them (`by_gradients`).
+        """
         points = x.astype(np.float64) / self.gradients.source.scale
         _, own = self._source_parts.register(points)
         rotations, centres = (values[self.carried.sources] for values in own)
-        gaps = self._alignment.shifted(self.source_pivots.gaps(rotations, centres))
-        root = self.pivots.root
-        travel = self.stride * self._alignment.shifted(centres[root] - self.source_pivots.centres[root])
-        near = self.pivots.within_reach(gaps, self.pivots.gaps(*moved))
-        placed = self.pivots.place(moved.rotations, near, self.pivots.centres[root] + travel)
+        gaps = self._alignment.shifted(self.source_linkage.gaps(rotations, centres))
+        root = self.linkage.root
+        travel = self.stride * self._alignment.shifted(centres[root] - self.source_linkage.centres[root])
+        near = self._pivots.within_reach(gaps, self.linkage.gaps(*moved))
+        placed = self._pivots.place(moved.rotations, near, self.linkage.centres[root] + travel)
         return PartPoses(moved.rotations, placed)
 
     def frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``; its parts may have other poses."""
-        smooth = self._by_gradients(x)
+        smooth = self.by_gradients(x)
         aligned, moved = self.parts.register(smooth)
-        placed = self._poses(x, moved) if poses is None else poses
+        placed = self.poses(x, moved) if poses is None else poses
         lengths, angles = self.joints.of(x.astype(np.float64) / self.gradients.source.scale)
         frame = MixedFrame(
             lengths=lengths,
@@ -254,3 +232,9 @@ class MixedTransfer:
         """Weights ``(F,)`` of the offsets of free vertices."""
         spacing = self.placement.rows.spacing(self._rest_lengths)
         return np.asarray(HOLD / np.maximum(spacing, np.finfo(np.float64).tiny))
+
+
+def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:
+    """Areas of the parts that have faces."""
+    areas = Surface(space.reference, space.topology).face_areas
+    return np.asarray(np.bincount(decomposition.part_of_face, areas))

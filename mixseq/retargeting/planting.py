@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.rigid import turned
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.carried import vertex_parts
 from mixseq.retargeting.contacts import ContactReport, plant
-from mixseq.retargeting.linkage import Contact, Linkage, leg_ratio
+from mixseq.retargeting.linkage import Contact, leg_ratio
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses
-from mixseq.retargeting.pivots import Pivots
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq.stored import blocks_of
 from mixseq.table import Table
@@ -73,27 +73,28 @@ def planted(
     vertices = {name: _vertices(name, given, header.vertex_count) for name, given in contacts.items()}
     part = vertex_parts(mover.carried.decomposition, target.topology)
     on_source = correspondence.carry(source.reference)
-    linkage, copied = _linkage(mover.pivots), _linkage(mover.source_pivots)
     own = [Contact(name, target.reference[chosen], part[chosen]) for name, chosen in vertices.items()]
     theirs = [Contact(name, on_source[chosen], part[chosen]) for name, chosen in vertices.items()]
     ratio = mover.gradients.alignment.scale * source.scale / target.scale
-    striding = replace(mover, stride=leg_ratio(copied, linkage, theirs, own) / ratio)
+    striding = replace(mover, stride=leg_ratio(mover.source_linkage, mover.linkage, theirs, own) / ratio)
 
     chosen = np.concatenate(list(vertices.values()))
-    rotations, centres, paths, done = [], [], [], 0
-    for poses, path in workers(_look, (striding, chosen), blocks_of(points)):
+    rotations, centres, paths, soles, done = [], [], [], [], 0
+    for poses, path, sole in workers(_look, (striding, chosen, part[chosen]), blocks_of(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(path)
+        soles.append(sole)
         done += len(path)
         progress(done, len(points), "placing feet")
     ends = np.cumsum([len(each) for each in vertices.values()])[:-1]
     ways = np.split(np.concatenate(paths) * ratio / source.scale, ends, axis=1)
+    seen = np.split(np.concatenate(soles), ends, axis=1)
     found = plant(
-        linkage,
+        mover.linkage,
         np.concatenate(rotations),
         np.concatenate(centres),
-        own,
+        [replace(contact, seen=each) for contact, each in zip(own, seen, strict=True)],
         [mover.gradients.alignment.turned_points(way) for way in ways],
         header.up_axis,
         header.fps,
@@ -102,15 +103,19 @@ def planted(
     return striding, PartPoses(found.rotations, found.centres), found.report
 
 
-def _look(shared: tuple[MixedTransfer, Index], block: FloatArray) -> tuple[PartPoses, Float]:
-    mover, vertices = shared
-    poses = [mover.poses(x) for x in block]
+def _look(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
+    """Poses of all parts in some frames ``(B, V, 3)``; and vertices on the source, and as their parts see them."""
+    mover, vertices, parts = shared
+    poses, soles = [], []
+    for x in block:
+        smooth = mover.by_gradients(x)
+        _, moved = mover.parts.register(smooth)
+        poses.append(mover.poses(x, moved))
+        # A paw may bend although it is one with its leg.
+        back = np.swapaxes(moved.rotations[parts], 1, 2)
+        soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + mover.parts.centres[parts])
     path = np.stack([mover.gradients.correspondence.carry(x)[vertices] for x in block])
-    return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path
-
-
-def _linkage(pivots: Pivots) -> Linkage:
-    return Linkage(pivots.centres, pivots.parts, pivots.points, pivots.root)
+    return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path, np.stack(soles)
 
 
 def _vertices(name: str, given: ArrayLike, count: int) -> Index:

@@ -5,9 +5,9 @@ r"""How good a transfer is: strain, smoothness, triangles turned over, and self-
   source says it should have (`mixseq.retargeting.expected`), on average over the triangles at the edge: what the target
   is strained and the source is not, or the other way round. What has no counterpart should not be strained.
 - a triangle is *turned over* if it faces away from where the source says that it should face to,
-- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the diagonal d at rest.
-  That of the source is taken at the points that the target's vertices are, so that it does not matter where meshes are
-  fine.
+- *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
+  at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.alignment`).
+  That of the source is taken at the points that the target's vertices are: it does not matter where meshes are fine.
 
 All frames are looked at but for self-intersections, which are counted in some of them. Frames come block by block, and
 only the largest thousandth of the strains is kept.
@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
+from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import Coverage, coverage
 from mixseq.retargeting.expected import Expected
-from mixseq.retargeting.gathering import Acceleration, Strain, Strains
 from mixseq.retargeting.transfer import Transfer
 from mixseq.sequence import FloatArray, bounding_diagonal, check_block
+from mixseq.spread import Gathered, Spread
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
@@ -40,14 +41,14 @@ FRAMES = 8
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Accelerations in diagonals per squared frame: root mean square, and the largest of a vertex in a frame.
+    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex.
 
     Attributes
     ----------
     rms, max : float
         Of the target.
     source_rms, source_max : float
-        Of the source.
+        Of the source, as large as the target is.
     worst_frame : int
         Frame of the target's largest.
     """
@@ -111,7 +112,7 @@ class TransferReport:
     ----------
     coverage : Coverage
         What has a counterpart, and what follows.
-    strain, source_strain, excess : Strain
+    strain, source_strain, excess : Spread
         Of the target's edges, of the source's, and of the target's beside the source's.
     smoothness : Smoothness or None
         If there are at least three frames.
@@ -122,9 +123,9 @@ class TransferReport:
     """
 
     coverage: Coverage
-    strain: Strain
-    source_strain: Strain
-    excess: Strain
+    strain: Spread
+    source_strain: Spread
+    excess: Spread
     smoothness: Smoothness | None
     intersections: Counts
     source_intersections: Counts
@@ -219,8 +220,8 @@ class Meter:
         self._count = len(transfer.source.points)
         self._done = 0
         edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
-        self._strain, self._excess = Strains(self._count * edges), Strains(self._count * edges)
-        self._source_strain = Strains(self._count * source_edges)
+        self._strain, self._excess = Gathered(self._count * edges), Gathered(self._count * edges)
+        self._source_strain = Gathered(self._count * source_edges)
         self._acceleration = Acceleration(), Acceleration()
         self._looked_at = evenly(self._count, FRAMES)
         self._crossings: list[tuple[int, int]] = []
@@ -300,9 +301,8 @@ class Meter:
         target, source = self._acceleration
         if self._count < 3:
             return None
-        own, other = (
-            bounding_diagonal(x) or 1.0 for x in (self._transfer.target, self._transfer.source.rest)
-        )
+        own = bounding_diagonal(self._transfer.target) or 1.0
+        other = own / self._expected.gradients.alignment.scale
         return Smoothness(
             target.rms / own, target.max / own, source.rms / other, source.max / other, target.worst_frame
         )

@@ -23,7 +23,7 @@ from mixseq.retargeting.planting import planted
 from mixseq.retargeting.sources import SourceMotion, source_motion
 from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames, collect
 from mixseq.signals.model import Model
-from mixseq.stored import blocks_of
+from mixseq.stored import block_size
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
@@ -83,11 +83,12 @@ class Transfer:
 
     def _frames(self) -> Iterator[tuple[FloatArray, PartPoses | None]]:
         """Yield blocks of frames of the source, with poses for the target's parts where these are known."""
-        start = 0
-        for block in blocks_of(self.source.points):
-            frames = slice(start, start + len(block))
-            yield block, None if self.poses is None else PartPoses(*(values[frames] for values in self.poses))
-            start += len(block)
+        points, vertices = self.source.points, max(self.source.header.vertex_count, self.header.vertex_count)
+        size = block_size(vertices)
+        for start in range(0, len(points), size):
+            frames = slice(start, start + size)
+            poses = None if self.poses is None else PartPoses(*(values[frames] for values in self.poses))
+            yield points[frames], poses
 
 
 def _moved(mover: Mover, item: tuple[FloatArray, PartPoses | None]) -> Float:
@@ -120,6 +121,11 @@ def plan(
     """
     if method not in METHODS:
         raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, METHODS))} is expected")
+    if contacts is not None and not isinstance(contacts, Mapping):
+        raise SettingsError(
+            f"contacts are {type(contacts).__name__}; vertices by the name of each contact are expected, such as "
+            "{'left foot': [12, 13]}"
+        )
     if contacts and method != "mixed":
         raise SettingsError(
             "contacts are kept by the poses of parts; leave them out, or choose the method 'mixed'"
@@ -238,7 +244,7 @@ def transfer(
     SettingsError
         If a setting is out of range, or the correspondence is missing, given twice, or of other meshes.
     InvalidSequenceError
-        If a sequence is none, or the rest has another mesh.
+        If a sequence is none, or the rest has another mesh; or a mesh has no size or no area where they correspond.
     SegmentationError
         If given parts do not fit the source.
 

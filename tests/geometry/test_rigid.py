@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.geometry.rigid import bend, kabsch, mean_shape, nearest_rotations, transform
+from mixseq.geometry.rigid import bend, kabsch, mean_shape, nearest_rotations, transform, turned
 from tests.meshes import Float, rigid_motions, rotation, seeds
 
 CLOUD = np.random.default_rng(3).normal(size=(12, 3))
@@ -187,3 +187,11 @@ def test_bend_is_the_largest_relative_turn() -> None:
     assert bend(np.stack(base), second) == pytest.approx(35.0)
     assert bend(second, np.stack(base)) == pytest.approx(35.0)
     assert bend(second, second) == pytest.approx(0, abs=1e-5)
+
+
+def test_vectors_are_turned_each_by_its_matrix() -> None:
+    matrices = np.random.default_rng(0).normal(size=(4, 3, 3))
+    vectors = np.random.default_rng(1).normal(size=(4, 3))
+    expected = [m @ v for m, v in zip(matrices, vectors, strict=True)]
+    np.testing.assert_allclose(turned(matrices, vectors), expected)
+    np.testing.assert_allclose(turned(matrices[None], vectors), [expected])

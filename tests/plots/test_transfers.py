@@ -13,7 +13,7 @@ import pytest
 
 from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import SettingsError
-from mixseq.plots.transfers import carried_labels, heading, parts_of_both, transfer_sheet
+from mixseq.plots.transfers import heading, parts_of_both, transfer_sheet
 from mixseq.retargeting.report import evenly
 from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence import FloatArray, MeshSequence
@@ -107,6 +107,7 @@ def test_what_follows_has_the_colour_of_what_it_follows() -> None:
         faces=np.append(same.faces, np.full(4, -1)),
         leaders=np.append(same.leaders, np.full(4, 3)),
     )
-    made = plan(source, target, mapping=mapping, method="gradients")
-    labels = np.array([1, 2, 2, 2])
-    assert carried_labels(made, labels).tolist() == [1, 2, 2, 2, 2, 2, 2, 2]  # vertex 3 is in faces 1, 2, 3
+    made = plan(source, target, mapping=mapping, method="gradients", parts=[0, 1, 1, 1])
+    own, carried = parts_of_both(made)
+    assert own.tolist() == [0, 1, 1, 1]
+    assert carried.tolist() == [0, 1, 1, 1, 1, 1, 1, 1]  # vertex 3 is in faces 1, 2, 3

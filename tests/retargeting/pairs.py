@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.making import gradient_transfer
+from mixseq.sequence import FloatArray
 from tests.meshes import Mesh, topology_of
 
 Float = NDArray[np.float64]
@@ -68,6 +69,6 @@ def gradients(source: Mesh, target: Mesh, correspondence: Correspondence | None 
     )
 
 
-def furthest(first: Float, second: Float) -> float:
+def furthest(first: FloatArray, second: FloatArray) -> float:
     """The largest distance of points ``(..., 3)``."""
     return float(np.linalg.norm(first - second, axis=-1).max())

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.alignment import Alignment, _quarter_turns, align
 from tests.meshes import grid, rigid_motions, rotation, seeds, tube
@@ -79,7 +80,7 @@ def test_points_of_no_weight_do_not_count() -> None:
     source = cloud(5)
     target = 2.0 * source @ QUARTER.T
     target[::2] += 50.0
-    found = align(source, target, np.arange(len(source)) % 2 * 1.0)
+    found = align(source, target, np.arange(len(source)) % 2 * np.float64(1.0))
     np.testing.assert_allclose(found.rotation, QUARTER, atol=1e-12)
     assert found.scale == pytest.approx(2.0)
 
@@ -107,3 +108,13 @@ def test_shifts_points_and_matrices_are_carried() -> None:
     np.testing.assert_allclose(
         alignment.turned(rotation((0, 0.3, 0))[None]), [rotation((0, 0, 0.3))], atol=1e-12
     )
+
+
+def test_points_in_one_place_are_refused() -> None:
+    points, place = cloud(2), np.ones((40, 3))
+    with pytest.raises(InvalidSequenceError, match="of the source is in one place"):
+        align(place, points, np.ones(40))
+    with pytest.raises(InvalidSequenceError, match="of the target is in one place"):
+        align(points, place, np.ones(40))
+    with pytest.raises(InvalidSequenceError, match="no area at rest"):
+        align(points, points, np.zeros(40))

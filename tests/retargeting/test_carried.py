@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
-from mixseq.retargeting.carried import carry_parts, vertex_parts, without_crumbs
+from mixseq.retargeting.carried import carry_labels, carry_parts, vertex_parts, without_crumbs
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, topology_of, tube
@@ -20,7 +20,7 @@ Index = NDArray[np.int64]
 
 def by_height(mesh: Mesh, *heights: float) -> Index:
     """Part of every face: between heights on the z axis."""
-    return np.searchsorted(heights, mesh[0][mesh[1]].mean(axis=1)[:, 2]).astype(np.int64)
+    return np.asarray(np.searchsorted(heights, mesh[0][mesh[1]].mean(axis=1)[:, 2]), dtype=np.int64)
 
 
 def turning(parts: int) -> NDArray[np.float64]:
@@ -55,9 +55,7 @@ def test_a_finer_mesh_is_cut_along_the_same_lines() -> None:
     found = carry_parts(cut, turning(2), to_subdivided(mesh), topology_of(fine), fine[0], 3)
     np.testing.assert_array_equal(found.decomposition.part_of_face, np.repeat(cut.part_of_face, 4))
     assert found.sources.tolist() == [0, 1]
-    back = carry_parts(
-        found.decomposition, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3
-    )
+    back = carry_parts(found.decomposition, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3)
     np.testing.assert_array_equal(back.decomposition.part_of_face, cut.part_of_face)
 
 
@@ -80,9 +78,7 @@ def test_a_part_in_two_places_is_two_parts() -> None:
     lowest = int(np.flatnonzero(cut.part_of_face == 0)[0])
     faces = correspondence.faces.copy()
     faces[upper] = lowest
-    found = carry_parts(
-        cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3
-    )
+    found = carry_parts(cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3)
     assert found.sources.tolist() == [0, 0, 1]
     assert len(found.decomposition.parts) == 3
 
@@ -103,6 +99,19 @@ def test_what_follows_a_leader_is_of_its_part() -> None:
     found = carry_parts(halves(mesh, 2.0), turning(2), correspondence, topology_of(target), target[0], 3)
     assert found.sources.tolist() == [0, 1, 1]
     assert set(found.decomposition.part_of_face[-4:].tolist()) == {2}
+
+
+def test_triangles_with_a_corner_that_follows_are_of_its_leaders_part() -> None:
+    """Only one corner of a triangle is unmatched, and not its first: it counts, whatever the first one is."""
+    one = Correspondence.identity(6, 3)
+    faces = np.array([[0, 1, 5], [0, 1, 2], [3, 4, 2]])  # vertex 5 follows vertex 3
+    corners, leaders = one.corners.copy(), one.leaders.copy()
+    corners[5], leaders[5] = -1, 3
+    given = replace(one, corners=corners, leaders=leaders, faces=np.array([-1, 1, 2]))
+    assert carry_labels(np.array([0, 1, 2]), given, faces).tolist() == [2, 1, 2]
+    # Nothing moves a triangle at the leader: the first label.
+    alone = replace(given, faces=np.array([-1, 1, -1]))
+    assert carry_labels(np.array([0, 1, 2]), alone, faces).tolist() == [0, 1, 0]
 
 
 def test_vertices_of_no_face_are_a_part_that_follows_the_first() -> None:

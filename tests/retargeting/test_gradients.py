@@ -30,6 +30,7 @@ from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_su
 
 Float = NDArray[np.float64]
 
+
 def shaped(points: Float) -> Float:
     """Another body on the same triangles: thicker, longer, with a waist."""
     waist = 1.6 - 0.4 * np.sin(1.5 * points[:, 2:])
@@ -127,9 +128,7 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     opened[count:] += away
     moved = mover.frame(opened)
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
-    np.testing.assert_allclose(
-        moved[count:], target[0][count:] + mover.alignment.shifted(away), atol=1e-9
-    )
+    np.testing.assert_allclose(moved[count:], target[0][count:] + mover.alignment.shifted(away), atol=1e-9)
 
 
 def test_what_is_held_turns_with_its_holder() -> None:
@@ -163,9 +162,8 @@ def test_a_patch_that_is_on_nothing_goes_along() -> None:
     mesh = tube(8, 25)
     correspondence = same(mesh)
     top = np.append(np.arange(8 * 23, 8 * 25), 8 * 25 + 1)  # two rings and the cap
-    corners, weights, leaders = (
-        array.copy() for array in (correspondence.corners, correspondence.weights, correspondence.leaders)
-    )
+    corners, weights = correspondence.corners.copy(), correspondence.weights.copy()
+    leaders = correspondence.leaders.copy()
     corners[top], weights[top], leaders[top] = -1, 0.0, 8 * 22
     faces = np.where(np.isin(mesh[1], top).any(axis=1), -1, correspondence.faces)
     some = replace(correspondence, corners=corners, weights=weights, leaders=leaders, faces=faces)

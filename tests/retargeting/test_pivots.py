@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
-from mixseq.retargeting.pivots import REACH, Pivots, turned
+from mixseq.retargeting.linkage import Linkage
+from mixseq.retargeting.pivots import REACH, Pivots
 from tests.meshes import rigid_motions, rotation, seeds
 
 Float = NDArray[np.float64]
@@ -21,11 +22,9 @@ def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Floa
     pairs = [(order[k], order[rng.integers(k)]) for k in range(1, parts)]
     pairs += [tuple(rng.choice(parts, 2, replace=False)) for _ in range(extra)]
     count = len(pairs)
+    pivots, centres = rng.normal(size=(count, 3)), rng.normal(size=(parts, 3))
     made = Pivots(
-        np.array(pairs),
-        rng.normal(size=(count, 3)),
-        rng.normal(size=(parts, 3)),
-        int(rng.integers(parts)),
+        Linkage(centres, np.array(pairs), pivots, int(rng.integers(parts))),
         rng.uniform(0.5, 2.0, count),
         rng.uniform(0.1, 1.0, count),
     )
@@ -35,7 +34,7 @@ def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Floa
 
 def test_an_elbow_by_hand() -> None:
     ends = np.array([[0.5, 0, 0], [1.75, 0, 0]])
-    arm = Pivots(np.array([[0, 1]]), np.array([[1.0, 0, 0]]), ends, 0, np.ones(1), np.ones(1))
+    arm = Pivots(Linkage(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1))
     turns = np.stack([np.eye(3), rotation((0, 0, np.pi / 2))])
     bent = arm.place(turns, np.zeros((1, 3)), np.array([0.5, 0, 0]))
     np.testing.assert_allclose(bent, [[0.5, 0, 0], [1.0, 0.75, 0]], atol=1e-12)
@@ -50,8 +49,8 @@ def test_a_tree_has_exactly_the_gaps_it_should(seed: int) -> None:
     tree, turns, gaps = body(seed)
     root = np.array([5.0, -2.0, 1.0])
     placed = tree.place(turns, gaps, root)
-    assert np.array_equal(placed[tree.root], root)
-    np.testing.assert_allclose(tree.gaps(turns, placed), gaps, atol=1e-10)
+    assert np.array_equal(placed[tree.linkage.root], root)
+    np.testing.assert_allclose(tree.linkage.gaps(turns, placed), gaps, atol=1e-10)
 
 
 @given(seeds)
@@ -63,18 +62,20 @@ def test_loops_are_solved_by_least_squares(seed: int) -> None:
     placed = loops.place(turns, gaps, root)
     # Gaps are affine in the centres: of these the matrix and the rest, one number at a time.
     still = np.zeros((7, 3))
-    still[loops.root] = root
-    others = [part for part in range(7) if part != loops.root]
+    still[loops.linkage.root] = root
+    others = [part for part in range(7) if part != loops.linkage.root]
     matrix = np.stack(
         [
-            loops.gaps(turns, still + np.outer(np.arange(7) == part, [1.0, 0, 0]))[:, 0]
-            - loops.gaps(turns, still)[:, 0]
+            loops.linkage.gaps(turns, still + np.outer(np.arange(7) == part, [1.0, 0, 0]))[:, 0]
+            - loops.linkage.gaps(turns, still)[:, 0]
             for part in others
         ],
         axis=1,
     )
     weights = loops.lengths[:, None]
-    wanted = np.linalg.lstsq(weights * matrix, weights * (gaps - loops.gaps(turns, still)), rcond=None)[0]
+    wanted = np.linalg.lstsq(
+        weights * matrix, weights * (gaps - loops.linkage.gaps(turns, still)), rcond=None
+    )[0]
     np.testing.assert_allclose(placed[others], wanted, atol=1e-9)
 
 
@@ -92,24 +93,25 @@ def test_a_rigid_motion_of_the_world_moves_all_parts(seed: int, motion: tuple[Fl
 def test_at_rest_parts_are_at_rest() -> None:
     loops, turns, gaps = body(3, extra=3)
     turns = np.tile(np.eye(3), (7, 1, 1))
-    np.testing.assert_allclose(loops.gaps(turns, loops.centres), 0.0, atol=1e-12)
-    placed = loops.place(turns, np.zeros_like(gaps), loops.centres[loops.root])
-    np.testing.assert_allclose(placed, loops.centres, atol=1e-10)
+    np.testing.assert_allclose(loops.linkage.gaps(turns, loops.linkage.centres), 0.0, atol=1e-12)
+    placed = loops.place(turns, np.zeros_like(gaps), loops.linkage.centres[loops.linkage.root])
+    np.testing.assert_allclose(placed, loops.linkage.centres, atol=1e-10)
 
 
 def test_one_part_is_where_it_is_put() -> None:
     none = np.zeros(0)
-    alone = Pivots(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), np.ones((1, 3)), 0, none, none)
+    one = Linkage(np.ones((1, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 0)
+    alone = Pivots(one, none, none)
     placed = alone.place(np.eye(3)[None], np.zeros((0, 3)), np.array([3.0, 4, 5]))
     assert placed.tolist() == [[3.0, 4, 5]]
-    assert alone.gaps(np.eye(3)[None], placed).shape == (0, 3)
+    assert alone.linkage.gaps(np.eye(3)[None], placed).shape == (0, 3)
 
 
 def test_boundaries_of_no_length_still_hold() -> None:
     tree, turns, gaps = body(4)
     thin = replace(tree, lengths=tree.lengths * (np.arange(6) % 2), radii=np.zeros(6))
     placed = thin.place(turns, gaps, np.ones(3))
-    np.testing.assert_allclose(thin.gaps(turns, placed), gaps, atol=1e-9)
+    np.testing.assert_allclose(thin.linkage.gaps(turns, placed), gaps, atol=1e-9)
 
 
 def test_gaps_stay_within_the_reach_of_their_boundaries() -> None:
@@ -126,10 +128,6 @@ def test_gaps_stay_within_the_reach_of_their_boundaries() -> None:
     np.testing.assert_allclose(small, 1e-5 * gaps, rtol=1e-4)
     rigid = replace(tree, radii=np.zeros(len(gaps)))
     np.testing.assert_allclose(rigid.within_reach(gaps, smooth), smooth)
-
-
-def test_vectors_are_turned_each_by_its_matrix() -> None:
-    matrices = np.random.default_rng(0).normal(size=(4, 3, 3))
-    vectors = np.random.default_rng(1).normal(size=(4, 3))
-    expected = [m @ v for m, v in zip(matrices, vectors, strict=True)]
-    np.testing.assert_allclose(turned(matrices, vectors), expected)
+    # Pieces that nothing but a vertex holds may be far away.
+    np.testing.assert_allclose(rigid.within_reach(1e6 * gaps, smooth), smooth)
+    np.testing.assert_array_equal(rigid.within_reach(smooth, smooth), smooth)

@@ -1,0 +1,72 @@
+"""How values are spread: root mean square, 99.9th percentile and largest, of values that pass by in little memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+PERCENTILE = 0.999
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the values of one error are distributed over all elements and frames.
+
+    Attributes
+    ----------
+    rms, p999, max : float
+        Root mean square, 99.9th percentile (the smallest value that 99.9 % do not exceed), largest value.
+    skipped : int
+        How many values are not defined and were left out, counted over all frames.
+    """
+
+    rms: float
+    p999: float
+    max: float
+    skipped: int
+
+
+class Gathered:
+    """Collects values block by block, and keeps only what `Spread` needs: the sum of squares and the largest.
+
+    Parameters
+    ----------
+    total : int
+        How many values there would be if none were skipped.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._seen = 0
+        self._squares = 0.0
+        self._keep = total - int(PERCENTILE * total) + 1
+        self._largest = np.zeros(0)
+
+    def add(self, values: Float) -> None:
+        """Take another block of values ``(n,)``, none of them negative; those that are not finite are skipped."""
+        values = values[np.isfinite(values)]
+        self._seen += values.size
+        self._squares += float(np.square(values).sum())
+        if len(self._largest) == self._keep:
+            values = values[values > self._largest[0]]
+        largest = np.concatenate([self._largest, values])
+        if len(largest) >= self._keep:
+            # Partitioned so that the smallest of those kept comes first.
+            largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
+        self._largest = largest
+
+    def result(self) -> Spread:
+        """Return the spread of all values; zeros if there were none."""
+        if not self._seen:
+            return Spread(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
+        above = self._seen - int(np.ceil(PERCENTILE * self._seen))
+        return Spread(
+            rms=float(np.sqrt(self._squares / self._seen)),
+            p999=float(np.sort(self._largest)[-1 - above]),
+            max=float(self._largest.max()),
+            skipped=self._total - self._seen,
+        )

@@ -1,0 +1,175 @@
+"""Paws that rest where the source's do."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.creature import part_of_vertex, walk_cycle
+from mixseq.creature.gait import DUTY, STEP
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.retargeting.contacts import ContactReport
+from mixseq.retargeting.linkage import Contact, Linkage
+from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.sources import source_motion
+from mixseq.retargeting.transfer import plan
+from mixseq.sequence import MeshSequence
+from tests.meshes import rotation
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FRAMES = 24
+PAWS = ("forepaw.l", "forepaw.r", "hindpaw.l", "hindpaw.r")
+BELLY, LONGER = 0.45, 1.3
+
+
+class Walk(NamedTuple):
+    """The fox over the ground, a taller one after it, and the soles of the paws."""
+
+    source: MeshSequence
+    target: MeshSequence
+    soles: dict[str, Index]
+    free: Float
+    planted: Float
+    report: ContactReport
+    mover: MixedTransfer
+
+
+def taller(points: Float) -> Float:
+    """Longer legs, and the body on them."""
+    height = points[:, 1]
+    grown = np.where(height < BELLY, LONGER * height, height + (LONGER - 1) * BELLY)
+    return np.stack([points[:, 0], grown, points[:, 2]], axis=1)
+
+
+def over_the_ground(walk: MeshSequence) -> MeshSequence:
+    """The walk as fast as the ground moves past."""
+    way = STEP / DUTY * np.arange(walk.frame_count) / walk.frame_count
+    return walk.with_points(walk.points + way[:, None, None] * [1.0, 0.0, 0.0])
+
+
+def soles_of(rest: Float) -> dict[str, Index]:
+    """The fifteen lowest vertices of every paw."""
+    part, names = part_of_vertex()
+    paws = {name: np.flatnonzero(part == names.index(name)) for name in PAWS}
+    return {name: paw[np.argsort(rest[paw, 1], kind="stable")[:15]] for name, paw in paws.items()}
+
+
+@pytest.fixture(scope="module")
+def walk() -> Walk:
+    source = over_the_ground(walk_cycle(frames=FRAMES))
+    rest = source.points[0]
+    target = MeshSequence.from_arrays(taller(rest)[None], source.faces, up_axis="Y")
+    soles = soles_of(rest)
+    motion = source_motion(source, parts=source_motion(source).part_of_face())
+    with_contacts = plan(motion, target, contacts=soles)
+    free = np.concatenate(list(plan(motion, target).blocks()))
+    planted = np.concatenate(list(with_contacts.blocks()))
+    assert isinstance(with_contacts.mover, MixedTransfer)
+    return Walk(source, target, soles, free, planted, with_contacts.contacts, with_contacts.mover)
+
+
+def slides(walk: Walk, points: Float) -> list[float]:
+    """How far the middle of every sole goes while it rests."""
+    paths = [points[:, walk.soles[group.name]].mean(axis=1) for group in walk.report.groups]
+    return [
+        sum(float(np.linalg.norm(np.diff(path[some.frames], axis=0), axis=1).sum()) for some in group.stances)
+        for path, group in zip(paths, walk.report.groups, strict=True)
+    ]
+
+
+def accelerations(points: Float) -> Float:
+    return np.asarray(np.linalg.norm(np.diff(points, 2, axis=0), axis=2))
+
+
+def test_paws_rest_as_long_as_those_of_the_source(walk: Walk) -> None:
+    assert [group.name for group in walk.report.groups] == list(PAWS)
+    for group in walk.report.groups:
+        frames = sum(some.stop - some.start for some in group.stances)
+        assert frames / FRAMES == pytest.approx(DUTY, abs=0.1)
+
+
+def test_paws_do_not_slide(walk: Walk) -> None:
+    for before, after in zip(slides(walk, walk.free), slides(walk, walk.planted), strict=True):
+        assert before > 0.02  # metres
+        assert after < before / 10
+
+
+def test_the_report_says_how_the_mesh_slides(walk: Walk) -> None:
+    """Not only its parts: paws that bend within their parts slide by that as well."""
+    diagonal = walk.target.diagonal
+    after = slides(walk, walk.planted)
+    for group, slide in zip(walk.report.groups, after, strict=True):
+        assert group.before > 0.005
+        assert group.after * diagonal == pytest.approx(slide, abs=1e-6)
+        assert group.residual < 0.01
+    assert 0 < walk.report.shift < 0.05
+    assert 0 < walk.report.turn < 15
+
+
+def test_nothing_pops(walk: Walk) -> None:
+    before, after = accelerations(walk.free), accelerations(walk.planted)
+    assert after.max() <= 1.2 * before.max()
+    assert np.sqrt(np.mean(after**2)) <= 1.1 * np.sqrt(np.mean(before**2))
+
+
+def test_what_is_on_no_leg_moves_as_smoothly_as_before(walk: Walk) -> None:
+    part, names = part_of_vertex()
+    elsewhere = np.isin(
+        part, [names.index(name) for name in ("head", "muzzle", "ear.l", "ear.r", "tail3", "tail4", "chest")]
+    )
+    before, after = accelerations(walk.free[:, elsewhere]), accelerations(walk.planted[:, elsewhere])
+    assert after.max() <= 1.2 * before.max()
+    # The shape of the head is none of the feet's business.
+    head = part == names.index("head")
+    free, planted = (x[:, head] - x[:, head].mean(axis=1, keepdims=True) for x in (walk.free, walk.planted))
+    np.testing.assert_allclose(planted, free, atol=2e-3)
+
+
+def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
+    way = walk.planted[-1].mean(axis=0) - walk.planted[0].mean(axis=0)
+    own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
+    assert 1.1 < way[0] / own[0] < LONGER
+    assert way[0] / own[0] == pytest.approx(
+        walk.mover.stride * walk.mover.gradients.alignment.scale, rel=0.03
+    )
+
+
+def test_a_walk_on_the_spot_never_rests() -> None:
+    source = walk_cycle(frames=6)
+    sole = soles_of(source.points[0])["forepaw.l"]
+    target = MeshSequence.from_arrays(source.points[:1], source.faces)
+    with pytest.warns(MixseqWarning, match=r"contact 'sole' never rests.*on the spot"):
+        plan(source, target, contacts={"sole": sole}, parts=6)
+
+
+def test_one_contact_is_on_one_leg(walk: Walk) -> None:
+    both = np.concatenate([walk.soles["forepaw.l"], walk.soles["hindpaw.r"]])
+    with pytest.raises(
+        SettingsError, match=r"contact 'paws' are on several limbs.*one contact for each foot"
+    ):
+        plan(walk.source, walk.target, contacts={"paws": both})
+
+
+def test_a_contact_may_bend_within_its_part() -> None:
+    """Its way is that of its vertices as the part sees them in every frame."""
+    linkage = Linkage(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0, 1]]), np.array([[0.5, 0, 0]]), 0)
+    points = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    stiff = Contact("foot", points, np.array([1, 1]))
+    turns = np.stack([[np.eye(3), rotation((0, 0, 0.1 * t))] for t in range(4)])
+    centres = np.random.default_rng(0).normal(size=(4, 2, 3))
+    seen = points + np.arange(4)[:, None, None] * [0.0, 0.0, 0.1]
+    soft = Contact("foot", points, np.array([1, 1]), seen)
+    np.testing.assert_allclose(
+        linkage.path(soft, turns, centres)[0], linkage.path(stiff, turns, centres)[0], atol=1e-12
+    )
+    up = linkage.path(soft, turns, centres) - linkage.path(stiff, turns, centres)
+    np.testing.assert_allclose(up, seen - points, atol=1e-12)  # z is not turned
+    some = np.array([1, 3])
+    np.testing.assert_array_equal(
+        linkage.path(soft, turns[some], centres[some], some), linkage.path(soft, turns, centres)[some]
+    )
