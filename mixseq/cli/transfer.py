@@ -74,10 +74,9 @@ _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every f
 )
 @click.option(
     "--rest",
-    default="0",
-    show_default=True,
     metavar="FRAME|FILE",
-    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.",
+    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: 0; of glTF "
+    "SOURCE without animation]",
 )
 @click.option(
     "--parts",
@@ -115,7 +114,7 @@ def command(
     map_file: Path | None,
     save_map: Path | None,
     method: str,
-    rest: str,
+    rest: str | None,
     parts: int | None,
     joint_width: int | None,
     labels: Path | None,
@@ -133,8 +132,8 @@ def command(
     """Move a mesh as another one moves.
 
     SOURCE is a sequence in any format, or a model. TARGET is the mesh in its first frame, in a pose like that of SOURCE
-    at --rest; of glTF files TARGET and --rest are the pose without animation. OUT's format follows from its extension,
-    see "mixseq formats"; it is written while frames are made.
+    at --rest; of glTF files both are the pose without animation, mostly that in which they were bound. OUT's format
+    follows from its extension, see "mixseq formats"; it is written while frames are made.
 
     Meshes with the same triangles need nothing else. For others, --markers names pairs of vertices, a file with a pair
     a line, counted from 0; what corresponds in between is found by bending SOURCE onto TARGET, which takes a while:
@@ -153,7 +152,7 @@ def command(
         "contacts": contacts,
     }
     _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
-    frame, rest_file = _rest(rest)
+    frame, rest_file = _rest(rest, source)
     drawn = None if no_picture else picture or _picture_beside(out)
     _check_files(
         [each for each in (out, drawn, save_map) if each is not None],
@@ -177,7 +176,7 @@ def command(
 
         pairs, feet = _markers(markers, reverse), _contacts(contacts)
         shape = _first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
-        rest_shape = frame if rest_file is None else _first_frame(rest_file, common)
+        rest_shape = frame if rest_file is None else _at_rest(rest_file, reading, opened, rest is None)
         given = _parts(opened, parts, labels, label_source, reading)
         motion = source_motion(opened, rest_shape, given, progress)
         made = plan(
@@ -232,9 +231,28 @@ def _check_settings(
                 raise SettingsError(f"the method gradients knows no parts; leave out --{name}, or --method")
 
 
-def _rest(text: str) -> tuple[int, Path | None]:
+def _rest(text: str | None, source: Path) -> tuple[int, Path | None]:
     """Return the frame that is meant, or a file."""
+    if text is None:
+        return 0, source if source.suffix.lower() in _ANIMATED else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))
+
+
+def _at_rest(
+    path: Path, reading: Mapping[str, Any], opened: SequenceReader | Model, unasked: bool
+) -> MeshSequence | int:
+    """Read the source's mesh at rest; frame 0 instead, if nobody asked for a file that has other meshes."""
+    shape = _first_frame(path, {name: reading[name] for name in (*_OF_ALL, "prim") if name in reading})
+    header = opened.header
+    if not unasked or (shape.vertex_count, len(shape.faces)) == (header.vertex_count, len(header.faces)):
+        return shape
+    warnings.warn(
+        f"{path}: without animation there are other meshes than those that move, so frame 0 counts as the rest; "
+        "--prim / takes all meshes, --rest FRAME says that a frame is meant",
+        MixseqWarning,
+        stacklevel=2,
+    )
+    return 0
 
 
 def _picture_beside(out: Path) -> Path:
