@@ -235,5 +235,7 @@ def test_a_few_rows_are_no_map(tmp_path: Path) -> None:
     points, faces = grid(5, 5)
     file = tmp_path / "pairs.txt"
     file.write_text("1 2\n3 4\n")
-    with pytest.raises(FormatError, match=r"pairs\.txt: it has rows for 2 of the target's 36 vertices.*as markers"):
+    with pytest.raises(
+        FormatError, match=r"pairs\.txt: it has rows for 2 of the target's 36 vertices.*as markers"
+    ):
         to_correspondence(read_map(file), (points, faces), (points, faces))
