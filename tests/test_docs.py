@@ -83,8 +83,9 @@ def rows_of(text: str) -> Iterator[list[str]]:
         "README.md",
         *(
             f"docs/{name}.md"
-            for name in ("tutorial", "editing", "resampling", "transfer", "engines", "compression")
+            for name in ("install", "tutorial", "editing", "resampling", "transfer", "engines", "compression")
         ),
+        *(f"docs/how-to/{name}.md" for name in ("resample", "compress", "sculpt", "transfer")),
     ],
 )
 def test_code_and_commands_run_from_top_to_bottom(

@@ -64,6 +64,7 @@ HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
 WIDTH = 1600  # pixels of large pictures
 SHEET_WIDTH = 1280  # pixels of contact sheets
+MOVING_WIDTH = 1080  # pixels of the moving picture
 COLOURS = 96  # of a contact sheet, which no eye misses and PNG packs well
 FPS = 24
 
@@ -98,6 +99,42 @@ def parts(path: Path) -> None:
     labels = model.decomposition.part_of_face, model.decomposition.joint_of_face
     draw_segmentation(page, walk.points[0], walk.faces, *labels)
     save(page, path, WIDTH, 256)
+
+
+def moving(path: Path) -> None:
+    """The moving picture of the start page: an animation, its model, and another body, at half the speed."""
+    cycle = walk_cycle(frames=12, fps=12)
+    points = np.concatenate([cycle.points, cycle.points[:1]])
+    model = mixseq.fit(mixseq.MeshSequence.from_arrays(points, cycle.polygons, fps=12), exact=True)
+    times = np.arange(2 * FPS) / (2 * FPS)
+    slow = model.sample(times)
+    columns = {
+        "animation, 12 frames per second": (cycle.points[(times * 12).astype(int)], CLAY),
+        "model, at any time": (slow.points, segmentation_colours(*labels_of(model))),
+        "on another body": (mixseq.transfer(slow, long_legs()).points, CLAY),
+    }
+    view, limits, ground = camera([points for points, _ in columns.values()])
+    frames = []
+    for frame in range(len(times)):
+        page = Sheet.of(1, len(columns), (limits[3] - limits[2]) / (limits[1] - limits[0]), "")
+        for ax, (title, (poses, colours)) in zip(page.panels[0], columns.items(), strict=True):
+            draw_mesh(ax, poses[frame], cycle.faces, colours, "Y", view, limits, ground)
+            ax.set_title(title, fontsize=13, color=INK, pad=2)
+        stream = BytesIO()
+        page.save(stream)
+        picture = Image.open(stream).convert("RGB")
+        size = MOVING_WIDTH, round(MOVING_WIDTH * picture.height / picture.width)
+        frames.append(picture.resize(size, Image.Resampling.LANCZOS))
+    path = path.with_suffix(".webp")
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=1000 // FPS, loop=0, quality=55, method=6
+    )
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def labels_of(model: Model) -> tuple[Labels, Labels]:
+    """Return the part and the joint ``(F,)`` of every triangle."""
+    return model.decomposition.part_of_face, model.decomposition.joint_of_face
 
 
 def segmentations(path: Path) -> None:
@@ -432,6 +469,7 @@ NEED_DATA = ("transfer-wolf", "transfer-man")
 PICTURES: Mapping[str, Callable[[Path], None]] = {
     "demo": demo,
     "parts": parts,
+    "walk": moving,
     "segmentations": segmentations,
     "softening": softening,
     "coding": coding,

@@ -10,6 +10,7 @@ import click
 import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, read_sequence
+from mixseq.cli.filmed import FilmOptions, film_options, make_film
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.errors import SettingsError
 
@@ -35,10 +36,11 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
         "mixseq plot walk.h5 walk.png",
         "mixseq plot walk.h5 errors.png --kind error-vertices --against walk.usdc",
         "mixseq plot walk.h5 layout.svg --kind layout --frames 0,12,24,36",
+        "mixseq plot --video walk.mp4 walk.usdc walk.h5 --turn 360 --seconds 8",
+        "mixseq plot --video parts.gif walk.h5 --colour parts --size 640x360",
     ),
 )
-@click.argument("source", metavar="MODEL", type=FILE)
-@click.argument("target", type=FILE)
+@click.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1, type=FILE)
 @click.option(
     "--kind", type=click.Choice(KINDS), help="One picture only.  [default: all of them on one page]"
 )
@@ -55,23 +57,33 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
     help="Frames to number in the layout, or to draw with the errors of their vertices.  [default: automatic]",
 )
 @click.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
+@film_options
 @reader_options
 @quiet_option
 def command(
-    source: Path,
-    target: Path,
+    files: tuple[Path, ...],
     kind: Kind | None,
     against: Path | None,
     frames: tuple[int, ...] | None,
     tolerance: float | None,
+    filming: FilmOptions,
     reading: dict[str, Any],
     quiet: bool,
 ) -> None:
-    """Draw a model: its signals, its parts, and how far it is from the original.
+    """Draw a model: its signals, its parts, and how far it is from the original. Or make a film.
 
     TARGET is a PNG or an SVG file. Without --kind it is a page with the time signal in its default layout, its
     coefficients, the singular values, parts and joints, and with --against the errors per frame and per vertex.
+
+    With --video, FILES are models or sequences in any format, which are shown side by side. It is drawn without a
+    graphics card, and the same on every number of threads.
     """
+    if filming.video is not None:
+        _refuse_in_films(files, kind, frames, tolerance)
+        make_film(filming.video, files, filming, against, reading, quiet)
+        return
+    filming.refuse()
+    source, target = _model_and_target(files)
     from mixseq.plots import check_settings, picture_format, plot_model
     from mixseq_io.atomic import replacing
 
@@ -99,3 +111,27 @@ def command(
                 progress=progress,
             )
     announce(target)
+
+
+def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
+    """Return the two arguments that there are without --video."""
+    if len(files) < 2:
+        raise click.UsageError(
+            f"Missing argument '{'TARGET' if files else 'MODEL'}'.", click.get_current_context()
+        )
+    if len(files) > 2:
+        raise SettingsError(
+            f"{files[2]} is one file too many; give MODEL and TARGET, or --video and any number of files"
+        )
+    return files[0], files[1]
+
+
+def _refuse_in_films(
+    files: tuple[Path, ...], kind: Kind | None, frames: tuple[int, ...] | None, tolerance: float | None
+) -> None:
+    """Refuse what only pictures have."""
+    for name, value in (("kind", kind), ("frames", frames), ("tolerance", tolerance)):
+        if value is not None:
+            raise SettingsError(f"--{name} is about pictures; leave it out, or --video")
+    if not files:
+        raise click.UsageError("Missing argument 'FILES...'.", click.get_current_context())

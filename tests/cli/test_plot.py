@@ -11,9 +11,11 @@ import pytest
 from click.testing import Result
 
 import mixseq
+from mixseq.cli.filmed import COLOURS
 from mixseq.cli.plot import KINDS
 from mixseq.errors import MissingExtraError
 from mixseq.plots import KINDS as DRAWN
+from mixseq.plots.video import COLOURS as DRAWN_COLOURS
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 
@@ -78,6 +80,31 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ),
         ("plot model.h5 new.png --input-fps 10", "tell how to read a sequence; give --against"),
         ("plot model.h5 new.png --against bar.usdc --prim /none", "/none"),
+        ("plot", "Missing argument 'MODEL'.*see mixseq plot --help"),
+        ("plot model.h5", "Missing argument 'TARGET'"),
+        ("plot model.h5 bar.npz new.png", "new.png is one file too many"),
+        ("plot model.h5 new.png --turn 90", "--turn is about films; give --video"),
+        ("plot model.h5 new.png --fps 30", "--fps is about films; give --video"),
+        ("plot --video new.gif", "Missing argument 'FILES...'"),
+        ("plot --video new.avi bar.npz", "films are MP4, GIF or WebP files; end the name in .mp4"),
+        ("plot --video nowhere/new.gif bar.npz", "nowhere does not exist; make it first"),
+        ("plot --video new.gif none.npz", "none.npz.* does not exist"),
+        ("plot --video new.gif model.h5 none.h5", "none.h5 does not exist"),
+        ("plot --video new.gif cut_model.h5", "cut_model.h5"),
+        ("plot --video new.gif bar.npz --kind parts", "--kind is about pictures"),
+        ("plot --video new.gif bar.npz --frames 1", "--frames is about pictures"),
+        ("plot --video new.gif bar.npz --tolerance 1", "--tolerance is about pictures"),
+        ("plot --video new.gif bar.npz --size 640", "--size.*'640' is not a size such as 1280x720"),
+        ("plot --video new.mp4 bar.npz --size 641x480", "MP4 needs even numbers"),
+        ("plot --video new.gif bar.npz --fps 60", "too many for GIF"),
+        ("plot --video new.gif bar.npz --seconds 0", "the duration is 0.0"),
+        ("plot --video new.gif bar.npz --seconds 1e9", "a film has from 2 to 100,000"),
+        ("plot --video new.gif bar.npz --colour parts", "bar has no parts"),
+        ("plot --video new.gif bar.npz --colour error", "give the original"),
+        ("plot --video new.gif bar.npz --against bar.usdc", "is for the colour error"),
+        ("plot --video new.gif model.h5 --colour error --against other.npz", "errors need one mesh"),
+        ("plot --video new.gif bar.npz --names a,b", "--names has 2 names for 1 files"),
+        ("plot --video new.gif bar.npz --prim /none", "none of the files is read with an option 'prim'"),
     ],
 )
 def test_failure(run: Run, contents: Contents, line: str, message: str) -> None:
@@ -95,6 +122,35 @@ def test_a_source_is_not_overwritten(run: Run, contents: Contents, folder: Path)
     assert "is the source itself" in run("plot", "model.h5", "model.png").stderr
     assert "is the source itself" in run("plot", "model.h5", "bar.svg", "--against", "bar.npz").stderr
     assert contents() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "start"),
+    [
+        ("new.gif bar.npz", b"GIF89a"),
+        ("old.webp bar.usdc model.h5 --names=one,two --turn 90 --seconds 0.5 -q", b"RIFF"),
+        ("new.gif model.h5 bar.npz --colour parts --fps 20", b"GIF89a"),
+        ("new.gif model.h5 --colour error --against bar.usdc --scale 0.01", b"GIF89a"),
+        ("new.gif bar_sequence.h5 --colour strain --up-axis Z", b"GIF89a"),
+    ],
+)
+def test_films(run: Run, line: str, start: bytes) -> None:
+    result = run("plot", "--size", "96x64", "--video", *line.split())
+    assert (result.exit_code, result.stderr) == (0, "")
+    name = line.split()[0]
+    assert re.fullmatch(rf"wrote {name} \(.* (kB|bytes)\)\n", result.stdout)
+    assert Path(name).read_bytes().startswith(start)
+
+
+def test_a_film_does_not_replace_what_it_shows(run: Run, contents: Contents, folder: Path) -> None:
+    (folder / "bar.gif").symlink_to(folder / "bar.npz")
+    before = contents()
+    assert "is the source itself" in run("plot", "--video", "bar.gif", "bar.npz").stderr
+    assert contents() == before
+
+
+def test_colours_are_those_of_films() -> None:
+    assert COLOURS == DRAWN_COLOURS
 
 
 def test_vertex_models_have_no_parts(run: Run, bent_bar: MeshSequence) -> None:

@@ -1,0 +1,178 @@
+"""The part of ``mixseq plot`` that makes films."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, progress_bar
+from mixseq.cli.files import check_target, is_model, options_of
+from mixseq.cli.options import FILE
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq.plots.video import Colour
+
+# Those of mixseq.plots.video, which the help would have to import.
+COLOURS = ("clay", "parts", "error", "strain")
+
+Command = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """The options of films as they were given; None is what was not."""
+
+    video: Path | None
+    size: tuple[int, int] | None
+    fps: float | None
+    seconds: float | None
+    turn: float | None
+    colour: Colour | None
+    scale: float | None
+    names: tuple[str, ...] | None
+
+    def refuse(self) -> None:
+        """Refuse all of them where no film is made.
+
+        Raises
+        ------
+        SettingsError
+            If there is one.
+        """
+        for name, value in vars(self).items():
+            if value is not None:
+                raise SettingsError(f"--{name} is about films; give --video as well, or leave it out")
+
+
+def _as_size(context: click.Context, option: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    width, _, height = value.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise click.BadParameter(f"{value!r} is not a size such as 1280x720")
+    return int(width), int(height)
+
+
+def _as_names(context: click.Context, option: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    return None if value is None else tuple(name.strip() for name in value.split(","))
+
+
+def film_options(command: Command) -> Command:
+    """Add the options of films; the command gets all of them as ``filming``."""
+
+    @click.option(
+        "--video",
+        type=FILE,
+        metavar="FILE",
+        help="Make a film of FILES side by side, sequences or models: .mp4 (AV1), .gif or .webp.",
+    )
+    @click.option("--size", callback=_as_size, metavar="WxH", help="Pixels of the film.  [default: 1280x720]")
+    @click.option(
+        "--fps",
+        "film_fps",
+        type=float,
+        metavar="N",
+        help="Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
+    )
+    @click.option(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
+    )
+    @click.option("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film.")
+    @click.option(
+        "--colour",
+        type=click.Choice(COLOURS),
+        help="What colours show in the film; parts need a model, error needs --against.  [default: clay]",
+    )
+    @click.option(
+        "--scale",
+        type=float,
+        metavar="X",
+        help="Error in diagonals, or strain, of the last colour.  [default: the largest]",
+    )
+    @click.option(
+        "--names",
+        callback=_as_names,
+        metavar="A,B,...",
+        help="What stands above FILES in the film.  [default: names of several files]",
+    )
+    @wraps(command)
+    def with_options(
+        *args: Any,
+        video: Path | None,
+        size: tuple[int, int] | None,
+        film_fps: float | None,
+        seconds: float | None,
+        turn: float | None,
+        colour: Colour | None,
+        scale: float | None,
+        names: tuple[str, ...] | None,
+        **settings: Any,
+    ) -> None:
+        filming = FilmOptions(video, size, film_fps, seconds, turn, colour, scale, names)
+        command(*args, filming=filming, **settings)
+
+    return with_options
+
+
+def make_film(
+    target: Path,
+    files: Sequence[Path],
+    options: FilmOptions,
+    against: Path | None,
+    reading: Mapping[str, Any],
+    quiet: bool,
+) -> None:
+    """Make the film of `files` that the options ask for."""
+    from mixseq.plots.video import FilmSettings, Shown, check_film, film, film_format
+    from mixseq_io.atomic import replacing
+
+    form = film_format(target)
+    chosen = {
+        name: value
+        for name, value in vars(options).items()
+        if name not in ("video", "names") and value is not None
+    }
+    settings = FilmSettings(**chosen)
+    check_film(form, settings.size, settings.fps)
+    for file in (*files, *([against] if against else [])):
+        check_target(target, file)
+    names = _names(files, options.names)
+    known = [options_of(file, reading) for file in (*files, *([against] if against else []))]
+    for name in reading.keys() - set().union(*known):
+        raise SettingsError(f"none of the files is read with an option {name!r}")
+    with ExitStack() as stack, progress_bar(quiet) as progress:
+        shown = [
+            Shown(
+                name,
+                mixseq.load(file)
+                if is_model(file)
+                else stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading))),
+            )
+            for name, file in zip(names, files, strict=True)
+        ]
+        original = None
+        if against is not None:
+            original = stack.enter_context(mixseq.open_sequence(against, **options_of(against, reading)))
+        with replacing(target) as temporary:
+            film(temporary, shown, settings, original, progress)
+    announce(target)
+
+
+def _names(files: Sequence[Path], names: tuple[str, ...] | None) -> Sequence[str]:
+    """Return what stands above the files: their names, if nothing else is asked for and there are several."""
+    if names is None:
+        return [file.name for file in files] if len(files) > 1 else [""]
+    if len(names) != len(files):
+        raise SettingsError(f"--names has {len(names)} names for {len(files)} files; give one for each")
+    return names

@@ -1,0 +1,105 @@
+r"""One mesh as pixels: triangles in a depth buffer, lit as on the sheets, above their shadow.
+
+Every triangle is drawn where it is nearer than what was drawn before [1]_. Corners are moved to multiples of 1/256 of a
+sample, so that whether a sample is inside is decided in whole numbers [2]_: adjacent triangles leave no gaps, and all
+machines draw the same samples. A pixel is the mean of 2 x 2 samples.
+
+References
+----------
+.. [1] E. Catmull: A subdivision algorithm for computer display of curved surfaces. PhD thesis, Utah, 1974.
+.. [2] J. Pineda: A parallel algorithm for polygon rasterization. SIGGRAPH 1988.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.plots.camera import Array, Limits, View
+from mixseq.plots.colours import CLAY
+from mixseq.plots.shading import area_normals, shade, vertex_normals
+from mixseq.plots.shadow import ground_shadow
+from mixseq.sequence import IntArray
+
+Picture = NDArray[np.uint8]
+
+SIDE = 2
+"""Samples per pixel, in each direction."""
+
+PAPER = 255
+"""Grey of an empty picture."""
+
+
+def blank(width: int, height: int) -> Picture:
+    """Return an empty picture ``(height, width, 3)``."""
+    return np.full((height, width, 3), PAPER, dtype=np.uint8)
+
+
+def render_mesh(
+    picture: Picture,
+    world: Array,
+    faces: IntArray,
+    view: View,
+    limits: Limits,
+    colours: ArrayLike = CLAY,
+    ground: float | None = None,
+    contrast: float = 1.0,
+) -> None:
+    """Draw a shaded mesh and its shadow on a picture, as `mixseq.plots.draw_mesh` does on paper.
+
+    Parameters
+    ----------
+    picture : (rows, columns, 3) uint8
+        What is drawn on, the upper row first; a part of a larger picture will do.
+    world : (V, 3) float
+        Vertex positions, Y up.
+    faces : (F, 3) int
+        Triangles, seen from both sides.
+    view : View
+        The camera.
+    limits : (4,) float
+        Screen rectangle that the picture covers, of its proportions; the mesh should not be many times larger.
+    colours : (3,), (F, 3) or (F, 3, 3) float
+        RGB in 0..1 of the mesh, of each face, or of each face's corners.
+    ground : float, optional
+        Height of the ground that takes the shadow, by default the lowest vertex.
+    contrast : float
+        Strength of the shading, from 0 (flat colours) to 1.
+    """
+    from mixseq.plots.raster_kernels import SUBPIXELS, average, fill_triangles, lay_shadow
+
+    rows, columns = picture.shape[:2]
+    floor = float(world[:, 1].min()) if ground is None else ground
+    shadow = ground_shadow(world, faces, floor, view, limits)
+    lay_shadow(np.ascontiguousarray(shadow[..., 3]), 255 * shadow[0, 0, :3], picture)
+
+    screen = _turned(world, view)
+    left, right, bottom, top = limits
+    scale = SIDE * SUBPIXELS * np.array([columns / (right - left), -rows / (top - bottom)])
+    places = np.rint((screen[:, :2] - [left, top]) * scale).astype(np.int64)
+    corners = np.ascontiguousarray(faces, dtype=np.int64)
+    lit = _corner_colours(screen, corners, colours, contrast)
+
+    nearest = np.full((SIDE * rows, SIDE * columns), -np.inf, dtype=np.float32)
+    samples = np.empty((*nearest.shape, 3), dtype=np.uint8)
+    fill_triangles(places, screen[:, 2].astype(np.float32), corners, lit, nearest, samples)
+    average(nearest, samples, SIDE, picture)
+
+
+def _turned(world: Array, view: View) -> Array:
+    """Return points as the camera sees them; without a library that adds in an order of its own."""
+    x, y, z = world.T
+    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rows], axis=1)
+
+
+def _corner_colours(
+    screen: Array, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
+) -> NDArray[np.float32]:
+    """Light the corners of all faces: ``(F, 3, 3)`` in 0..255."""
+    flat = area_normals(screen, faces)
+    to_camera = np.where(flat[:, 2:] < 0, -1.0, 1.0)
+    normals = vertex_normals(flat, faces, len(screen))[faces] * to_camera[:, None]
+    rgb = np.asarray(colours, dtype=np.float64)
+    rgb = np.broadcast_to(rgb[:, None] if rgb.ndim == 2 else rgb, (len(faces), 3, 3))
+    lit = shade(rgb.reshape(-1, 3), normals.reshape(-1, 3), contrast)
+    return np.asarray(255 * lit, dtype=np.float32).reshape(-1, 3, 3)
