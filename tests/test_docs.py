@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
+from glob import glob
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -34,10 +36,13 @@ from mixseq.spaces.basis import BasisSpace
 from mixseq_io import FORMATS
 from mixseq_io.formats import capabilities, motions
 from mixseq_io.surface_arrays import SURFACE_ARRAYS
+from scripts.paper_study.main import STAGES
+from tests import given
 from tests.meshes import bar
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+EVERY_PAGE = [str(path.relative_to(ROOT)) for path in (*PAGES, *sorted((ROOT / "docs").glob("*/*.md")))]
 RESAMPLING = ("Retiming", "read_retiming", "resample")
 COMMANDS = main.list_commands(click.Context(main))
 
@@ -77,31 +82,102 @@ def rows_of(text: str) -> Iterator[list[str]]:
             yield [cell.strip() for cell in line.strip("|").split("|")]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "README.md",
-        *(
-            f"docs/{name}.md"
-            for name in ("install", "tutorial", "editing", "resampling", "transfer", "engines", "compression")
-        ),
-        *(f"docs/how-to/{name}.md" for name in ("resample", "compress", "sculpt", "transfer")),
-    ],
-)
+PROGRAM, PART, COMMANDS_SHOWN, FILE = "python", "py", ("console", "sh"), ("toml", "csv", "json")
+RUN = (PROGRAM, PART, *COMMANDS_SHOWN, *FILE)
+"""Languages of blocks that run. Programs go on from block to block of a page; parts of them take names as given."""
+
+BROUGHT = {
+    "README.md": "run.usdc gallop.usdc horse.glb pairs.txt character.usdz character.glb tall.obj",
+    "docs/cli.md": "walk.usdc walk.h5 robot.glb shots/a.usdc shots/b.usdc ramp.csv run.h5 attack.toml edits.toml "
+    "lion.npz tall.obj wolf.glb horse.glb pairs.txt feet.json man.glb painted.ply decoded.usdc",
+    "docs/file-format.md": "walk.h5",
+    "docs/formats.md": "robot.glb long.usdc man.usdz",
+    "docs/index.md": "shot.usdc",
+    "docs/scale.md": "long.usdc walk.h5",
+    "docs/segmentation.md": "man.glb npz/horse_gallop.npz npz/q_horse_gallop.npz npz/fox_run.npz "
+    "npz/robotexpressive_dance.npz",
+    "docs/transfer.md": "walk.usdc tall.obj gallop.usdc horse.glb pairs.txt Wolf.glb Horse.glb wolf_horse.txt",
+}
+"""Files that readers of a page bring; everything else it makes by itself."""
+
+NOT_RUN = {
+    r"pip install |python -m venv |\. venv/bin/activate": "installs",
+    r"scripts/(demo|test|check|docs)": "sets up and runs tools; continuous integration does that",
+    r"export MIXSEQ_DATA=": "names a folder of the reader's",
+    r"scripts/bench \w+|(MIXSEQ_DATA=FOLDER )?scripts/paper": "measures for minutes to hours, with data of others",
+    r"python docs/images/make.py": "draws for minutes",
+    r"mixseq .* --cluster tcp:": "needs other machines; tests/test_cluster.py has a cluster here",
+    r"mixseq decode .* --cluster local:4": "starts processes; tests/test_cluster.py does that",
+    r"mixseq demo --out fox --frames 12$": "runs in docs/how-to/resample.md",
+    r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
+    r"mixseq view (?!.*--export)": "waits for a browser; tests/viewing has one",
+}
+"""Commands that are shown and not run, and why."""
+
+NO_CODE = {
+    "docs/architecture.md": 3,  # diagrams
+    "docs/cli.md": 1,  # the form of commands
+    "docs/file-format.md": 2,  # formulas of decoders, see tests/coding
+    "docs/transfer.md": 2,  # a file of markers, and a report that is printed
+}
+"""How many blocks of plain text a page has, which are neither code nor commands."""
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY_PAGE if blocks(name, *RUN)])
 def test_code_and_commands_run_from_top_to_bottom(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    found = blocks(name, "python", "console", "toml", "csv")
-    assert {language for language, _ in found} >= {"python", "console"}
-    for number, (language, text) in enumerate(found):
-        if language == "python":
+    monkeypatch.setenv("MIXSEQ_DATA", str(tmp_path))
+    for file in BROUGHT.get(name, "").split():
+        given.make(file)
+    names: dict[str, Any] = given.names() if blocks(name, PART) else {}
+    for number, (language, text) in enumerate(blocks(name, *RUN)):
+        if language in (PROGRAM, PART):
             exec(compile(text, f"{name}, block {number}", "exec"), names)
-        elif language == "console":
-            run_console(text)
+        elif language in COMMANDS_SHOWN:
+            run_commands(text)
         else:
             write_text(text, Path(f"block{number}.{language}"))
+
+
+@pytest.mark.parametrize("name", EVERY_PAGE)
+def test_every_block_is_of_a_language_that_runs(name: str) -> None:
+    found = blocks(name, *RUN, "math", "text")
+    assert len(re.findall(r"^ *(?:```|~~~)", page(name), re.MULTILINE)) == 2 * len(found)
+    plain = [text for language, text in found if language == "text"]
+    assert len(plain) == NO_CODE.get(name, 0)
+    for text in plain:
+        assert not re.search(r"^\$ |^(mixseq [a-z]|pip|python|scripts/)", text, re.MULTILINE), text
+
+
+def test_what_is_not_run_is_shown() -> None:
+    shown = [
+        line for name in EVERY_PAGE for _, text in blocks(name, *COMMANDS_SHOWN) for line, _ in commands(text)
+    ]
+    for pattern in NOT_RUN:
+        assert any(re.match(pattern, line) for line in shown), f"no page has {pattern}; take it out"
+
+
+def test_measurements_that_are_shown_are_there() -> None:
+    for name in EVERY_PAGE:
+        for _, text in blocks(name, "sh"):
+            for line in (words(line) for line, _ in commands(text)):
+                if line[0] == "scripts/bench":
+                    assert (ROOT / "scripts" / "benchmarks" / f"{line[1]}.py").is_file(), line
+                elif "scripts/paper" in line:
+                    options = line.index("--mesh") if "--mesh" in line else len(line)
+                    assert set(line[line.index("scripts/paper") + 1 : options]) <= set(STAGES), line
+                elif line[0].startswith("scripts/"):
+                    assert os.access(ROOT / line[0], os.X_OK), line
+
+
+def commands(text: str) -> list[tuple[str, str]]:
+    """Return the commands of a block, each with what it shows of its output."""
+    if "$ " in text:
+        found = [command.partition("\n") for command in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]]
+        return [(line, shown) for line, _, shown in found]
+    return [(line, "") for line in text.splitlines() if line.strip()]
 
 
 def write_text(text: str, path: Path) -> None:
@@ -128,18 +204,25 @@ def test_every_operation_is_explained() -> None:
     assert {name for name in operations.__all__ if name not in RESAMPLING} <= explained
 
 
-def run_console(text: str) -> None:
-    """Run the ``$ mixseq ...`` lines of a block; what the page shows of their output must be there.
+def words(line: str) -> list[str]:
+    """Return the words of a command, without a comment at its end, with the files that a pattern means."""
+    split = shlex.split(re.sub(r"\s+#\s.*", "", line))
+    return [name for word in split for name in (sorted(glob(word)) if "*" in word else [word])]
+
+
+def run_commands(text: str) -> None:
+    """Run the commands of a block; what the page shows of their output must be there.
 
     Shown lines are told apart by what stands before the first two blanks, as their numbers may differ a little
     elsewhere. Warnings must be shown.
     """
-    commands = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
-    assert commands, f"no command in\n{text}"
-    for command in commands:
-        line, _, shown = command.partition("\n")
-        program, *arguments = shlex.split(line)
-        assert program == "mixseq", line
+    found = commands(text)
+    assert found, f"no command in\n{text}"
+    for line, shown in found:
+        if any(re.match(pattern, line) for pattern in NOT_RUN):
+            continue
+        program, *arguments = words(line)
+        assert program == "mixseq", f"{line}: neither run nor among what is not run"
         result = CliRunner().invoke(main, arguments, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}\n{result.output}"
         for expected in shown.splitlines():

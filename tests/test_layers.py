@@ -25,6 +25,7 @@ LAYERS = (
     ("retargeting",),
     ("operations",),
     ("metrics", "plots", "creature"),
+    ("viewing",),
     ("mixseq_io",),
     ("cli",),
 )
@@ -102,7 +103,7 @@ def loaded_by(statement: str) -> set[str]:
     return set(result.stdout.split())
 
 
-HEAVY = {"scipy", "h5py", "pxr", "matplotlib", "trimesh", "click", "rich"}
+HEAVY = {"scipy", "h5py", "pxr", "matplotlib", "trimesh", "click", "rich", "viser"}
 
 
 def test_importing_mixseq_loads_nothing_heavy() -> None:

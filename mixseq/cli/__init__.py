@@ -30,6 +30,7 @@ from mixseq.cli.options import examples
         "compare",
         "verify",
         "plot",
+        "view",
         "formats",
     ),
     epilog=examples(

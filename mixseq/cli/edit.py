@@ -77,8 +77,9 @@ def command(
     OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
 
     Edits are applied in the order of the script, a TOML file. Operations are cut, repeat, loop, shift, speed,
-    reverse, concatenate, transition, blend, exaggerate, exaggerate_part, hold, smooth, sculpt, sketch and swap_key;
-    their settings are the parameters of these functions in mixseq.operations. Paths in a script are relative to it.
+    reverse, retime, concatenate, transition, blend, exaggerate, exaggerate_part, hold, smooth, sculpt, drag, sketch
+    and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script are
+    relative to it.
     """
     from mixseq.operations.arguments import Readers
     from mixseq.operations.script import read_script

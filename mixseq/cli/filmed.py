@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mixseq.plots.video import Colour
 
 # Those of mixseq.plots.video, which the help would have to import.
-COLOURS = ("clay", "parts", "error", "strain")
+COLOURS = ("clay", "parts", "error", "strain", "curvature")
 
 Command = Callable[..., None]
 
@@ -98,7 +98,7 @@ def film_options(command: Command) -> Command:
         "--scale",
         type=float,
         metavar="X",
-        help="Error in diagonals, or strain, of the last colour.  [default: the largest]",
+        help="Error (diagonals), strain or bend (degrees) of the last colour.  [default: the largest]",
     )
     @click.option(
         "--names",

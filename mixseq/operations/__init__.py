@@ -10,6 +10,8 @@ Operations are pure functions from models to a model, which compose::
 """
 
 from mixseq.operations.articulated import exaggerate_part, hold
+from mixseq.operations.composition import retime
+from mixseq.operations.dragging import drag
 from mixseq.operations.exaggeration import exaggerate
 from mixseq.operations.keys import swap_key
 from mixseq.operations.resampling import resample
@@ -27,6 +29,7 @@ __all__ = [
     "blend",
     "concatenate",
     "cut",
+    "drag",
     "exaggerate",
     "exaggerate_part",
     "hold",
@@ -35,6 +38,7 @@ __all__ = [
     "read_retiming",
     "repeat",
     "resample",
+    "retime",
     "reverse",
     "sculpt",
     "shift",

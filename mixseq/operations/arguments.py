@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, SettingsError
+from mixseq.operations.retime import read_keys
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -142,6 +143,13 @@ def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
     return pairs
 
 
+def _place(value: Any, folder: Path, readers: Readers) -> Float:
+    pairs = _as_pairs([value])
+    if pairs is None:
+        raise WrongTypeError
+    return np.asarray(pairs[0])
+
+
 def _as_pairs(rows: list[Any]) -> Float | None:
     try:
         pairs = np.array(rows, dtype=np.float64)
@@ -157,10 +165,16 @@ def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
     return Curve(pairs[:, 0], pairs[:, 1:])
 
 
+def _keys(value: Any, folder: Path, readers: Readers) -> Float:
+    return _pairs(value, folder, readers) if isinstance(value, list) else read_keys(_path(value, folder))
+
+
 FILES: Mapping[str, tuple[str, str, Read]] = {
     "b": ("b", "the file of a model", _model),
     "points": ("mesh", "the file of a mesh", _mesh),
     "curve": ("curve", "pairs of x and y, as a list or a CSV file,", _pairs),
+    "to": ("to", "a list of two numbers, x and y,", _place),
+    "keys": ("keys", "pairs of output and source times, as a list or a CSV or TOML file,", _keys),
     "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
 }
 """Parameters that are no plain values, in all operations: key in a script, what it holds, and how it is read."""

@@ -165,6 +165,12 @@ def read_retiming(path: str | os.PathLike[str], smooth: bool = True) -> Retiming
     FormatError
         If the file cannot be read, or its points are no retiming; the message names the file and the line.
     """
+    outputs, sources = read_keys(path).T
+    return Retiming.through(outputs, sources, smooth)
+
+
+def read_keys(path: str | os.PathLike[str]) -> Float:
+    """Read the points ``(n, 2)`` of a retiming, output and source times; file and errors as in `read_retiming`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -183,7 +189,7 @@ def read_retiming(path: str | os.PathLike[str], smooth: bool = True) -> Retiming
             )
     if len(keys) < 2:
         raise FormatError(f"{file} has {len(keys)} points; a retiming needs two or more")
-    return Retiming.through([key.output for key in keys], [key.source for key in keys], smooth)
+    return np.array([[key.output, key.source] for key in keys])
 
 
 def _csv_keys(file: Path, text: str) -> Iterable[_Key]:

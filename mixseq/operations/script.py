@@ -38,6 +38,7 @@ OPERATIONS: Mapping[str, str] = {
     "shift": "timing:shift",
     "speed": "timing:speed",
     "reverse": "timing:reverse",
+    "retime": "composition:retime",
     "concatenate": "transitions:concatenate",
     "transition": "transitions:transition",
     "blend": "transitions:blend",
@@ -46,6 +47,7 @@ OPERATIONS: Mapping[str, str] = {
     "hold": "articulated:hold",
     "smooth": "smoothing:smooth",
     "sculpt": "sculpt:sculpt",
+    "drag": "dragging:drag",
     "sketch": "sketch:sketch",
     "swap_key": "keys:swap_key",
 }

@@ -30,6 +30,7 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.passes import placement_of
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.signals.curve import Curve
+from mixseq.signals.layout import Plane
 from mixseq.signals.model import MOST_FRAMES, Model
 from mixseq.signals.placement import stated_placement
 
@@ -49,7 +50,7 @@ ACCURACY = 1e-4
 """Largest error, in diagonals, of the splines between sites."""
 
 
-def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
+def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None = None) -> Model:
     """Return the motion that a curve in the layout of a model tells.
 
     The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame
@@ -64,6 +65,9 @@ def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
         point is a pose that is held.
     duration : float
         How long the motion lasts, in seconds. It has the frame rate of the model.
+    plane : Plane, optional
+        The layout that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that of
+        `model`.
 
     Returns
     -------
@@ -74,7 +78,7 @@ def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
     Raises
     ------
     SettingsError
-        If the curve is none, or the duration is not positive.
+        If the curve is none, the duration is not positive, or the plane is of other key shapes.
 
     Warns
     -----
@@ -88,9 +92,9 @@ def sketch(model: Model, curve: ArrayLike, duration: float) -> Model:
             f"duration is {duration:g} s, which makes more than {MOST_FRAMES:,} frames; give less"
         )
     drawn = _drawn(curve, float(duration))
-    frames = _frames_apart(model)
-    times = model.times[frames]
-    places = model.layout(times)
+    places = model.layout(model.times, plane)
+    frames = _frames_apart(model, places)
+    times, places = model.times[frames], places[frames]
     _warn_if_far(drawn, places)
     weights = cardinal_weights(places)
 
@@ -157,9 +161,8 @@ def _drawn(curve: ArrayLike, duration: float) -> Curve:
     return Curve(times, points)
 
 
-def _frames_apart(model: Model) -> Index:
-    """Frames with places of their own: the first of those that share one."""
-    places = model.layout(model.times)
+def _frames_apart(model: Model, places: Float) -> Index:
+    """Frames with places ``(T, 2)`` of their own: the first of those that share one."""
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
     close = cdist(places, places) <= SAME * size
     chosen: list[int] = []

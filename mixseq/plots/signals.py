@@ -19,6 +19,7 @@ from mixseq.plots.charts import FAINT, LINES, log_axis, round_frames, time_axis
 from mixseq.plots.colours import INK
 from mixseq.plots.labels import free_places
 from mixseq.plots.layout import matplotlib_module
+from mixseq.sequence import IntArray
 from mixseq.signals import Model
 
 if TYPE_CHECKING:
@@ -103,16 +104,14 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
     if not model.time.dim:
         _tell(ax, "the model has no shape modes")
         return
-    units = np.sqrt(np.diagonal(_step_gram(model)))
-    sizes = units * np.linalg.norm(_centred(model), axis=0)
-    chosen = np.sort(np.argsort(-sizes, kind="stable")[:SHOWN])
+    chosen, units = largest_coordinates(model)
     times = dense_times(model)
     knots = model.time.times[(model.time.times >= model.start) & (model.time.times <= model.end)]
-    lines, dots = model.time(times) * units, model.time(knots) * units
+    lines, dots = model.time(times)[:, chosen] * units, model.time(knots)[:, chosen] * units
     ax.axhline(0, color=FAINT, linewidth=0.8)
-    for colour, number in zip(LINES, chosen, strict=False):
-        ax.plot(times, lines[:, number], color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
-        ax.plot(knots, dots[:, number], "o", color=colour, markersize=3)
+    for colour, number, line, dot in zip(LINES, chosen, lines.T, dots.T, strict=False):
+        ax.plot(times, line, color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
+        ax.plot(knots, dot, "o", color=colour, markersize=3)
     time_axis(ax, model.start, model.end)
     which = "" if len(chosen) == model.time.dim else f"\nthe largest {len(chosen)} of {model.time.dim}"
     title = f"{len(model.time.times)} knots{which}"
@@ -140,6 +139,22 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
     share.set_ylabel("share of the whole (%)")
     share.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     ax.legend(loc="upper right")
+
+
+def largest_coordinates(model: Model) -> tuple[IntArray, Array]:
+    """Choose the coordinates of the time signal that move most over the frames, at most `SHOWN`.
+
+    Returns
+    -------
+    chosen : (n,) int
+        Their numbers, increasing.
+    units : (n,) float64
+        How long one step along each is, in diagonals: coordinates times units are drawn.
+    """
+    units = np.sqrt(np.diagonal(_step_gram(model)))
+    sizes = units * np.linalg.norm(_centred(model), axis=0)
+    chosen = np.sort(np.argsort(-sizes, kind="stable")[:SHOWN])
+    return chosen, units[chosen]
 
 
 def singular_values(model: Model) -> Array:

@@ -1,42 +1,80 @@
-"""The plane that shows most of a sequence: classical multidimensional scaling of its frames."""
+r"""The plane that shows most of a sequence: classical multidimensional scaling of its frames.
+
+Let :math:`c_t` be the frames in pose space, :math:`C` their deviations from the mean ``(T, k)``, and :math:`u_1, u_2`
+the first two principal components of their shapes, unit vectors of the shape space. With the singular values
+:math:`\sigma_i` and the left singular vectors :math:`d_i` of the frames' deviations in the shape space,
+
+.. math:: u_i = \sum_t d_{ti}\, (s_t - \bar s) / \sigma_i, \qquad p_i = C^T d_i / \sigma_i,
+
+the place of a shape in the plane is its product with :math:`u_1` and :math:`u_2`. A step of :math:`p_i` in pose space
+is the step :math:`u_i` of the shape: by one diagonal along the axis i, and no other shape changes less for it.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.signals.pose import PoseMap
+
 Float = NDArray[np.float64]
 
+NEGLIGIBLE = 1e-12
+"""Frames that spread by less than this fraction of the largest spread do not spread: rounding errors."""
 
-def plane(weights: Float, shapes: Float, metric: Float) -> tuple[Float, Float]:
+FLAT = 1e-4
+"""Steps along an axis are made of frames that spread along it: by more than this, in diagonals, and more than this
+fraction of the largest spread. Else they would be rounding errors, made large. Ours."""
+
+
+class Plane(NamedTuple):
+    """A plane through a pose space.
+
+    Attributes
+    ----------
+    origin : (K,) float64
+        Mean weights of the key shapes.
+    axes : (K, 2) float64
+        ``(weights - origin) @ axes`` are the coordinates of a shape in the plane. Columns are zero where the
+        frames span less than a plane.
+    directions : (k, 2) float64
+        The smallest steps in pose space that move a shape by one along every axis. Columns are zero where the frames
+        spread too little to tell one.
+    """
+
+    origin: Float
+    axes: Float
+    directions: Float
+
+
+def plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
     """Find the plane of the first two principal components of blended shapes.
 
     Parameters
     ----------
-    weights : (T, K) float64
-        Affine weights of the key shapes in every frame.
+    points : (T, k) float64
+        The frames in pose space.
+    pose : PoseMap
+        From there to the affine weights of the key shapes.
     shapes : (K, S) float64
         Key shapes.
     metric : (S,) float64
         Weight of every coordinate in distances.
-
-    Returns
-    -------
-    origin : (K,) float64
-        Mean weights.
-    axes : (K, 2) float64
-        ``(weights - origin) @ axes`` are the coordinates of a shape in the plane. Columns are zero where the
-        frames span less than a plane.
     """
+    weights = pose.weights(points)
     origin = weights.mean(axis=0)
     centred = shapes - shapes.mean(axis=0)  # weights that add up to zero do not see the mean
     gram = (centred * np.square(metric)) @ centred.T
     spread = weights - origin
-    sizes, directions = np.linalg.eigh(spread @ gram @ spread.T)
-    axes = np.zeros((len(origin), 2))
+    sizes, frames = np.linalg.eigh(spread @ gram @ spread.T)
+    axes, directions = np.zeros((len(origin), 2)), np.zeros((points.shape[1], 2))
     for column in range(min(2, len(sizes))):
-        size, direction = sizes[-1 - column], directions[:, -1 - column]
-        if size > 1e-24 * max(sizes[-1], np.finfo(np.float64).tiny):
-            direction = direction * np.sign(direction[np.abs(direction).argmax()])
-            axes[:, column] = gram @ (spread.T @ direction) / np.sqrt(size)
-    return origin, axes
+        size, frame = sizes[-1 - column], frames[:, -1 - column]
+        if size > NEGLIGIBLE**2 * max(sizes[-1], np.finfo(np.float64).tiny):
+            frame = frame * np.sign(frame[np.abs(frame).argmax()])
+            axes[:, column] = gram @ (spread.T @ frame) / np.sqrt(size)
+            if size > FLAT**2 * max(sizes[-1], len(points)):
+                directions[:, column] = (points - points.mean(axis=0)).T @ frame / np.sqrt(size)
+    return Plane(origin, axes, directions)

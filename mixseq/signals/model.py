@@ -27,7 +27,7 @@ from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve
-from mixseq.signals.layout import plane
+from mixseq.signals.layout import Plane, plane
 from mixseq.signals.placement import whole_placement
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces import MixedSpace, ShapeSpace
@@ -329,20 +329,49 @@ class Model(Remade):
                 frames[key] = apart.argmin()
         return frames
 
-    def layout(self, times: ArrayLike) -> Float:
+    def layout(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return where the model is ``(N, 2)`` in the plane that shows most of its motion, in diagonals.
 
         The plane of the first two principal components of the frames (classical multidimensional scaling of
         their distances in the shape space), fixed for the model; drawn, it is the default picture of the time
         signal (paper, Figure 18).
+
+        Parameters
+        ----------
+        times : (N,) array_like
+            Times in seconds.
+        plane : Plane, optional
+            The `plane` of another model with the same pose and shape signals, to compare the two; by default its own.
+
+        Raises
+        ------
+        SettingsError
+            If a time is outside the model, or the plane is of other key shapes.
         """
-        origin, axes = self._plane
+        origin, axes, _ = self.plane if plane is None else self.known(plane)
         weights = self.pose.weights(self.time(self.inside(times)))
         return np.asarray((weights - origin) @ axes)
 
     @cached_property
-    def _plane(self) -> tuple[Float, Float]:
-        return plane(self.pose.weights(self.time(self.times)), self.shapes, self.space.shape_weights)
+    def plane(self) -> Plane:
+        """The plane of `layout`."""
+        return plane(self.time(self.times), self.pose, self.shapes, self.space.shape_weights)
+
+    def known(self, plane: Plane) -> Plane:
+        """Return a plane as it is, if it can be one of this model.
+
+        Raises
+        ------
+        SettingsError
+            If it is of other key shapes.
+        """
+        if (len(plane.origin), len(plane.directions)) != (len(self.shapes), self.time.dim):
+            raise SettingsError(
+                f"the plane is of {len(plane.origin)} key shapes and {len(plane.directions)} coordinates of pose "
+                f"space, the model has {len(self.shapes)} and {self.time.dim}; give the plane of a model with the "
+                "same pose and shape signals"
+            )
+        return plane
 
     @cached_property
     def _whole_placement(self) -> Curve:

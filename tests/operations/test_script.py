@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from mixseq import operations
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations import blend, exaggerate, repeat, reverse, script, shift, transition
+from mixseq.operations import blend, drag, exaggerate, repeat, retime, reverse, script, shift, transition
 from mixseq.operations.arguments import Readers, keys_of
 from mixseq.operations.script import OPERATIONS, Edit, function_of, read_script
 from mixseq.sequence import MeshSequence
@@ -92,6 +92,19 @@ def test_weights_are_numbers_lists_or_files(edits: Edits, tmp_path: Path, weight
     same(apply(found, model), blend(model, bar_motion("vertex"), 0.3))
 
 
+def test_places_are_two_numbers(edits: Edits) -> None:
+    found = edits(table('operation = "drag"\ntime = 0.4\nto = [0.1, 0]\nreach = 0.2'))
+    same(apply(found, bar_motion()), drag(bar_motion(), 0.4, [0.1, 0.0], 0.2))
+
+
+@pytest.mark.parametrize("keys", ["[[0, 0.8], [1.6, 0]]", '"keys.csv"', '"keys.toml"'])
+def test_keys_of_a_retiming_are_lists_or_files(edits: Edits, tmp_path: Path, keys: str) -> None:
+    (tmp_path / "keys.csv").write_text("source,output\n0.8,0  # backwards\n0,1.6\n")
+    (tmp_path / "keys.toml").write_text("output = [0, 1.6]\nsource = [0.8, 0]\n")
+    found = edits(table(f'operation = "retime"\nkeys = {keys}\nsmooth = false'))
+    same(apply(found, bar_motion()), retime(bar_motion(), [[0.0, 0.8], [1.6, 0.0]], smooth=False))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -126,6 +139,16 @@ def test_weights_are_numbers_lists_or_files(edits: Edits, tmp_path: Path, weight
         (table('operation = "blend"\nb = "other.h5"\nweight = [1, 2]'), "a number, or pairs of time and"),
         (table('operation = "blend"\nb = "other.h5"\nweight = [[0, 1], [0]]'), "a number, or pairs of time"),
         (
+            table('operation = "drag"\ntime = 0\nto = 3'),
+            "to is 3; a list of two numbers, x and y, is expected",
+        ),
+        (
+            table('operation = "drag"\ntime = 0\nto = [1, 2, 3]'),
+            "a list of two numbers, x and y, is expected",
+        ),
+        (table('operation = "drag"\ntime = 0\nto = [0, 0]\nplane = 1'), "its keys are time, to, reach$"),
+        (table('operation = "retime"\nkeys = [0, 1]'), r"keys is \[0, 1\]; pairs of output and source times"),
+        (
             table('operation = "blend"\nb = "other.h5"\nweight = [[1, 1], [0, 1]]'),
             r"\(blend\): weight: the knots of a curve must be finite and increase",
         ),
@@ -142,6 +165,10 @@ def test_what_is_wrong_is_told(edits: Edits, text: str, message: str) -> None:
     [
         ("[[edit]", "edits.toml is not a TOML file"),
         (table('operation = "concatenate"\nb = "none.h5"'), r"edit 1 \(concatenate\): b: .*none.h5 does not"),
+        (
+            table('operation = "retime"\nkeys = "none.csv"'),
+            r"edit 1 \(retime\): keys: .*none.csv cannot be read",
+        ),
         (
             table('operation = "blend"\nb = "other.h5"\nweight = "none.csv"'),
             "weight: .*none.csv cannot be read",

@@ -66,8 +66,7 @@ def test_the_layout_of_a_sketch_is_the_curve() -> None:
     centre, size = model.layout(model.times).mean(axis=0), np.ptp(model.layout(model.times), axis=0)
     curve = centre + 0.3 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     sketched = sketch(model, curve, 1.0)
-    origin, axes = model._plane
-    drawn = (sketched.pose.weights(sketched.time(np.linspace(0, 1, 9))) - origin) @ axes
+    drawn = sketched.layout(np.linspace(0, 1, 9), model.plane)
     assert np.abs(drawn[[0, -1]] - curve[[0, -1]]).max() < 0.05 * size.max()
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import colorsys
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from mixseq.plots import JOINT_RED, part_colours, segmentation_colours
+from mixseq.plots.colours import viridis
 from mixseq.plots.shading import shade
 
 
@@ -48,3 +50,9 @@ def test_segmentation_colours(parts: NDArray[np.int64], joints: NDArray[np.int64
     assert np.allclose(colours[joints >= 0], JOINT_RED)
     assert np.allclose(colours[1], part_colours(2)[0])
     assert np.allclose(colours[2], part_colours(2)[1])
+
+
+def test_viridis_is_that_of_matplotlib() -> None:
+    maps = pytest.importorskip("matplotlib").colormaps
+    assert viridis().shape == (256, 3)
+    assert np.abs(viridis() - maps["viridis"](np.arange(256))[:, :3]).max() < 1.4 / 255

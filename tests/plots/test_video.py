@@ -12,10 +12,11 @@ import pytest
 import mixseq.plots.video.encoding as encoding
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.mapping import on_threads, serially
+from mixseq.plots.measures import MEASURES
 from mixseq.plots.raster import Picture, blank
 from mixseq.plots.video import FilmSettings, Shown, check_film, film, film_format
 from mixseq.plots.video.av1 import scene_lengths
-from mixseq.plots.video.colouring import Error, Strain
+from mixseq.plots.video.colouring import Change, Error
 from mixseq.plots.video.encoding import encode_film
 from mixseq.plots.video.mp4 import read_track
 from mixseq.plots.video.page import page_of, panels_of
@@ -149,18 +150,18 @@ def test_names_stay_in_their_panels() -> None:
 # Colours
 
 
-def test_strain_is_the_mean_of_the_edges() -> None:
-    points = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0.0]], [[0, 0, 0], [2, 0, 0], [0, 1, 0.0]]])
-    track = track_of_sequence(MeshSequence.from_arrays(points, [[0, 1, 2]]), np.array([0, 1 / 24]))
-    hypotenuse = np.sqrt(5 / 2) - 1
-    assert np.allclose(Strain.of(track)(points[1], 1), [0.5, (1 + hypotenuse) / 2, hypotenuse / 2])
-    assert np.allclose(Strain.of(track)(points[0], 0), 0)
-
-
-def test_edges_without_length_are_not_strained() -> None:
-    points = np.array([[[0, 0, 0], [0, 0, 0], [0, 1, 0.0]], [[0, 0, 0], [2, 0, 0], [0, 1, 0.0]]])
-    track = track_of_sequence(MeshSequence.from_arrays(points, [[0, 1, 2]]), np.array([0, 1 / 24]))
-    assert np.isfinite(Strain.of(track)(points[1], 1)).all()
+@pytest.mark.parametrize("colour", ["strain", "curvature"])
+def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> None:
+    squeezed = MeshSequence.from_arrays(
+        gem.points * np.linspace(1, 0.5, 9)[:, None, None] ** [0, 1, 0], gem.faces
+    )
+    track = track_of_sequence(squeezed, squeezed.times[3:])
+    change = Change.of(track, colour)
+    assert np.array_equal(change.measure(track.pose(0)), np.zeros(6))
+    for frame in (0, 5):
+        expected = MEASURES[colour].of(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
+        assert np.array_equal(change(track.pose(frame), frame), expected)
+        assert change.largest(expected) == np.quantile(expected, 0.99)
 
 
 def test_errors_are_in_diagonals(gem: MeshSequence) -> None:
@@ -282,9 +283,22 @@ def test_parts_are_coloured_also_of_the_original(
     assert (grey[:, 80:] > 40).any()
 
 
-def test_degenerate_meshes_are_survived(tmp_path: Path) -> None:
+def test_colours_show_where_it_bends(tmp_path: Path) -> None:
+    flat = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0.0]])
+    faces = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]
+    bend = np.where(flat[:, :1] == 2, [[-0.3, 0, 0.6]], 0)
+    strip = MeshSequence.from_arrays(flat + np.linspace(0, 1, 3)[:, None, None] * bend, faces)
+    film(tmp_path / "a.gif", [Shown("", strip)], FilmSettings(size=(160, 96), colour="curvature"))
+    first, *_, last = (frame[:80].astype(int) for frame in opened(tmp_path / "a.gif"))  # without the bar
+    yellow = [np.minimum(frame[..., 0], frame[..., 1]) - frame[..., 2] > 60 for frame in (first, last)]
+    assert not yellow[0].any()
+    assert yellow[1].any()
+
+
+@pytest.mark.parametrize("colour", ["strain", "curvature"])
+def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
     point = MeshSequence.from_arrays(np.zeros((3, 3, 3)), [[0, 1, 2]])
-    film(tmp_path / "a.gif", [Shown("", point)], FilmSettings(size=(96, 64), turn=90, colour="strain"))
+    film(tmp_path / "a.gif", [Shown("", point)], FilmSettings(size=(96, 64), turn=90, colour=colour))
     assert len(opened(tmp_path / "a.gif")) == 3
 
 
@@ -294,11 +308,11 @@ def test_degenerate_meshes_are_survived(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"colour": "pink"}, "'pink'; one of clay, parts, error, strain"),
+        ({"colour": "pink"}, "'pink'; one of clay, parts, error, strain, curvature"),
         ({"fps": 0}, "fps is 0; a positive number"),
         ({"seconds": float("inf")}, "the duration is inf"),
         ({"turn": float("nan")}, "the turn is nan"),
-        ({"scale": 1}, "the scale is for the colours error and strain"),
+        ({"scale": 1}, "the scale is for the colours error, strain and curvature"),
         ({"scale": -1, "colour": "strain"}, "the scale is -1"),
     ],
 )

@@ -1,8 +1,6 @@
-r"""Colours that change over a film: by a number at every vertex.
+"""Colours that change over a film: by a number at every vertex, against the first frame or against an original.
 
-- **error**: distance from the same vertex of an original at the same time, :math:`|A_{tv} - B_{tv}| / d`, in diagonals.
-- **strain**: mean over the edges of a vertex of :math:`|l / \bar l - 1|`, with :math:`\bar l` their lengths in the
-  first frame of the film.
+What the numbers are tells `mixseq.plots.measures`.
 """
 
 from __future__ import annotations
@@ -13,22 +11,21 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.plots.camera import Array
 from mixseq.plots.layout import matplotlib_module
+from mixseq.plots.measures import MEASURES, Measure, distances
 from mixseq.plots.video.timing import Track
-from mixseq.sequence import IntArray, bounding_diagonal
-from mixseq.topology import Topology
+from mixseq.sequence import bounding_diagonal
 
-Colour = Literal["clay", "parts", "error", "strain"]
+Colour = Literal["clay", "parts", "error", "strain", "curvature"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
 
 SMALLEST = 1e-12
 """The colour scale goes at least so far: rounding has no colours."""
 
 
-class Measure(Protocol):
-    """A number at every vertex."""
+class Timed(Protocol):
+    """A number at every vertex, which may depend on the frame of the film."""
 
     def __call__(self, points: Array, frame: int) -> Array:
         """Return numbers ``(V,)`` of the pose that a frame of the film shows."""
@@ -38,38 +35,29 @@ class Measure(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Strain:
-    """Strain against a pose.
+class Change:
+    """What a measure finds since the first frame of a film.
 
     Attributes
     ----------
-    edges : (E, 2) int
-        Edges of the mesh.
-    lengths : (E,) float
-        Their lengths in that pose.
+    measure : Measure
+        Measures against that frame.
     """
 
-    edges: IntArray
-    lengths: Array
+    measure: Measure
 
     @classmethod
-    def of(cls, track: Track) -> Strain:
-        """Measure against the first frame of a film."""
-        edges = Topology(track.header.faces, track.header.vertex_count).edges
-        return cls(edges, edge_lengths(track.pose(0), edges))
+    def of(cls, track: Track, colour: str) -> Change:
+        """Measure what a colour of `MEASURES` shows."""
+        return cls(MEASURES[colour].of(track.pose(0), track.header.faces))
 
     def __call__(self, points: Array, frame: int) -> Array:
-        """Return strains ``(V,)``; edges without a length count as not strained."""
-        now = edge_lengths(points, self.edges)
-        known = self.lengths > 0
-        strain = np.abs(np.divide(now, self.lengths, out=np.ones_like(now), where=known) - 1)
-        ends, count = self.edges.ravel(), len(points)
-        sums = np.bincount(ends, np.repeat(strain, 2), count)
-        return np.asarray(sums / np.maximum(np.bincount(ends, minlength=count), 1))
+        """Return numbers ``(V,)``; the pose alone decides."""
+        return self.measure(points)
 
     def largest(self, values: Array) -> float:
-        """Leave out a hundredth: one sliver should not darken all others."""
-        return float(np.quantile(values, 0.99))
+        """Return what the measure takes for the largest."""
+        return self.measure.largest(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +96,7 @@ class Error:
 
     def __call__(self, points: Array, frame: int) -> Array:
         """Return distances ``(V,)`` in diagonals of the original's first frame."""
-        return np.asarray(np.linalg.norm(points - self.original.pose(frame), axis=1) / self.unit)
+        return distances(points, self.original.pose(frame), self.unit)
 
     def largest(self, values: Array) -> float:
         """All count."""

@@ -14,8 +14,9 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.plots.camera import Array
 from mixseq.plots.colours import CLAY, segmentation_colours
+from mixseq.plots.measures import MEASURES
 from mixseq.plots.raster import Picture
-from mixseq.plots.video.colouring import COLOURS, SMALLEST, Colour, Error, Measure, Strain, colour_scale
+from mixseq.plots.video.colouring import COLOURS, SMALLEST, Change, Colour, Error, Timed, colour_scale
 from mixseq.plots.video.encoding import check_film, encode_film, film_format
 from mixseq.plots.video.page import page_of, panels_of
 from mixseq.plots.video.scene import Actor, Scene, cameras_of, draw_moment, moments
@@ -26,7 +27,8 @@ from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from mixseq.stored import Stored, stored
 
-_MEANING = {"error": "diagonals", "strain": "strain"}
+_MEANING = {"error": "diagonals", "strain": "strain", "curvature": "degrees"}
+"""What the colours with a scale are measured in."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,11 @@ class FilmSettings:
         Duration, by default that of the longest sequence; 4 s where nothing moves.
     turn : float
         Degrees by which the camera goes around the meshes in the film.
-    colour : {"clay", "parts", "error", "strain"}
+    colour : {"clay", "parts", "error", "strain", "curvature"}
         What colours show.
     scale : float, optional
-        Error or strain that has the last colour, by default the largest of the film.
+        Error (in diagonals), strain or change of angles (in degrees) that has the last colour, by default the
+        largest of the film.
 
     Raises
     ------
@@ -71,7 +74,7 @@ class FilmSettings:
             raise SettingsError(f"the turn is {self.turn}; a number of degrees is expected")
         if self.scale is not None and self.colour not in _MEANING:
             raise SettingsError(
-                "the scale is for the colours error and strain; leave it out, or choose one of them"
+                "the scale is for the colours error, strain and curvature; leave it out, or choose one of them"
             )
 
 
@@ -207,10 +210,10 @@ def _check_starts(shown: Sequence[Shown], original: Stored) -> None:
 
 def _measures(
     shown: Sequence[Shown], tracks: Sequence[Track], colour: Colour, original: Track | None
-) -> list[Measure | None]:
+) -> list[Timed | None]:
     """Return what colours measure of each mesh."""
-    if colour == "strain":
-        return [Strain.of(track) for track in tracks]
+    if colour in MEASURES:
+        return [Change.of(track, colour) for track in tracks]
     if original is None:
         return [None] * len(tracks)
     return [Error.of(track, original, str(item)) for item, track in zip(shown, tracks, strict=True)]

@@ -12,6 +12,7 @@ from mixseq.errors import SettingsError
 from mixseq.plots.camera import Array
 from mixseq.plots.colours import INK
 from mixseq.plots.layout import matplotlib_module
+from mixseq.plots.measures import two_digits
 from mixseq.plots.raster import Picture, blank
 from mixseq.plots.video.encoding import pillow_module
 from mixseq.plots.video.scene import Rectangle
@@ -125,7 +126,7 @@ def _draw_bar(
     upper = round(middle - thick / 2)
     image.paste(pillow_module("Image").fromarray(np.ascontiguousarray(rows)), (left, upper))
     draw.text((left - letters / 2, middle), "0", INK, font, "rm")
-    draw.text((left + long + letters / 2, middle), f"{top:.2g} {meaning}", INK, font, "lm")
+    draw.text((left + long + letters / 2, middle), f"{two_digits(top)} {meaning}", INK, font, "lm")
 
 
 def _font(size: int) -> FreeTypeFont:

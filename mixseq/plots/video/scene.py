@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.plots.camera import Array, Limits, View, broadside, shared_limits, y_up
 from mixseq.plots.raster import Picture, render_mesh
-from mixseq.plots.video.colouring import Measure
+from mixseq.plots.video.colouring import Timed
 from mixseq.plots.video.timing import Track
 from mixseq.threads import one_blas_thread
 
@@ -33,14 +33,14 @@ class Actor:
         The mesh.
     colours : (3,) or (F, 3) float
         RGB in 0..1 of the mesh or of each face, where `measure` does not tell.
-    measure : Measure, optional
+    measure : Timed, optional
         The numbers that colours show.
     """
 
     name: str
     track: Track
     colours: ArrayLike
-    measure: Measure | None = None
+    measure: Timed | None = None
 
 
 @dataclass(frozen=True, eq=False)

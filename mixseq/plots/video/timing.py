@@ -113,6 +113,14 @@ def nearest_frames(header: SequenceHeader, times: Float) -> Index:
     return np.searchsorted(middles, times - 1e-6 / header.fps).astype(np.int64)
 
 
+def model_times(header: SequenceHeader, times: Float) -> Float:
+    """Return the times ``(N,)`` of a model at times since its first one, and at its end after that."""
+    inside = np.minimum(header.times[0] + times, header.times[-1])
+    # a curve has exactly the values of its knots at exactly their times
+    nearest = header.times[nearest_frames(header, times)]
+    return np.where(np.abs(inside - nearest) < 1e-6 / header.fps, nearest, inside)
+
+
 def track_of_sequence(sequence: Frames | Stored, times: Float, progress: Progress = silent) -> Track:
     """Show of a sequence the frames nearest to the film's times `film_times`; what streams is copied once."""
     whole = sequence if isinstance(sequence, Stored) else stored(sequence, progress)
@@ -124,10 +132,7 @@ def track_of_model(
 ) -> Track:
     """Decode a model at the film's times `film_times`, each of them once."""
     header = model.header
-    inside = np.minimum(header.times[0] + times, header.times[-1])
-    # a curve has exactly the values of its knots at exactly their times
-    nearest = header.times[nearest_frames(header, times)]
-    inside = np.where(np.abs(inside - nearest) < 1e-6 / header.fps, nearest, inside)
+    inside = model_times(header, times)
     needed, pose_of_frame = np.unique(inside, return_inverse=True)
     poses = new_table((len(needed), header.vertex_count, 3), np.float64)
     first = 0

@@ -1,0 +1,79 @@
+"""Take the pictures of pages in the documentation: ``python docs/images/pages.py``; needs Chromium on the PATH."""
+
+from __future__ import annotations
+
+import shutil
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
+
+import mixseq
+from mixseq.cli.view import command as view_command
+from mixseq.creature import walk_cycle
+from mixseq.viewing.live import ViewSettings, viewer
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.shown import Item, Shot
+
+HERE = Path(__file__).parent
+SIZE = {"width": 1280, "height": 800}
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
+COLOURS = 160
+
+
+def main() -> None:
+    """Take both pictures."""
+    walk = walk_cycle(frames=24, fps=24)
+    model = mixseq.fit(
+        mixseq.MeshSequence.from_arrays(
+            np.concatenate([walk.points, walk.points[:1]]), walk.polygons, fps=24, name="fox"
+        )
+    )
+    with TemporaryDirectory() as folder, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
+        settings = ViewSettings(folder=Path(folder), name="walk-edited.h5")
+        with viewer(Paint(Shot((Item("walk.h5", model),))), settings, mixseq.save) as running:
+            take_viewer(browser.new_page(viewport=SIZE), running.address)
+        mixseq.save(Path(folder, "walk.h5"), model)
+        exported = str(Path(folder, "walk.html"))
+        view_command.main([str(Path(folder, "walk.h5")), "--export", exported], standalone_mode=False)
+        page = browser.new_page(viewport=SIZE)
+        page.goto(f"file://{exported}")
+        page.wait_for_timeout(4000)
+        save(page, "page.png")
+        browser.close()
+
+
+def take_viewer(page: Page, address: str) -> None:
+    """The viewer, with parts in colours, while a point of the curve is dragged."""
+    page.goto(address)
+    page.get_by_text("Software WebGL").wait_for(timeout=60_000)
+    page.locator(".mantine-Notification-closeButton").click()
+    page.wait_for_function(
+        "() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length"
+    )
+    page.locator("input[role='combobox'][value='clay']").click()
+    page.get_by_role("option", name="parts", exact=True).click()
+    places = page.evaluate("document.getElementById('mixseq-charts').mixseqCharts.handlePixels()")
+    x, y = places[8]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 30, y - 50, steps=4)
+    page.wait_for_timeout(8000)
+    save(page, "viewer.png")
+    page.mouse.up()
+
+
+def save(page: Page, name: str) -> None:
+    """Keep what a page shows, in few colours."""
+    picture = Image.open(BytesIO(page.screenshot(timeout=60_000))).convert("RGB")
+    packed = picture.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    packed.save(HERE / name, optimize=True)
+    print(f"{name}: {(HERE / name).stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

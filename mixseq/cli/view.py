@@ -1,0 +1,257 @@
+"""``mixseq view``."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import warnings
+import webbrowser
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import mixseq
+from mixseq.cli.console import announce, progress_bar
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, options_of, write_frames
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from mixseq.signals import Model
+    from mixseq.stored import Stored
+    from mixseq.viewing.painting import Paint
+    from mixseq.viewing.shown import Shot
+
+
+@click.command(
+    "view",
+    epilog=examples(
+        "mixseq view walk.h5",
+        "mixseq view walk.usdc walk.h5 --against walk.usdc",
+        "mixseq view shot.abc --no-browser --port 9000",
+        "mixseq view walk.h5 --export walk.html",
+    ),
+)
+@click.argument("files", nargs=-1, required=True, type=FILE)
+@click.option(
+    "--against", type=FILE, metavar="SEQUENCE", help="The original in any format, to colour errors."
+)
+@click.option(
+    "--fps",
+    "rate",
+    type=click.FloatRange(min=0, min_open=True, max=1000),
+    metavar="N",
+    help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
+)
+@click.option(
+    "--host",
+    metavar="ADDRESS",
+    help="Listen here; 0.0.0.0 lets everybody in who can reach this machine.  [default: 127.0.0.1, this machine only]",
+)
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    metavar="N",
+    help="Listen at this port, or the next one that is free.  [default: 8080]",
+)
+@click.option(
+    "--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]"
+)
+@click.option(
+    "--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card."
+)
+@click.option(
+    "--threads", type=click.IntRange(min=1), metavar="N", help="Threads that decode.  [default: all cores]"
+)
+@click.option(
+    "--export",
+    "page",
+    type=FILE,
+    metavar="PAGE",
+    help="Write a page (.html) that plays on its own, without a network, and end.",
+)
+@click.option(
+    "--every", type=click.IntRange(min=1), metavar="N", help="Of the frames of PAGE, keep every N-th."
+)
+@click.option("--largest", type=float, metavar="MB", help="PAGE may be so large.  [default: 200]")
+@reader_options
+@quiet_option
+def command(
+    files: tuple[Path, ...],
+    against: Path | None,
+    rate: float | None,
+    host: str | None,
+    port: int | None,
+    browser: bool | None,
+    shading: str | None,
+    threads: int | None,
+    page: Path | None,
+    every: int | None,
+    largest: float | None,
+    reading: dict[str, Any],
+    quiet: bool,
+) -> None:
+    """Look at models and sequences in a browser, and edit models in place.
+
+    FILES are models or sequences in any format, shown side by side or in one place. They play and can be scrubbed;
+    colours show parts and joints, the error against the original, strain, or the change of curvature. Of a model there
+    are the time curve, which can be dragged or drawn anew, its coefficients, and keys to retime it; buttons repeat,
+    cut, hold and exaggerate. All of it can be undone, and saved as a model or a sequence in the folder where this was
+    started.
+
+    The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
+    """
+    only_live = {"host": host, "port": port, "browser": browser, "shading": shading}
+    only_page = {"every": every, "largest": largest}
+    for name, value in (only_live if page else only_page).items():
+        if value is not None:
+            about = (
+                "the viewer in a browser; leave it out, or --export"
+                if page
+                else "pages; give --export as well"
+            )
+            raise SettingsError(f"--{name} is about {about}")
+    if page is not None:
+        _check_page(page, [*files, *([against] if against else [])])
+    with progress_bar(quiet) as progress:
+        shot, original = _opened(files, against, rate, reading, progress)
+        paint = _paint(shot, original)
+        if page is not None:
+            given = {name: value for name, value in only_page.items() if value is not None}
+            _export(page, paint, rate, given, threads, progress)
+    if page is None:
+        _run(paint, files, {"host": host, "port": port}, browser, shading, threads)
+
+
+def _opened(
+    files: Sequence[Path],
+    against: Path | None,
+    fps: float | None,
+    reading: Mapping[str, Any],
+    progress: Progress,
+) -> tuple[Shot, Stored | None]:
+    """Open models, and read sequences."""
+    from mixseq.stored import stored
+    from mixseq.viewing.shown import Item, Shot
+
+    every = [*files, *([against] if against else [])]
+    known = [options_of(file, reading) for file in every]
+    for name in reading.keys() - set().union(*known):
+        raise SettingsError(f"none of the files is read with an option {name!r}")
+
+    def read(file: Path) -> Stored:
+        with mixseq.open_sequence(file, **options_of(file, reading)) as reader:
+            return stored(reader, progress)
+
+    items = tuple(Item(file.name, mixseq.load(file) if is_model(file) else read(file)) for file in files)
+    return Shot(items, fps), None if against is None else read(against)
+
+
+def _paint(shot: Shot, original: Stored | None) -> Paint:
+    from mixseq.viewing.painting import Paint, check_original
+
+    if original is not None:
+        check_original(shot, original)
+    return Paint(shot, original)
+
+
+def _run(
+    paint: Paint,
+    files: Sequence[Path],
+    network: Mapping[str, Any],
+    browser: bool | None,
+    shading: str | None,
+    threads: int | None,
+) -> None:
+    """Run the viewer until it is interrupted."""
+    from mixseq.mapping import thread_count
+    from mixseq.viewing.live import ViewSettings, viewer
+
+    first = next((file for file in files if is_model(file)), files[0])
+    settings = ViewSettings(
+        folder=Path.cwd(),
+        name=f"{first.stem}-edited.h5",
+        threads=threads or thread_count(),
+        material="toon5" if shading == "simple" else "standard",
+        **{name: value for name, value in network.items() if value is not None},
+    )
+    with viewer(paint, settings, lambda path, model: _save(path, model, files)) as running:
+        click.echo(f"mixseq view: {running.address} (Ctrl-C ends it)")
+        if browser or (browser is None and _has_screen()):
+            webbrowser.open(running.address)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            click.echo()
+        finally:
+            for name in running.session.unsaved:
+                warnings.warn(f"what was edited of {name} was not saved", MixseqWarning, stacklevel=1)
+
+
+def _has_screen() -> bool:
+    """Whether a browser would be seen: not at the other end of a line, and not in a console."""
+    if "SSH_CONNECTION" in os.environ:
+        return False
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _save(path: Path, model: Model, sources: Sequence[Path]) -> None:
+    """Write an edited model, as a model or as a sequence."""
+    from mixseq.mapping import on_threads
+
+    for source in sources:
+        check_target(path, source)
+    if path.suffix.lower() in MODEL_EXTENSIONS:
+        mixseq.save(path, model)
+    else:
+        write_frames(path, model, model.header, False, {}, silent, on_threads())
+
+
+# Pages that play on their own -----------------------------------------------------------------------------
+
+
+def _check_page(page: Path, sources: Sequence[Path]) -> None:
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise SettingsError(f"{page}: pages end in .html")
+    for source in sources:
+        check_target(page, source)
+
+
+def _export(
+    page: Path,
+    paint: Paint,
+    fps: float | None,
+    chosen: Mapping[str, Any],
+    threads: int | None,
+    progress: Progress,
+) -> None:
+    """Write a page with all meshes."""
+    from mixseq.mapping import on_threads
+    from mixseq.signals import Model
+    from mixseq.viewing.export import ExportSettings, export_page, poses_of
+    from mixseq.viewing.exporting import Exported
+    from mixseq.viewing.signals import signals_of
+    from mixseq_io.atomic import replacing
+
+    settings = ExportSettings(fps=fps, **chosen)
+    workers = on_threads(threads)
+    shown = [
+        Exported(
+            item.name,
+            item.header,
+            poses_of(item.motion, workers),
+            item.header.times - item.header.times[0],
+            paint.each(index),
+            signals_of(item.motion) if isinstance(item.motion, Model) else None,
+        )
+        for index, item in enumerate(paint.shot.items)
+    ]
+    with replacing(page) as temporary:
+        report = export_page(temporary, shown, settings, progress)
+    announce(page)
+    off = max(item.error for item in report.items)
+    click.echo(f"no coordinate is off by more than {off:.2g}, of the meshes' own units")

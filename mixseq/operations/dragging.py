@@ -1,0 +1,116 @@
+r"""Drag: a place on the curve that a motion is in the plane is moved, and the motion next to it follows.
+
+The layout of a model (`Model.layout`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Of all changes of a
+point that move it by :math:`\Delta y` in the plane, the one that changes the shape least in the shape space is along
+the two principal directions P of the plane (`mixseq.signals.layout`),
+
+.. math:: \delta = P\, (A^T P)^+ \Delta y = G^+ A\, (A^T G^+ A)^+ \Delta y,
+
+with the Gram matrix G of the steps that coordinates of pose space are in the shape space; P needs no inverse of it,
+and does not know of coordinates that are rounding errors. The change fades out on both sides,
+
+.. math:: c(t) \to c(t) + w(t)\, \delta, \qquad w(t_0) = 1, \qquad w(t) = 0 \text{ for } |t - t_0| \ge \text{reach},
+
+with a weight of three cubics on each side, two times continuously differentiable. So the result is a cubic spline
+again: exactly, with seven knots more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.operations.passes import SLACK, snapped
+from mixseq.operations.pieces import between, breakpoints, sites_of
+from mixseq.operations.sculpt import smoothstep
+from mixseq.signals.curve import Curve
+from mixseq.signals.layout import Plane
+from mixseq.signals.model import Model
+
+Float = NDArray[np.float64]
+
+REACH = 1 / 8
+"""Default reach, as a fraction of the motion. Ours."""
+
+FRAMES = 2
+"""Shortest default reach, in frames. Ours."""
+
+
+def drag(
+    model: Model, time: float, to: ArrayLike, reach: float | None = None, plane: Plane | None = None
+) -> Model:
+    """Return the model with its curve in the layout pulled to a place.
+
+    Shapes change, by as little as possible; where parts are does not.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    time : float
+        Time of the point that is pulled, in seconds.
+    to : (2,) array_like
+        Where to, in the coordinates of `Model.layout`, in diagonals. A layout that is a line stays one: the point goes
+        as near as it can.
+    reach : float, optional
+        Over how many seconds the change fades on both sides; by default an eighth of the motion, at least two frames.
+    plane : Plane, optional
+        The layout that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that of
+        `model`. The result has another one of its own: give the plane of the first model if you drag again and again
+        and look at one picture.
+
+    Returns
+    -------
+    Model
+        ``result.layout([time], plane)`` is `to`, with the plane that was meant.
+
+    Raises
+    ------
+    SettingsError
+        If the time is outside the model, `to` is no place, the reach is too short, the plane is of another model, or
+        the layout is one point: the shape does not change, so there is nowhere to go.
+    """
+    place = _place(to)
+    time = snapped(model, time)
+    reach = _reach(model, reach)
+    plane = model.plane if plane is None else model.known(plane)
+    if not plane.directions.any():
+        raise SettingsError(
+            "the layout of the model is one point, as its shape does not change; there is nothing to drag"
+        )
+    along = (model.pose.rates(plane.directions.T) @ plane.axes).T  # A^T P: 1, but for rounding and for lines
+    move = np.linalg.pinv(along, rcond=1e-6) @ (place - model.layout([time], plane)[0])
+    change = plane.directions @ move
+
+    ends = np.array([model.time.start, model.time.end])
+    knots = np.concatenate([breakpoints(model.time), time + reach * np.linspace(-1.0, 1.0, 7)])
+    sites = sites_of(ends, between(knots, *ends))
+    sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
+    weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
+    return replace(model, time=Curve(sites, model.time(sites) + weight[:, None] * change))
+
+
+def default_reach(model: Model) -> float:
+    """Return over how many seconds the change of a drag fades on both sides, if nothing else is asked for."""
+    return max(REACH * (model.end - model.start), FRAMES / model.header.fps)
+
+
+def _place(to: ArrayLike) -> Float:
+    place = np.asarray(to, dtype=np.float64)
+    if place.shape != (2,):
+        raise SettingsError(f"to has shape {place.shape}; a place in the layout, (2,), is expected")
+    if not np.isfinite(place).all():
+        raise SettingsError(f"to is ({place[0]}, {place[1]}); two finite numbers are expected")
+    return place
+
+
+def _reach(model: Model, reach: float | None) -> float:
+    if reach is None:
+        return default_reach(model)
+    shortest = SLACK / model.header.fps
+    if not (np.isfinite(reach) and reach >= shortest):
+        raise SettingsError(f"reach is {reach:g} s; a number of seconds is expected, at least {shortest:g}")
+    return float(reach)

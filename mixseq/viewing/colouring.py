@@ -1,0 +1,223 @@
+"""Colours of a mesh in the viewer: an entry of a palette at every vertex, which may change as it moves.
+
+- **clay**: the same everywhere.
+- **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
+  its faces is, else of the part of most of its faces.
+- **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis; what they are tells
+  `mixseq.plots.measures`. Strain and curvature are against the pose at rest.
+
+A pose has one byte at every vertex, so a page needs a palette once and V bytes for each pose, or once where nothing
+changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import SettingsError
+from mixseq.plots.colours import CLAY, JOINT_RED, part_colours, viridis
+from mixseq.plots.measures import Curvature, Strain, distances, two_digits
+from mixseq.segmentation.joints import Decomposition
+from mixseq.sequence import FloatArray, IntArray, SequenceHeader, bounding_diagonal
+
+Float = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Index = NDArray[np.int64]
+Numbers = Callable[[FloatArray, float], Float]
+"""From points ``(V, 3)`` and the seconds elapsed since the first frame to a number at every vertex ``(V,)``."""
+
+JOINT = 255
+"""The entry of joints in the palette of parts; parts have those below it, again and again where there are more."""
+
+UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees"}
+"""What the numbers of colours are measured in."""
+
+LEAST = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
+"""The scales go at least so far, in these units: rounding has no colours, also that of a rigid motion in single
+precision. The values are ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Colouring:
+    """What colours show.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    palette : (256, 3) uint8
+        Colours, sRGB.
+    fixed : (V,) uint8, optional
+        Entries of the palette that never change; without them `measure` tells.
+    measure : function, optional
+        From points ``(V, 3)`` and the seconds elapsed since the first frame to numbers ``(V,)``, in the unit.
+    top : float
+        Number that has the last colour; 0 has the first.
+    unit : str
+        What the numbers are measured in.
+
+    Raises
+    ------
+    SettingsError
+        If it has both or neither of `fixed` and `measure`, or `top` is not a positive number.
+    """
+
+    name: str
+    palette: Bytes
+    fixed: Bytes | None = None
+    measure: Numbers | None = None
+    top: float = 1.0
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.fixed is None) == (self.measure is None):
+            raise SettingsError(
+                f"the colours of {self.name} are either fixed or measured; give one of the two"
+            )
+        if not (np.isfinite(self.top) and self.top > 0):
+            raise SettingsError(f"the last colour is at {self.top}; a positive number is expected")
+
+    @property
+    def constant(self) -> bool:
+        """Whether all poses have the same colours."""
+        return self.measure is None
+
+    def indices(self, points: FloatArray, elapsed: float) -> Bytes:
+        """Return the entries ``(V,)`` of the palette that points ``(V, 3)`` have after some seconds."""
+        if self.measure is None:
+            assert self.fixed is not None  # checked above
+            return self.fixed
+        shares = np.clip(self.measure(points, elapsed) / self.top, 0.0, 1.0)
+        return np.rint(255 * shares).astype(np.uint8)
+
+    def scaled(self, top: float) -> Colouring:
+        """Return the same with the last colour at another number.
+
+        Raises
+        ------
+        SettingsError
+            If that is not a positive number, or colours do not mean numbers.
+        """
+        if self.constant:
+            raise SettingsError(
+                f"{self.name} has no scale; choose a colour that means numbers, such as strain"
+            )
+        return replace(self, top=float(top))
+
+    def legend(self) -> str:
+        """Return a caption in words, such as "strain 0 to 12 %"."""
+        if self.constant:
+            return "parts, joints red" if self.name == "parts" else self.name
+        return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
+
+
+def colourings_of(
+    header: SequenceHeader,
+    rest: FloatArray,
+    decomposition: Decomposition | None = None,
+    original: Callable[[float], FloatArray] | None = None,
+    poses: Iterable[tuple[float, FloatArray]] = (),
+) -> dict[str, Colouring]:
+    """Return what colours may show of a mesh, by name.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        Everything but the points.
+    rest : (V, 3) float
+        The pose that strain and curvature are measured against.
+    decomposition : Decomposition, optional
+        Parts and joints; without it there are no colours for them.
+    original : function, optional
+        From the seconds elapsed since the first frame to the points ``(V, 3)`` that errors are measured against;
+        without it there are none. The unit is the diagonal of its points at 0.
+    poses : iterable of (float, (V, 3) float)
+        Elapsed seconds and points that the scales must reach, one by one; without any they reach `LEAST`, and
+        `Colouring.scaled` tells how far.
+
+    Returns
+    -------
+    dict
+        ``clay``, ``parts``, ``error``, ``strain``, ``curvature``, in this order; those that there are.
+
+    Raises
+    ------
+    SettingsError
+        If the pose at rest, the parts or the original are of another mesh.
+    """
+    faces, count = header.faces, header.vertex_count
+    _check("the pose at rest", rest, count)
+    found = {"clay": Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))}
+    if decomposition is not None:
+        found["parts"] = Colouring(
+            "parts", _part_palette(), _fixed(_part_entries(faces, count, decomposition))
+        )
+
+    measures: dict[str, Numbers] = {}
+    largest: dict[str, Callable[[Float], float]] = {}
+    if original is not None:
+        measures["error"], largest["error"] = _errors(original, count), np.max
+    strain, curvature = Strain.of(rest, faces), Curvature.of(rest, faces)
+    measures["strain"], largest["strain"] = lambda points, elapsed: 100 * strain(points), strain.largest
+    measures["curvature"], largest["curvature"] = lambda points, elapsed: curvature(points), curvature.largest
+
+    tops = LEAST
+    for elapsed, points in poses:
+        reached = {name: largest[name](measure(points, elapsed)) for name, measure in measures.items()}
+        tops = {name: max(top, float(reached.get(name, 0.0))) for name, top in tops.items()}
+    heat = _bytes(viridis())
+    for name, measure in measures.items():
+        found[name] = Colouring(name, heat, measure=measure, top=tops[name], unit=UNITS[name])
+    return found
+
+
+def _check(what: str, points: FloatArray, count: int) -> None:
+    if points.shape != (count, 3):
+        raise SettingsError(
+            f"{what} has the shape {points.shape}, the mesh {count} vertices; colours compare poses of one mesh"
+        )
+
+
+def _errors(original: Callable[[float], FloatArray], count: int) -> Numbers:
+    """Measure the distance from an original."""
+    first = original(0.0)
+    _check("the original", first, count)
+    diagonal = bounding_diagonal(first) or 1.0
+    return lambda points, elapsed: distances(points, original(elapsed), diagonal)
+
+
+def _part_palette() -> Bytes:
+    return np.concatenate([_bytes(part_colours(JOINT)), _bytes(np.array([JOINT_RED]))])
+
+
+def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> Index:
+    """Return the entry ``(V,)`` of the palette of parts that every vertex has; 0 where it has no faces."""
+    part_of_face = decomposition.part_of_face
+    if len(part_of_face) != len(faces):
+        raise SettingsError(
+            f"the parts are of {len(part_of_face)} triangles, the mesh has {len(faces)}; give the parts of this mesh"
+        )
+    parts = int(part_of_face.max()) + 1
+    pairs, votes = np.unique(faces.ravel() * np.int64(parts) + np.repeat(part_of_face, 3), return_counts=True)
+    vertex, part = np.divmod(pairs, parts)
+    # the most votes first, then the lowest number
+    order = np.lexsort((part, -votes, vertex))
+    winners = order[np.unique(vertex[order], return_index=True)[1]]
+    entries = np.zeros(count, dtype=np.int64)
+    entries[vertex[winners]] = part[winners] % JOINT
+    entries[faces[decomposition.joint_of_face >= 0]] = JOINT
+    return entries
+
+
+def _fixed(entries: NDArray[np.generic]) -> Bytes:
+    result = entries.astype(np.uint8)
+    result.setflags(write=False)  # all poses share it
+    return result
+
+
+def _bytes(colours: Float) -> Bytes:
+    return np.rint(255 * np.asarray(colours)).astype(np.uint8)

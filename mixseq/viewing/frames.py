@@ -1,0 +1,156 @@
+"""Decoded frames, kept as long as there is memory, and the threads that decode them.
+
+One frame is wanted at a time, the newest wish wins. Threads that have nothing to do for it decode what comes after it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Condition, Thread
+from typing import Self
+
+from mixseq.errors import MixseqError
+from mixseq.threads import one_blas_thread
+from mixseq.viewing.shown import Item, Points, Shot
+
+MEMORY = 1 << 30
+"""Bytes of frames that are kept."""
+
+Key = tuple[Item, float]
+
+
+@dataclass(frozen=True)
+class _Wish:
+    shot: Shot
+    frame: int
+    ahead: bool
+
+
+class Frames:
+    """Frames of shots, decoded in the background.
+
+    Parameters
+    ----------
+    ready : callable
+        Called, on another thread, whenever a pose was decoded.
+    threads : int
+        How many threads decode.
+    memory : int
+        Bytes of poses that are kept; those used last.
+    """
+
+    def __init__(self, ready: Callable[[], None], threads: int = 2, memory: int = MEMORY) -> None:
+        self._ready = ready
+        self._memory = memory
+        self._kept: OrderedDict[Key, Points | MixseqError] = OrderedDict()
+        self._size = 0
+        self._busy: set[Key] = set()
+        self._wish: _Wish | None = None
+        self._closed = False
+        self._changed = Condition()
+        self._threads = [Thread(target=self._decode, daemon=True) for _ in range(threads)]
+        for thread in self._threads:
+            thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads, after the frames that they are at."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join()
+
+    def want(self, shot: Shot, frame: int, ahead: bool = True) -> tuple[Points, ...] | None:
+        """Ask for a frame.
+
+        Parameters
+        ----------
+        shot : Shot
+            What is shown.
+        frame : int
+            Which frame of it.
+        ahead : bool
+            Whether the frames after it will be wanted, too.
+
+        Returns
+        -------
+        tuple of (V, 3) float32, or None
+            The poses of its items, if they are there; else they will be, unless another frame is wanted first.
+
+        Raises
+        ------
+        MixseqError
+            If one of them cannot be decoded.
+        """
+        elapsed = shot.elapsed(frame)
+        with self._changed:
+            self._wish = _Wish(shot, frame, ahead)
+            self._changed.notify_all()
+            poses = []
+            for item in shot.items:
+                key = item, elapsed
+                pose = self._kept.get(key)
+                if pose is None:
+                    return None
+                if isinstance(pose, MixseqError):
+                    del self._kept[key]  # another try may do better, and should be possible
+                    raise pose
+                self._kept.move_to_end(key)
+                poses.append(pose)
+            return tuple(poses)
+
+    def _decode(self) -> None:
+        while True:
+            with self._changed:
+                while (key := self._next()) is None and not self._closed:
+                    self._changed.wait()
+                if self._closed or key is None:
+                    return
+                self._busy.add(key)
+            item, elapsed = key
+            found: Points | MixseqError
+            try:
+                with one_blas_thread():
+                    found = item.pose(elapsed)
+            except MixseqError as error:
+                found = error
+            with self._changed:
+                self._busy.discard(key)
+                self._keep(key, found)
+            self._ready()
+
+    def _next(self) -> Key | None:
+        """Return what to decode: the pose that is wanted, or the first one after it that is not there."""
+        if self._wish is None:
+            return None
+        shot, first = self._wish.shot, self._wish.frame
+        for step in range(self._horizon(shot) if self._wish.ahead else 1):
+            elapsed = shot.elapsed((first + step) % shot.count)
+            for item in shot.items:
+                key = item, elapsed
+                if key not in self._kept and key not in self._busy:
+                    return key
+        return None
+
+    def _horizon(self, shot: Shot) -> int:
+        """Return how many frames fit into three quarters of the memory."""
+        size = sum(12 * item.header.vertex_count for item in shot.items)
+        return max(1, min(shot.count, 3 * self._memory // (4 * size)))
+
+    def _keep(self, key: Key, found: Points | MixseqError) -> None:
+        self._kept[key] = found
+        self._size += _bytes(found)
+        while self._size > self._memory and len(self._kept) > 1:
+            self._size -= _bytes(self._kept.popitem(last=False)[1])
+
+
+def _bytes(found: Points | MixseqError) -> int:
+    return 0 if isinstance(found, MixseqError) else found.nbytes

@@ -1,0 +1,76 @@
+"""What was done to a model, to be undone and done again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mixseq.signals import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A model and what made it.
+
+    Attributes
+    ----------
+    name : str
+        What was done, such as ``repeat``; that of the first step is empty.
+    model : Model
+        What came of it.
+    """
+
+    name: str
+    model: Model
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Steps, and which of them is seen now; every change is a new history.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        The first is the model as it was opened.
+    now : int
+        Which of them is seen.
+    """
+
+    steps: tuple[Step, ...]
+    now: int = 0
+
+    @classmethod
+    def of(cls, model: Model) -> History:
+        """Begin with a model to which nothing was done."""
+        return cls((Step("", model),))
+
+    @property
+    def model(self) -> Model:
+        """The model that is seen."""
+        return self.steps[self.now].model
+
+    @property
+    def changed(self) -> bool:
+        """Whether it is another model than the one that was opened."""
+        return self.now > 0
+
+    def done(self, name: str, model: Model) -> History:
+        """Return the history after an edit; what had been undone is gone."""
+        return History((*self.steps[: self.now + 1], Step(name, model)), self.now + 1)
+
+    @property
+    def undoes(self) -> str | None:
+        """What `undone` undoes, if there is anything."""
+        return self.steps[self.now].name if self.now else None
+
+    @property
+    def redoes(self) -> str | None:
+        """What `redone` does again, if there is anything."""
+        return self.steps[self.now + 1].name if self.now + 1 < len(self.steps) else None
+
+    def undone(self) -> History:
+        """Return the history one step back; at its begin as it is."""
+        return History(self.steps, max(self.now - 1, 0))
+
+    def redone(self) -> History:
+        """Return the history one step ahead; at its end as it is."""
+        return History(self.steps, min(self.now + 1, len(self.steps) - 1))

@@ -1,0 +1,56 @@
+"""Our scripts in viser's page, and what they say to Python.
+
+What is written with ``add_html`` runs no scripts, but the document of an ``iframe`` does, and may add ours to the page.
+To Python they talk through a text input that nobody sees: its callback runs on viser's event loop, in order.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+from mixseq.viewing.assets import chart_scripts, script
+from mixseq.viewing.messages import Message, message_of
+
+
+def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
+    """Add our scripts to the page of a server, where its controls are added now.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The server.
+    heard : callable
+        Told what the scripts say, on the server's thread; it must be quick.
+    """
+    line = server.gui.add_text("mixseq", "", visible=False)
+
+    @line.on_update  # type: ignore[untyped-decorator]
+    async def _(event: Any) -> None:
+        message = message_of(line.value)
+        if message is not None:
+            heard(message)
+
+    server.gui.add_html(_frame(line._impl.uuid))
+
+
+def _frame(line: str) -> str:
+    """Return an element that brings our scripts into the page that it is in."""
+    source = f"{chart_scripts()}\n{script('live.js')}"
+    start = f"""<script>
+const text = {in_script(source)};
+if (!parent.mixseqLive) {{
+  const script = parent.document.createElement("script");
+  script.textContent = text;
+  parent.document.head.append(script);
+}}
+parent.mixseqLive.connect({in_script(line)});
+</script>"""
+    return f'<iframe style="display: none" title="mixseq" srcdoc="{escape(start, quote=True)}"></iframe>'
+
+
+def in_script(value: object) -> str:
+    """Return JSON that may stand in a script element: nothing in it ends the element."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")

@@ -1,0 +1,179 @@
+"""The panel on the right: playing, what is shown, and saving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import SettingsError
+from mixseq.viewing.colouring import Colouring
+from mixseq.viewing.live.stage import LiveStage
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.playback import Moment, Playback
+
+SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+ROW, PLACE = "side by side", "in one place"
+
+
+class PlayControls:
+    """Play, scrub, and choose the rate."""
+
+    def __init__(self, server: Any, playback: Playback) -> None:
+        gui = server.gui
+        self._playback = playback
+        self._icons = _icons()
+        self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
+        self._slider = gui.add_slider("Frame", 0, playback.shot.count - 1, 1, 0)
+        self._text = gui.add_html("")
+        speed = gui.add_button_group("Speed", tuple(SPEEDS))
+        self._rate = gui.add_number(
+            "Frames/s", playback.shot.fps, min=1.0, max=240.0, hint="Models are decoded at any rate"
+        )
+        self._button.on_click(lambda _: self.toggle())
+        self._slider.on_update(self._scrub)
+        speed.on_click(lambda _: playback.pace(SPEEDS[speed.value]))
+        self._rate.on_update(self._set_rate)
+        for label, key, step in (("Next frame", "]", 1), ("Previous frame", "[", -1)):
+            gui.add_command(label, hotkey=key).on_trigger(lambda _, by=step: self._step(by))
+        gui.add_command("Play or pause", hotkey="P").on_trigger(lambda _: self.toggle())
+
+    def toggle(self) -> None:
+        """Play or pause."""
+        if self._playback.plays:
+            self._playback.pause()
+        else:
+            self._playback.play()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show whether it plays."""
+        plays = self._playback.plays
+        self._button.label = "Pause" if plays else "Play"
+        self._button.icon = self._icons[plays]
+
+    def show(self, moment: Moment) -> None:
+        """Show what moment is seen."""
+        last = moment.shot.count - 1
+        if self._slider.max != last:
+            self._slider.max = last
+        self._slider.value = moment.frame
+        begin = moment.shot.items[0].header.times[0]
+        now, end = begin + moment.shot.elapsed(moment.frame), begin + moment.shot.elapsed(last)
+        self._text.content = _line(f"{now:.3f} s of {end:.3f} s", "mixseq-time")
+
+    def _step(self, by: int) -> None:
+        self._playback.pause()
+        self._playback.seek((self._playback.frame + by) % self._playback.shot.count)
+        self.refresh()
+
+    def _scrub(self, event: Any) -> None:
+        if event.client is not None:  # a hand, and not `show`
+            self._playback.seek(self._slider.value)
+
+    def _set_rate(self, event: Any) -> None:
+        if event.client is None:
+            return
+        try:
+            self._playback.rate(float(self._rate.value))
+        except SettingsError as error:
+            notify(event.client, "Not so many frames", str(error))
+
+
+class ShowControls:
+    """Colours, arrangement, and which meshes are shown."""
+
+    def __init__(self, server: Any, playback: Playback, stage: LiveStage, paint: Paint) -> None:
+        gui, names = server.gui, [item.name for item in playback.shot.items]
+        self._stage = stage
+        with gui.add_folder("Show"):
+            self._colour = gui.add_dropdown("Colour", paint.names, initial_value="clay")
+            self._legend = gui.add_html("")
+            wire = gui.add_checkbox("Wireframe", False)
+            if len(names) > 1:
+                places = gui.add_button_group("Meshes", (ROW, PLACE))
+                places.on_click(lambda _: self._arrange(playback, places.value == ROW))
+                for index, name in enumerate(names):
+                    self._add_switch(gui, index, name)
+            self._picked = gui.add_html(_line("Click a mesh for its vertex and part", "mixseq-picked"))
+        self._colour.on_update(lambda event: self._paint(event, playback))
+        wire.on_update(lambda _: stage.wire(wire.value))
+
+    def picked(self, text: str) -> None:
+        """Show what was clicked."""
+        self._picked.content = _line(text, "mixseq-picked")
+
+    def _add_switch(self, gui: Any, index: int, name: str) -> None:
+        switch = gui.add_checkbox(name, True)
+        switch.on_update(lambda _: self._stage.hide(index, not switch.value))
+
+    def _arrange(self, playback: Playback, side_by_side: bool) -> None:
+        self._stage.arrange(playback.shot, side_by_side)
+        playback.refresh()
+
+    def _paint(self, event: Any, playback: Playback) -> None:
+        if event.client is not None:
+            self._stage.colour(self._colour.value)
+            self._legend.content = _legend(self._stage.colours)
+            playback.refresh()
+
+
+class SaveControls:
+    """Save what was edited, under a name in the folder where the viewer was started."""
+
+    def __init__(self, server: Any, folder: Path, name: str, save: Callable[[Path], None]) -> None:
+        gui = server.gui
+        self._folder = folder
+        self._save = save
+        with gui.add_folder("Save"):
+            self._name = gui.add_text(
+                "File", name, hint=f"A model (.h5), or a sequence in any format, in {folder}"
+            )
+            self._replace = gui.add_checkbox("Replace", False, hint="Whether a file of this name is replaced")
+            self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
+        self._button.on_click(self._clicked)
+
+    def _clicked(self, event: Any) -> None:
+        name = self._name.value.strip()
+        path = self._folder / name
+        # whoever can reach the page should not write anywhere
+        if not name or Path(name).name != name:
+            notify(event.client, "Not saved", f"{name!r} is no name of a file; it goes to {self._folder}")
+        elif path.exists() and not self._replace.value:
+            notify(event.client, "Not saved", f"{name} exists; give another name, or tick Replace")
+        else:
+            self._save(path)
+
+
+def notify(client: Any, title: str, text: str, good: bool = False) -> None:
+    """Tell something on a page for some seconds."""
+    client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
+
+
+def _legend(colourings: list[Colouring]) -> str:
+    """Return the scale of colours, as a bar with its ends."""
+    shown = next((each for each in colourings if not each.constant), None)
+    if shown is None:
+        return ""
+    stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in shown.palette[::15])
+    bar = f'<div style="height: 10px; border-radius: 3px; background: linear-gradient(to right, {stops})"></div>'
+    ends = (
+        f'<div style="display: flex; justify-content: space-between"><span>0</span><span>{shown.top:.3g} '
+        f"{escape(shown.unit)}</span></div>"
+    )
+    return f'<div id="mixseq-legend" style="padding: 2px 12px; font-size: 12px">{bar}{ends}</div>'
+
+
+def _line(text: str, name: str) -> str:
+    return f'<div id="{name}" style="padding: 0 12px; font-size: 12px; opacity: 0.75">{escape(text)}</div>'
+
+
+def _icons() -> tuple[Any, Any]:
+    return _icon("PLAYER_PLAY"), _icon("PLAYER_PAUSE")
+
+
+def _icon(name: str) -> Any:
+    from viser import Icon
+
+    return getattr(Icon, name)

@@ -1,0 +1,204 @@
+"""The scene of the page: meshes with colours, on a ground with a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from mixseq.viewing.arrangement import FIELD, HEIGHT, Float, arranged
+from mixseq.viewing.colouring import Colouring
+from mixseq.viewing.painting import Bytes, Paint
+from mixseq.viewing.picking import Picked, pick
+from mixseq.viewing.playback import Moment
+from mixseq.viewing.shown import Shot
+
+GROUND = (243, 243, 240)
+LINES = (222, 222, 218)
+
+WIDER = 0.02
+"""Windows of pages that changed their shape by less need no other camera."""
+
+
+class LiveStage:
+    """Meshes in the scene of a server; see `mixseq.viewing.playback.Stage`.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The server.
+    paint : Paint
+        Colours.
+    material : {"standard", "toon5"}
+        How light falls on meshes; the second is quick without a graphics card.
+    told : callable
+        Told about every moment that is shown, while it is.
+    """
+
+    def __init__(self, server: Any, paint: Paint, material: str, told: Callable[[Moment], None]) -> None:
+        self._server = server
+        self._paint = paint
+        self._told = told
+        self._lock = Lock()
+        self._drawing = False
+        self._moment: Moment | None = None
+        self._placed: dict[int, tuple[Float, float]] = {}
+        self._colour = "clay"
+        self._painted: list[Colouring | None] = [None] * len(paint.shot.items)
+        self._arrangement = arranged(paint.shot, side_by_side=True)
+        self._furnish()
+        self._meshes, self._clouds, self._labels = [], [], []
+        for index, item in enumerate(paint.shot.items):
+            points = self._arrangement.placed(index, item.pose(0.0))
+            nothing = np.zeros_like(points)
+            mesh = server.scene.add_mesh_simple(
+                f"/mesh/{index}",
+                points,
+                item.header.faces,
+                color=(255, 255, 255),
+                material=material,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            cloud = server.scene.add_point_cloud(
+                f"/paint/{index}", nothing, colors=nothing.astype(np.uint8), visible=False
+            )
+            self._meshes.append(mesh)
+            self._clouds.append(cloud)
+        if len(self._meshes) > 1:
+            self._labels = [
+                server.scene.add_label(f"/name/{index}", item.name, anchor="bottom-center", position=place)
+                for index, (item, place) in enumerate(
+                    zip(paint.shot.items, self._arrangement.labels, strict=True)
+                )
+            ]
+
+    @property
+    def busy(self) -> bool:
+        """Whether the page has not drawn the last moment yet."""
+        return self._drawing
+
+    def drawn(self) -> None:
+        """Take notice that the page has drawn it."""
+        self._drawing = False
+
+    @property
+    def colours(self) -> list[Colouring]:
+        """What colours show now of every mesh."""
+        return self._paint.shared(self._colour)
+
+    def show(self, moment: Moment) -> None:
+        """Send a moment to the page."""
+        with self._lock, self._server.atomic():
+            self._drawing = True
+            self._moment = moment
+            elapsed = moment.shot.elapsed(moment.frame)
+            for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
+                self._meshes[index].vertices = self._arrangement.placed(index, points)
+                if not colours.constant or self._painted[index] is not colours:
+                    self._clouds[index].colors = linear(colours.palette)[colours.indices(points, elapsed)]
+                    self._painted[index] = colours
+            self._told(moment)
+
+    def colour(self, name: str) -> None:
+        """Choose what colours show; the next moment does."""
+        self._colour = name
+
+    def arrange(self, shot: Shot, side_by_side: bool) -> None:
+        """Put meshes side by side or into one place; the next moment does."""
+        arrangement = arranged(shot, side_by_side)
+        with self._lock:
+            self._arrangement = arrangement
+            for label, place in zip(self._labels, arrangement.labels, strict=True):
+                label.position = place
+        self._place_cameras()
+
+    def hide(self, index: int, hidden: bool) -> None:
+        """Hide a mesh, or show it again."""
+        self._meshes[index].visible = not hidden
+        if self._labels:
+            self._labels[index].visible = not hidden
+
+    def wire(self, on: bool) -> None:
+        """Draw edges instead of surfaces."""
+        for mesh in self._meshes:
+            mesh.wireframe = on
+
+    def on_click(self, told: Callable[[int, Picked], None]) -> None:
+        """Tell what is clicked: which mesh, and where it was hit."""
+        for number, mesh in enumerate(self._meshes):
+
+            @mesh.on_click  # type: ignore[untyped-decorator]
+            def _(event: Any, index: int = number) -> None:
+                with self._lock:
+                    moment, arrangement = self._moment, self._arrangement
+                if moment is None:
+                    return
+                points = arrangement.placed(index, moment.poses[index])
+                found = pick(
+                    points, moment.shot.items[index].header.faces, event.ray_origin, event.ray_direction
+                )
+                if found is not None:
+                    told(index, found)
+
+    def _furnish(self) -> None:
+        """Set up the light, the ground and the camera."""
+        scene = self._server.scene
+        scene.set_up_direction("+y")
+        scene.configure_default_lights(cast_shadow=False)
+        extent = float(np.abs([self._arrangement.low, self._arrangement.high]).max()) * 6
+        scene.add_grid(
+            "/ground",
+            extent,
+            extent,
+            plane="xz",
+            cell_size=HEIGHT / 10,
+            section_size=HEIGHT / 2,
+            cell_color=LINES,
+            section_color=LINES,
+            plane_color=GROUND,
+            plane_opacity=0.0,
+            fade_distance=6 * HEIGHT,
+            position=(0.0, -1e-3 * HEIGHT, 0.0),
+        )
+        self._place_cameras()
+
+    def welcome(self, client: Any) -> None:
+        """Put the camera of a new page in front of everything, and keep it there until a hand moves it."""
+
+        @client.camera.on_update  # type: ignore[untyped-decorator]
+        def _(camera: Any) -> None:
+            # the window of a page gets its shape when panels dock, after the page has come
+            place, aspect = self._placed.get(client.client_id, (None, 0.0))
+            untouched = place is not None and np.allclose(camera.position, place, rtol=1e-3, atol=1e-3)
+            if untouched and abs(camera.aspect / aspect - 1) > WIDER:
+                self._place_camera(client)
+
+        self._place_camera(client)
+
+    def _place_camera(self, client: Any) -> None:
+        aspect = client.camera.aspect
+        place, centre = self._arrangement.camera(aspect)
+        self._placed[client.client_id] = place, aspect
+        with client.atomic():
+            client.camera.fov = float(np.radians(FIELD))
+            client.camera.position = place  # which moves what it looks at along
+            client.camera.look_at = centre
+
+    def _place_cameras(self) -> None:
+        place, centre = self._arrangement.camera(aspect=1.0)
+        camera = self._server.initial_camera
+        camera.fov = float(np.radians(FIELD))
+        camera.look_at, camera.position = centre, place
+        for client in self._server.get_clients().values():
+            self._place_camera(client)
+
+
+def linear(colours: Bytes) -> Bytes:
+    """Return sRGB colours in linear light, in which three.js shades."""
+    shares = colours / 255.0
+    light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * light), dtype=np.uint8)

@@ -1,0 +1,193 @@
+"""The viewer: a server, a scene, controls, and the threads behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import MissingExtraError, MixseqError
+from mixseq.viewing.live.bridge import add_bridge
+from mixseq.viewing.live.controls import PlayControls, SaveControls, ShowControls, notify
+from mixseq.viewing.live.editing import Charts, EditControls
+from mixseq.viewing.live.stage import LiveStage
+from mixseq.viewing.messages import Drawn, Message
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.picking import Picked
+from mixseq.viewing.playback import Moment, Playback
+from mixseq.viewing.session import Save, Session
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How the viewer runs.
+
+    Parameters
+    ----------
+    host : str
+        Address that it listens at; ``127.0.0.1`` is this machine and nobody else.
+    port : int
+        Port, or the next one that is free.
+    folder : Path
+        Where edited motions are saved.
+    name : str
+        Under which name, if no other is typed.
+    threads : int
+        How many threads decode.
+    material : {"standard", "toon5"}
+        How light falls on meshes; the second is for machines without a graphics card.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    folder: Path = Path()
+    name: str = "edited.h5"
+    threads: int = 2
+    material: str = "standard"
+
+
+class Viewer:
+    """A running viewer; make it with `viewer`.
+
+    Attributes
+    ----------
+    address : str
+        Where it is, for a browser.
+    playback : Playback
+        What is shown, and when.
+    session : Session
+        What is edited.
+    """
+
+    def __init__(
+        self, server: Any, paint: Paint, settings: ViewSettings, save: Save, stack: ExitStack
+    ) -> None:
+        self._server = server
+        self._clients: list[Any] = []
+        self._play: PlayControls | None = None  # the first frame may be there before they are
+        self._charts: Charts | None = None
+        self._edit: EditControls | None = None
+        gui = server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
+        gui.set_panel_label("mixseq")
+        self._stage = LiveStage(server, paint, settings.material, self._show)
+        self.playback = stack.enter_context(
+            Playback(paint.shot, self._stage, self._failed, threads=settings.threads)
+        )
+        self.session = stack.enter_context(Session(self.playback, self, save))
+        add_bridge(server, self._heard)
+        self._play = PlayControls(server, self.playback)
+        self._shown = ShowControls(server, self.playback, self._stage, paint)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(300)
+        if self.session.editable:
+            panel = gui.add_panel()
+            with panel.add_tab("Curves"):
+                self._charts = Charts(server, self.session, self.playback)
+            panel.dock_left()
+            panel.set_width(360)
+            self._edit = EditControls(server, self.session, self.playback, self._charts)
+            SaveControls(server, settings.folder, settings.name, self.session.save)
+            self._charts.edited()
+        self._stage.on_click(self._clicked)
+        server.on_client_connect(self._connected)
+        self.address = f"http://{_reachable(settings.host)}:{server.get_port()}"
+
+    # What the session tells -----------------------------------------------------------------------------
+
+    def edited(self, session: Session) -> None:
+        """Another model is seen."""
+        if self._charts is not None and self._edit is not None:
+            self._charts.edited()
+            self._edit.edited()
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Tell on all pages what could not be done, and draw what there is instead."""
+        self.edited(self.session)
+        self._tell(f"{what}: not done", str(error), good=False)
+
+    def saved(self, path: Path) -> None:
+        """Tell on all pages that a file was written."""
+        self._tell("Saved", path.name, good=True)
+
+    # What the playback tells ----------------------------------------------------------------------------
+
+    def _show(self, moment: Moment) -> None:
+        if self._play is not None:
+            self._play.show(moment)
+        if self._charts is not None:
+            self._charts.show(moment)
+
+    def _failed(self, error: MixseqError) -> None:
+        if self._play is not None:
+            self._play.refresh()
+        self._tell("This frame cannot be shown", str(error), good=False)
+
+    # What the page tells --------------------------------------------------------------------------------
+
+    def _connected(self, client: Any) -> None:
+        self._stage.welcome(client)
+        self.playback.refresh()
+
+    def _heard(self, message: Message) -> None:
+        if isinstance(message, Drawn):
+            self._stage.drawn()
+            self.playback.drawn()
+        elif self._charts is not None and self._edit is not None:
+            self._charts.heard(message, self._edit.reach, self._edit.seconds)
+
+    def _clicked(self, index: int, picked: Picked) -> None:
+        name = self.playback.shot.items[index].name
+        what = (
+            self._edit.picked(index, picked)
+            if self._edit is not None
+            else f"vertex {picked.vertex}, triangle {picked.face}"
+        )
+        self._shown.picked(f"{name}: {what}" if len(self.playback.shot.items) > 1 else what)
+
+    def _tell(self, title: str, text: str, good: bool) -> None:
+        for client in self._server.get_clients().values():
+            notify(client, title, text, good)
+
+
+@contextmanager
+def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
+    """Run a viewer in the background, as long as the context lasts.
+
+    Parameters
+    ----------
+    paint : Paint
+        The shot, and its colours.
+    settings : ViewSettings
+        How.
+    save : callable
+        Writes an edited model to a file, as a model or as a sequence; raises `MixseqError`.
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise MissingExtraError(
+            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
+        ) from None
+    with ExitStack() as stack:
+        with redirect_stdout(StringIO()):  # a greeting of viser
+            server = viser.ViserServer(settings.host, settings.port, label="mixseq", verbose=False)
+        stack.callback(_stop, server)
+        yield Viewer(server, paint, settings, save, stack)
+
+
+def _stop(server: Any) -> None:
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+def _reachable(host: str) -> str:
+    return "127.0.0.1" if host in ("0.0.0.0", "::") else host

@@ -1,0 +1,88 @@
+"""What the page says to Python: JSON from a browser, believed only after it was checked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+MOST_POINTS = 5000
+"""A stroke has no more points, a retiming no more keys."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The page has drawn a frame."""
+
+
+@dataclass(frozen=True)
+class Seek:
+    """Go to a time of the model, in seconds."""
+
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drag:
+    """The time curve was taken at a time to a place ``(2,)`` of the layout; `done` when it is let go."""
+
+    time: float
+    to: Float
+    done: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """A curve ``(N, 2)`` was drawn in the layout."""
+
+    points: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Retime:
+    """Keys ``(n, 2)`` of a retiming, times of the output and of the source; `done` when they are let go."""
+
+    keys: Float
+    done: bool
+
+
+Message = Drawn | Seek | Drag | Sketch | Retime
+
+
+def message_of(text: str) -> Message | None:
+    """Return what a text says, or None if it says nothing that makes sense."""
+    try:
+        said = json.loads(text)
+        match said:
+            case {"kind": "drawn"}:
+                return Drawn()
+            case {"kind": "seek", "time": time}:
+                return Seek(_number(time))
+            case {"kind": "drag", "time": time, "to": to, "done": bool(done)}:
+                return Drag(_number(time), _pairs([to])[0], done)
+            case {"kind": "sketch", "points": points}:
+                return Sketch(_pairs(points))
+            case {"kind": "retime", "keys": keys, "done": bool(done)}:
+                return Retime(_pairs(keys), done)
+    except (ValueError, TypeError, RecursionError):
+        return None
+    return None
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ValueError
+    return float(value)
+
+
+def _pairs(rows: Any) -> Float:
+    if not isinstance(rows, list) or not 0 < len(rows) <= MOST_POINTS:
+        raise ValueError
+    if any(not isinstance(row, list) or len(row) != 2 for row in rows):
+        raise ValueError
+    return np.array([[_number(value) for value in row] for row in rows])

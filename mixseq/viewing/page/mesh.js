@@ -1,0 +1,288 @@
+// Draws meshes with WebGL 2: poses, normals and colours go to the graphics card when a frame is shown.
+"use strict";
+
+/**
+ * Make a renderer of a canvas, or null where there is no WebGL 2.
+ *
+ * `meshOf(item)` makes a mesh of {vertices, faces, positions, centre, step, colourings: [{palette, indices, constant}]};
+ * `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
+ * page, shown: [{mesh, pose, share, colouring, tint}], rows: rotation to the screen, target: what is looked at,
+ * scale: pixels per unit, shift: pixels from the middle, ground: its height, reach: half the side of the ground that has
+ * shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
+ */
+var mixseqRenderer = function (canvas) {
+  const ATTRIBUTES = ["x0", "y0", "z0", "x1", "y1", "z1", "n0", "n1", "c0", "c1"];
+  const SHADOW_PIXELS = 256, HEAT_CONTRAST = 0.25;
+  const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
+  if (!gl) return null;
+
+  const programs = Object.fromEntries(Object.entries(mixseqShaders).map(([name, texts]) => [name, newProgram(...texts)]));
+  const poses = gl.createVertexArray();
+  const shadows = [newPicture(), newPicture()];
+  let ratio = 1;
+
+  // Programs ------------------------------------------------------------------------------------------------------
+
+  function newProgram(vertex, fragment) {
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
+    }
+    ATTRIBUTES.forEach((name, place) => gl.bindAttribLocation(program, place, name));
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(program));
+    const setters = {};
+    for (let k = 0; k < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); k++) {
+      const { name, type } = gl.getActiveUniform(program, k), place = gl.getUniformLocation(program, name);
+      setters[name] = setter(type, place);
+    }
+    return { program, setters };
+  }
+
+  function setter(type, place) {
+    if (type === gl.FLOAT_MAT3) return (value) => gl.uniformMatrix3fv(place, true, value.flat()); // given by rows
+    if (type === gl.FLOAT_VEC4) return (value) => gl.uniform4fv(place, value);
+    if (type === gl.FLOAT_VEC3) return (value) => gl.uniform3fv(place, value);
+    if (type === gl.FLOAT_VEC2) return (value) => gl.uniform2fv(place, value);
+    if (type === gl.SAMPLER_2D) return (value) => gl.uniform1i(place, value);
+    return (value) => gl.uniform1f(place, value);
+  }
+
+  function use(name, values) {
+    const { program, setters } = programs[name];
+    gl.useProgram(program);
+    for (const key in values) setters[key]?.(values[key]);
+  }
+
+  // Meshes --------------------------------------------------------------------------------------------------------
+
+  function meshOf(item) {
+    const mesh = { ...item, slots: [newSlot(item), newSlot(item)], edges: null, textures: item.colourings.map((c) => newPalette(c.palette)) };
+    mesh.triangles = newBuffer(gl.ELEMENT_ARRAY_BUFFER, item.faces);
+    return mesh;
+  }
+
+  /** Buffers of one pose. Poses take turns: the even ones are in one slot, the odd ones in the other. */
+  function newSlot({ vertices }) {
+    return {
+      pose: -1, colouring: -1,
+      positions: newBuffer(gl.ARRAY_BUFFER, 6 * vertices), normals: newBuffer(gl.ARRAY_BUFFER, 12 * vertices), indices: newBuffer(gl.ARRAY_BUFFER, vertices),
+    };
+  }
+
+  function newBuffer(target, dataOrSize) {
+    const buffer = gl.createBuffer();
+    gl.bindVertexArray(null); // buffers of triangles would become those of the array
+    gl.bindBuffer(target, buffer);
+    gl.bufferData(target, dataOrSize, typeof dataOrSize === "number" ? gl.DYNAMIC_DRAW : gl.STATIC_DRAW);
+    return buffer;
+  }
+
+  function newPalette(colours) {
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(colours));
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    return texture;
+  }
+
+  /** The slot with a pose and its colours, which are sent to the card unless they are there. */
+  function slotOf(mesh, pose, colouring) {
+    const slot = mesh.slots[pose & 1];
+    if (slot.pose !== pose) {
+      const places = mesh.positions.subarray(3 * pose * mesh.vertices, 3 * (pose + 1) * mesh.vertices);
+      fill(slot.positions, places);
+      fill(slot.normals, normalsOf(mesh, places));
+    }
+    if (slot.pose !== pose || slot.colouring !== colouring) {
+      const { indices, constant } = mesh.colourings[colouring], start = constant ? 0 : pose * mesh.vertices;
+      fill(slot.indices, indices.subarray(start, start + mesh.vertices));
+    }
+    return Object.assign(slot, { pose, colouring });
+  }
+
+  function fill(buffer, data) {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferSubData(gl.ARRAY_BUFFER, 0, data);
+  }
+
+  let sums = new Float32Array(0);
+
+  /** Normals of the vertices, not of unit length: the sum of those of the triangles around them, by area. */
+  function normalsOf({ faces, vertices }, places) {
+    if (sums.length < 3 * vertices) sums = new Float32Array(3 * vertices);
+    const normals = sums.subarray(0, 3 * vertices).fill(0), y = vertices, z = 2 * vertices;
+    for (let k = 0; k < faces.length; k += 3) {
+      const a = faces[k], b = faces[k + 1], c = faces[k + 2];
+      const ax = places[a], ay = places[y + a], az = places[z + a];
+      const ux = places[b] - ax, uy = places[y + b] - ay, uz = places[z + b] - az;
+      const vx = places[c] - ax, vy = places[y + c] - ay, vz = places[z + c] - az;
+      const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+      for (const corner of [3 * a, 3 * b, 3 * c]) {
+        normals[corner] += nx;
+        normals[corner + 1] += ny;
+        normals[corner + 2] += nz;
+      }
+    }
+    return normals;
+  }
+
+  /** Every edge of the triangles once, as a buffer of pairs; made when it is first wanted. */
+  function edgesOf(mesh) {
+    if (mesh.edges) return mesh.edges;
+    const { faces, vertices } = mesh, keys = new Float64Array(faces.length);
+    for (let k = 0; k < faces.length; k++) {
+      const a = faces[k], b = faces[k % 3 === 2 ? k - 2 : k + 1];
+      keys[k] = Math.min(a, b) * vertices + Math.max(a, b);
+    }
+    const pairs = [];
+    keys.sort().forEach((key, k) => key !== keys[k - 1] && pairs.push(Math.floor(key / vertices), key % vertices));
+    mesh.edges = { buffer: newBuffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(pairs)), count: pairs.length };
+    return mesh.edges;
+  }
+
+  /** Prepare what is shown for drawing; returns the uniforms that place it. */
+  function bindPose({ mesh, pose, share, colouring }, target) {
+    const now = slotOf(mesh, pose, colouring), next = share > 0 ? slotOf(mesh, pose + 1, colouring) : now;
+    gl.bindVertexArray(poses);
+    [now, next].forEach((slot, k) => {
+      for (let axis = 0; axis < 3; axis++) attribute("xyz"[axis] + k, slot.positions, 1, gl.SHORT, 2 * axis * mesh.vertices);
+      attribute("n" + k, slot.normals, 3, gl.FLOAT, 0);
+      attribute("c" + k, slot.indices, 1, gl.UNSIGNED_BYTE, 0);
+    });
+    return { share, unit: mesh.step, origin: mesh.centre.map((value, k) => value - target[k]) };
+  }
+
+  function attribute(name, buffer, size, type, offset) {
+    const place = ATTRIBUTES.indexOf(name);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, size, type, false, 0, offset);
+  }
+
+  function drawElements(kind, buffer, count) {
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
+    gl.drawElements(kind, count, gl.UNSIGNED_INT, 0);
+  }
+
+  // Shadows -------------------------------------------------------------------------------------------------------
+
+  /** A small picture to draw into, with one channel. */
+  function newPicture() {
+    const texture = gl.createTexture(), frame = gl.createFramebuffer();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R8, SHADOW_PIXELS, SHADOW_PIXELS);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.LINEAR);
+    for (const wrap of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, wrap, gl.CLAMP_TO_EDGE);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return { texture, frame };
+  }
+
+  function drawShadow({ shown, target, ground, reach, size }) {
+    gl.bindFramebuffer(gl.FRAMEBUFFER, shadows[0].frame);
+    gl.viewport(0, 0, SHADOW_PIXELS, SHADOW_PIXELS);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.disable(gl.DEPTH_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendEquation(gl.MAX); // what is closest to the ground counts, however many layers there are
+    for (const item of shown) {
+      use("shadow", { ...bindPose(item, target), ground: ground - target[1], reach, size });
+      drawElements(gl.TRIANGLES, item.mesh.triangles, item.mesh.faces.length);
+    }
+    gl.blendEquation(gl.FUNC_ADD);
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(null);
+    const sigma = (0.019 * size) / (2 * reach);
+    [[sigma, 0], [0, sigma]].forEach((along, k) => {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, shadows[1 - k].frame);
+      gl.bindTexture(gl.TEXTURE_2D, shadows[k].texture);
+      use("blur", { picture: 0, sigma: along });
+      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  // Pictures ------------------------------------------------------------------------------------------------------
+
+  function draw(panels, look, quality = 1) {
+    ratio = quality * Math.min(window.devicePixelRatio || 1, 2);
+    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(...look.background, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    // pictures beside each other fade into each other
+    panels.forEach((panel) => drawPanel(panel, { ...look, edge: panels.length > 1 ? 60 * ratio : 1e-3 }));
+  }
+
+  function drawPanel(panel, look) {
+    if (look.grid) drawShadow(panel);
+    const [left, top, width, height] = panel.box.map((value) => Math.round(value * ratio));
+    const bottom = canvas.height - top - height;
+    gl.viewport(left, bottom, width, height);
+    gl.scissor(left, bottom, width, height);
+    gl.enable(gl.SCISSOR_TEST);
+    const screen = {
+      turn: panel.rows,
+      scale: [(2 * panel.scale) / panel.box[2], (2 * panel.scale) / panel.box[3]],
+      shift: [(2 * panel.shift[0]) / panel.box[2], (-2 * panel.shift[1]) / panel.box[3]],
+      depth: 0.2 / panel.size, // nothing that moves is farther away than a few times its size
+    };
+    if (look.grid) drawGround(panel, look, screen, [left, bottom, left + width, bottom + height]);
+    gl.enable(gl.DEPTH_TEST);
+    for (const item of panel.shown) drawMesh(item, panel, look, screen);
+  }
+
+  function drawGround({ target, ground, reach, size, rows }, look, screen, window) {
+    const cell = roundLength(size / 6), radius = 1.5 * Math.max(size, reach);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.bindVertexArray(null);
+    gl.bindTexture(gl.TEXTURE_2D, shadows[0].texture);
+    use("ground", {
+      ...screen, ground: ground - target[1], radius, reach, cell, shadow: 0, line: look.line, shade: look.shade, window, edge: look.edge,
+      origin: [-target[0] % cell, -target[2] % cell], opacity: Math.min(Math.max(1 + 12 * upward(rows), 0), 1), // from below there is no ground
+    });
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.disable(gl.BLEND);
+  }
+
+  function drawMesh(item, { target }, look, screen) {
+    const { mesh, colouring } = item, place = bindPose(item, target);
+    gl.bindTexture(gl.TEXTURE_2D, mesh.textures[colouring]);
+    use("mesh", { ...screen, ...place, palette: 0, tint: item.tint, contrast: mesh.colourings[colouring].constant ? 1 : HEAT_CONTRAST });
+    if (look.wires) gl.enable(gl.POLYGON_OFFSET_FILL); // edges are in front of the triangles that they bound
+    gl.polygonOffset(1, 1);
+    drawElements(gl.TRIANGLES, mesh.triangles, mesh.faces.length);
+    gl.disable(gl.POLYGON_OFFSET_FILL);
+    if (!look.wires) return;
+    const edges = edgesOf(mesh);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.bindVertexArray(poses);
+    use("wire", { ...screen, ...place, ink: look.ink });
+    drawElements(gl.LINES, edges.buffer, edges.count);
+    gl.disable(gl.BLEND);
+  }
+
+  /** How much the camera looks from above: the sine of its elevation. */
+  const upward = (rows) => rows[2][1];
+
+  /** 1, 2 or 5 times a power of ten, near a length. */
+  function roundLength(length) {
+    const power = 10 ** Math.floor(Math.log10(length)), first = length / power;
+    return power * (first < 1.5 ? 1 : first < 3.5 ? 2 : first < 7.5 ? 5 : 10);
+  }
+
+  return { meshOf, draw };
+};

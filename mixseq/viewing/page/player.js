@@ -1,0 +1,326 @@
+// The page: unpacks what it holds, keeps the clock, and connects the controls with what is drawn.
+"use strict";
+
+(async function () {
+  const element = (id) => document.getElementById(id);
+  const description = JSON.parse(element("description").textContent);
+  const canvas = element("view");
+  const SLOW = 90; // milliseconds between frames
+  const LIGHT = { background: [1, 1, 1], line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
+  const DARK = { background: [0.1216, 0.1255, 0.1373], line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
+
+  document.title = description.title;
+
+  // What is in the page -------------------------------------------------------------------------------------------
+
+  function fail(text) {
+    element("message").textContent = text;
+    element("message").setAttribute("role", "alert");
+    element("bar").hidden = element("side").hidden = true;
+    document.documentElement.dataset.state = "failed";
+  }
+
+  /** Unpack all streams: triangles, positions and colours of one item after the other. */
+  async function unpackAll(items) {
+    const streams = [...document.querySelectorAll('script[type="application/octet-stream"]')];
+    const all = streams.reduce((sum, stream) => sum + stream.textContent.length, 0);
+    let read = 0;
+    const next = () => mixseqUnpack.unpack(streams.shift(), (characters) => {
+      read += characters;
+      element("message").textContent = `Unpacking: ${Math.round((100 * read) / all)} %`;
+    });
+    for (const item of items) {
+      item.faces = await next();
+      item.positions = await next();
+      for (const colouring of item.colourings) colouring.indices = await next();
+    }
+  }
+
+  if (!mixseqUnpack.possible()) {
+    return fail("This browser cannot unpack the page: it has no DecompressionStream. Browsers from 2023 on have it, such as Chrome 80, Firefox 113 and Safari 16.4.");
+  }
+  let renderer = mixseqRenderer(canvas);
+  if (!renderer) {
+    return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
+  }
+  const items = description.items, began = performance.now();
+  try {
+    await unpackAll(items);
+  } catch (error) {
+    return fail(`The page is damaged: ${error.message}. Try to get it again.`);
+  }
+  const unpackedIn = performance.now() - began;
+  let meshes = items.map(renderer.meshOf);
+
+  // State ---------------------------------------------------------------------------------------------------------
+
+  const period = description.period;
+  const moments = [...new Set(items.flatMap((item) => item.times))].sort((a, b) => a - b).filter((time, k, all) => !k || time - all[k - 1] > 1e-6);
+  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
+  const state = { time: 0, playing: period > 0 && !still, speed: 1, loop: true, smooth: true, wires: false, grid: true, overlaid: description.overlaid && items.length > 1, colour: "" };
+  let panels = [], drawn = 0, asked = false, last = null, pace = 0;
+
+  const stage = mixseqStage(element("stage"), element("names"), element("legend"));
+  const camera = mixseqCamera(canvas, redraw, middleOf);
+
+  /** The middle of the panel that a pointer is in, in pixels of the window. */
+  function middleOf({ clientX, clientY }) {
+    const corner = canvas.getBoundingClientRect(), x = clientX - corner.left, y = clientY - corner.top;
+    const inside = ({ box: [left, top, width, height] }) => x >= left && x < left + width && y >= top && y < top + height;
+    const [left, top, width, height] = (panels.find(inside) || panels[0]).box;
+    return [corner.left + left + width / 2, corner.top + top + height / 2];
+  }
+
+  // Time ----------------------------------------------------------------------------------------------------------
+
+  /** The last of increasing times that is not after a time. */
+  function lastBefore(times, time) {
+    let low = 0, high = times.length - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (times[middle] <= time + 1e-6) low = middle;
+      else high = middle - 1;
+    }
+    return low;
+  }
+
+  function nearest(times, time) {
+    const before = lastBefore(times, time), after = Math.min(before + 1, times.length - 1);
+    return times[after] - time < time - times[before] ? after : before;
+  }
+
+  /** The pose of an item at a time, and how far it is on its way to the next one; after its end it waits. */
+  function poseAt({ times }, time) {
+    if (!state.smooth) return { pose: nearest(times, time), share: 0 };
+    const pose = lastBefore(times, time);
+    if (pose === times.length - 1) return { pose, share: 0 };
+    const share = (time - times[pose]) / (times[pose + 1] - times[pose]);
+    return { pose, share: share > 1e-4 ? share : 0 };
+  }
+
+  function seek(time) {
+    state.time = Math.min(Math.max(time, 0), moments[moments.length - 1]);
+    redraw();
+  }
+
+  function step(by) {
+    play(false);
+    const here = nearest(moments, state.time), count = moments.length;
+    seek(moments[state.loop ? (here + by + count) % count : Math.min(Math.max(here + by, 0), count - 1)]);
+  }
+
+  function play(on) {
+    if (on && !state.loop && state.time >= moments[moments.length - 1] - 1e-6) state.time = 0;
+    if (!on && state.playing) state.time = moments[nearest(moments, state.time)];
+    state.playing = on && period > 0;
+    element("play").classList.toggle("playing", state.playing);
+    element("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+    redraw();
+  }
+
+  function advance(seconds) {
+    state.time += seconds * state.speed;
+    if (state.time < period) return;
+    if (state.loop) state.time %= period;
+    else {
+      state.time = moments[moments.length - 1];
+      play(false);
+    }
+  }
+
+  // Drawing -------------------------------------------------------------------------------------------------------
+
+  function redraw() {
+    if (!asked) requestAnimationFrame(draw);
+    asked = true;
+  }
+
+  function draw(now) {
+    asked = false;
+    // after a pause of the whole page it goes on where it was
+    if (state.playing && last !== null) advance(Math.min((now - last) / 1000, 0.25));
+    pace = state.playing && last !== null ? 0.8 * pace + 0.2 * (now - last) : pace;
+    last = state.playing ? now : null;
+    panels = stage.panels(items, camera, state.overlaid, element("legend").dataset.wanted === "true");
+    const shown = items.map((item, k) => ({ mesh: meshes[k], ...poseAt(item, state.time), colouring: colouringOf(item), tint: stage.tint(k, tinted()) }));
+    panels.forEach((panel, k) => (panel.shown = state.overlaid ? shown : [shown[k]]));
+    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), wires: state.wires, grid: state.grid }, quality());
+    tellTime();
+    drawn++;
+    if (state.playing) redraw();
+  }
+
+  /** Where there is no graphics card, half the pixels each way have to do while it moves. */
+  const quality = () => (state.playing && pace > SLOW ? 0.5 : 1);
+
+  const tinted = () => state.overlaid && state.colour === "clay";
+
+  /** The number of the chosen colouring of an item, or of its first one if it has no such. */
+  const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
+
+  function tellTime() {
+    const number = nearest(moments, state.time) + 1;
+    if (document.activeElement !== element("time") || state.playing) element("time").value = state.time;
+    const digits = `${moments.length}`.length;
+    element("now").textContent = `${`${number}`.padStart(digits, "\u2007")} / ${moments.length} · ${state.time.toFixed(2)} s`;
+    element("time").setAttribute("aria-valuetext", `frame ${number} of ${moments.length}, ${state.time.toFixed(2)} seconds`);
+    charts?.at(chosenSignals.start + Math.min(state.time, chosenSignals.end - chosenSignals.start));
+  }
+
+  function arrange() {
+    panels = stage.panels(items, camera, state.overlaid, element("legend").dataset.wanted === "true");
+    stage.placeNames(items, panels, state.overlaid, tinted());
+    redraw();
+  }
+
+  // Signals -------------------------------------------------------------------------------------------------------
+
+  const withSignals = items.filter((item) => item.signals);
+  let charts = null, chosenSignals = withSignals[0]?.signals;
+
+  function makeCharts() {
+    if (!withSignals.length) return;
+    charts?.remove?.();
+    charts = mixseqCharts(element("charts"), { onSeek: (seconds) => seekInSignals(seconds) }, { editable: false, dark: darkness.matches });
+    charts.show(chosenSignals);
+    redraw();
+  }
+
+  function seekInSignals(seconds) {
+    play(false);
+    seek(seconds - chosenSignals.start);
+  }
+
+  function fold(open) {
+    element("side").hidden = !open;
+    press("fold", open);
+    if (open) charts.resize();
+  }
+
+  // Controls ------------------------------------------------------------------------------------------------------
+
+  const press = (id, on) => element(id).setAttribute("aria-pressed", `${on}`);
+
+  function toggle(id, key) {
+    element(id).onclick = () => {
+      state[key] = !state[key];
+      press(id, state[key]);
+      redraw();
+    };
+  }
+
+  function fillColours() {
+    const all = new Map(items.flatMap((item) => item.colourings.map((colouring) => [colouring.name, colouring])));
+    const select = element("colour");
+    for (const name of all.keys()) select.add(new Option(mixseqCapital(name), name));
+    element("colour-choice").hidden = all.size < 2;
+    element("legend").dataset.wanted = [...all.keys()].some((name) => name !== "clay");
+    select.onchange = () => {
+      state.colour = select.value;
+      stage.legend(all.get(state.colour));
+      arrange();
+    };
+    select.onchange();
+  }
+
+  function nextColour() {
+    const select = element("colour");
+    select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+    select.onchange();
+  }
+
+  function tellFacts() {
+    element("help-title").textContent = description.title;
+    const number = (value) => value.toLocaleString("en");
+    const facts = items.map(({ name, vertices, triangles, times, step: unit }) =>
+      `${name}: ${number(vertices)} vertices, ${number(triangles)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"}, ` +
+      `positions rounded to ±${(unit / 2).toPrecision(2)} units`);
+    facts.push("Positions are stored in 16 bits, 65,534 steps along the longest side of what a mesh moves in; colours that mean numbers have 256 steps.");
+    facts.push(`Made with mixseq ${description.version}.`);
+    element("facts").replaceChildren(...facts.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
+  }
+
+  const KEYS = {
+    " ": () => play(!state.playing), ArrowLeft: () => step(-1), ArrowRight: () => step(1),
+    Home: () => (play(false), seek(0)), End: () => (play(false), seek(period)),
+    "+": () => camera.zoomBy(1.2), "=": () => camera.zoomBy(1.2), "-": () => camera.zoomBy(1 / 1.2), 0: () => camera.reset(), c: nextColour,
+  };
+  const TURNS = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
+
+  function key(event) {
+    const inside = event.target, typing = inside instanceof HTMLSelectElement || element("help").open;
+    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.key === " " && inside instanceof HTMLButtonElement) return; // presses the button
+    const action = event.shiftKey && TURNS[event.key] ? () => camera.turn(...TURNS[event.key]) : KEYS[event.key];
+    if (!action || (!period && ["ArrowLeft", "ArrowRight", "Home", "End", " "].includes(event.key) && !event.shiftKey)) return;
+    event.preventDefault();
+    action();
+  }
+
+  function connect() {
+    element("play").onclick = () => play(!state.playing);
+    element("back").onclick = () => step(-1);
+    element("forward").onclick = () => step(1);
+    element("time").max = moments[moments.length - 1];
+    element("time").oninput = (event) => {
+      play(false);
+      const time = +event.target.value;
+      seek(state.smooth ? time : moments[nearest(moments, time)]);
+    };
+    element("speed").onchange = (event) => (state.speed = +event.target.value);
+    element("layout").value = state.overlaid ? "over" : "side";
+    element("layout").onchange = (event) => {
+      state.overlaid = event.target.value === "over";
+      arrange();
+    };
+    toggle("loop", "loop");
+    toggle("smooth", "smooth");
+    toggle("wires", "wires");
+    toggle("ground", "grid");
+    element("reset").onclick = camera.reset;
+    element("about").onclick = () => element("help").showModal();
+    element("fold").onclick = () => fold(element("side").hidden);
+    element("layout-choice").hidden = items.length < 2;
+    element("transport").hidden = element("speed-choice").hidden = element("loop").hidden = element("smooth").hidden = !period;
+    element("fold").hidden = !withSignals.length;
+    element("side-choice").hidden = withSignals.length < 2;
+    withSignals.forEach(({ name }, k) => element("side-item").add(new Option(name, k)));
+    element("side-item").onchange = (event) => {
+      chosenSignals = withSignals[event.target.value].signals;
+      charts.show(chosenSignals);
+      redraw();
+    };
+    window.addEventListener("keydown", key);
+    darkness.addEventListener("change", makeCharts);
+    new ResizeObserver(arrange).observe(element("stage"));
+    // a card that was taken away, by sleep or by another page, comes back empty
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      renderer = mixseqRenderer(canvas);
+      meshes = items.map(renderer.meshOf);
+      redraw();
+    });
+  }
+
+  element("message").hidden = true;
+  element("bar").hidden = false;
+  connect();
+  tellFacts();
+  fillColours();
+  makeCharts();
+  if (withSignals.length) fold(window.innerWidth > 860);
+  arrange();
+  play(state.playing);
+
+  // For tests: what is shown, and where.
+  window.mixseqPlayer = {
+    seek, play, items, unpackedIn,
+    state: () => ({ ...state, drawn, period, moments: moments.length, frame: nearest(moments, state.time), yaw: camera.yaw, pitch: camera.pitch, zoom: camera.zoom, pan: camera.pan }),
+    /** Wait until all is drawn that was asked for. */
+    settled: async () => {
+      while (asked) await new Promise(requestAnimationFrame);
+    },
+  };
+  document.documentElement.dataset.state = "ready";
+})();

@@ -1,0 +1,118 @@
+// The stage: where meshes stand on it, side by side or overlaid, their names above them, and the legend of the colours.
+"use strict";
+
+/**
+ * Make a stage in the elements of the page. `panels(items, camera, overlaid)` tells the renderer what to look at, without
+ * what is shown; `placeNames` writes the names, `legend` tells what colours mean.
+ */
+var mixseqStage = function (stage, names, legendElement) {
+  const NAME_HEIGHT = 34, LEGEND_HEIGHT = 52, MARGIN = 0.05;
+  const TINTS = [[1, 1, 1], [0.72, 0.92, 1.16], [0.8, 1.1, 0.8], [1.08, 0.86, 1.12], [1.12, 1.02, 0.7]];
+
+  /** Factors of the clay of overlaid meshes, by which they can be told apart. */
+  const tint = (number, overlaid) => (overlaid ? TINTS[number % TINTS.length] : TINTS[0]);
+
+  /** What holds several items, and how it is first seen; `view` is 0 for their own views, 1 for that of the first item. */
+  function frame(items, view) {
+    const low = [0, 1, 2].map((k) => Math.min(...items.map((item) => item.low[k])));
+    const high = [0, 1, 2].map((k) => Math.max(...items.map((item) => item.high[k])));
+    const seen = [Math.min, Math.max, Math.min, Math.max].map((nearest, k) => nearest(...items.map((item) => item.seen[view][k])));
+    return { low, high, seen, target: low.map((value, k) => (value + high[k]) / 2) };
+  }
+
+  /** Boxes beside each other, in as many columns as make the pictures largest. */
+  function boxes(count, width, height, aspect) {
+    let best = null;
+    for (let columns = 1; columns <= count; columns++) {
+      const rows = Math.ceil(count / columns), across = width / columns, down = height / rows;
+      const size = Math.min(across, Math.max(down - NAME_HEIGHT, 1) * aspect);
+      if (!best || size > best.size * 1.001) best = { columns, across, down, size };
+    }
+    return Array.from({ length: count }, (_, k) => {
+      const row = Math.floor(k / best.columns), inRow = Math.min(best.columns, count - row * best.columns);
+      const indent = ((best.columns - inRow) * best.across) / 2; // a last row that is not full is centred
+      return [indent + (k % best.columns) * best.across, row * best.down, best.across, best.down];
+    });
+  }
+
+  function panels(items, camera, overlaid, hasLegend) {
+    const view = overlaid ? 1 : 0, first = items[0];
+    const together = overlaid ? [items] : items.map((item) => (item.likeFirst ? items.filter((other) => other.likeFirst) : [item]));
+    const below = hasLegend ? LEGEND_HEIGHT : 0, frames = together.map((group) => ({ ...frame(group, view), ...viewOf(overlaid ? first : group[0]) }));
+    const sizes = frames.map(pictureSize), width = stage.clientWidth, height = stage.clientHeight - below;
+    const aspect = sizes.map((size) => size[0] / size[1]).sort((a, b) => a - b)[sizes.length >> 1];
+    return boxes(frames.length, width, height, aspect).map(([left, top, across, down], k) => {
+      const last = top + down > height - 1; // the ground goes on under the legend
+      const room = [left, top + NAME_HEIGHT, across, down - NAME_HEIGHT];
+      return panel(frames[k], sizes[k], [left, top, across, last ? down + below : down], room, camera);
+    });
+  }
+
+  const viewOf = ({ azimuth, elevation }) => ({ azimuth, elevation });
+
+  /** Width and height of what is first seen, and of what is seen when it is turned. */
+  function pictureSize({ low, high, seen }) {
+    const across = Math.max(seen[1] - seen[0], Math.hypot(high[0] - low[0], high[2] - low[2]));
+    const larger = Math.max(across, seen[3] - seen[2]) || 1;
+    return [Math.max(across, 0.2 * larger), Math.max(seen[3] - seen[2], 0.2 * larger)];
+  }
+
+  function panel({ low, high, seen, target, azimuth, elevation }, size, box, room, camera) {
+    const [, , width, height] = room, middle = (at) => at[1] + at[3] / 2;
+    const fit = (1 - 2 * MARGIN) * Math.min(width / size[0], Math.max(height, 1) / size[1]);
+    // what is first seen is in the middle of the room under the name
+    const first = firstRows(azimuth, elevation).map((row) => row[0] * target[0] + row[1] * target[1] + row[2] * target[2]);
+    const scale = fit * camera.zoom, aside = (seen[0] + seen[1]) / 2 - first[0], above = (seen[2] + seen[3]) / 2 - first[1];
+    const shift = [camera.pan[0] - aside * scale, camera.pan[1] + above * scale + (middle(room) - middle(box)) * camera.zoom];
+    const rows = camera.rows(azimuth, elevation), sides = high.map((value, k) => value - low[k]);
+    const largest = Math.max(...sides) || 1;
+    return { box, rows, target, scale, shift, ground: low[1], size: largest, reach: 0.6 * Math.max(sides[0], sides[2]) + 0.08 * largest };
+  }
+
+  function firstRows(azimuth, elevation) {
+    const [ca, sa, ce, se] = [azimuth, elevation].flatMap((d) => [Math.cos((d * Math.PI) / 180), Math.sin((d * Math.PI) / 180)]);
+    return [[ca, 0, -sa], [-se * sa, ce, -se * ca]];
+  }
+
+  function placeNames(items, panelsNow, overlaid, tinted, dark) {
+    names.replaceChildren(...panelsNow.map(({ box }, k) => {
+      const name = document.createElement("div");
+      name.className = "name";
+      Object.assign(name.style, { left: `${box[0]}px`, top: `${box[1] + 10}px`, width: `${box[2]}px` });
+      if (!overlaid) name.textContent = name.title = items[k].name;
+      else items.forEach((item, number) => name.append(chip(item, number, tinted)));
+      return name;
+    }));
+  }
+
+  /** The name of an overlaid mesh, with its colour where it has one. */
+  function chip(item, number, tinted) {
+    const text = document.createElement("span");
+    if (tinted) {
+      const colour = item.colourings[0].palette.slice(0, 3).map((value, k) => Math.min(value * TINTS[number % TINTS.length][k], 255));
+      const square = text.appendChild(document.createElement("i"));
+      square.style.background = `rgb(${colour.map(Math.round).join(",")})`;
+    }
+    text.append(item.name);
+    return text;
+  }
+
+  /** Tell what the colours of a colouring mean, if they mean anything. */
+  function legend(colouring) {
+    const [name, scale] = legendElement.children, [bar, numbers] = scale.children;
+    legendElement.hidden = !colouring || colouring.name === "clay";
+    if (legendElement.hidden) return;
+    scale.hidden = colouring.constant;
+    name.textContent = colouring.constant ? (colouring.name === "parts" ? "Each colour is a rigid part, red are joints" : colouring.name) : label(colouring);
+    if (colouring.constant) return;
+    const stops = Array.from({ length: 17 }, (_, k) => colouring.palette.slice(3 * Math.min(16 * k, 255), 3 * Math.min(16 * k, 255) + 3));
+    bar.style.background = `linear-gradient(90deg, ${stops.map((rgb) => `rgb(${rgb.join(",")})`).join(",")})`;
+    [0, colouring.top / 2, colouring.top].forEach((value, k) => (numbers.children[k].textContent = `${+value.toPrecision(3)}`));
+  }
+
+  const label = ({ name, unit }) => mixseqCapital(name) + (unit ? ` (${unit})` : "");
+
+  return { panels, placeNames, legend, tint };
+};
+
+var mixseqCapital = (name) => name.charAt(0).toUpperCase() + name.slice(1);

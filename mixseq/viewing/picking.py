@@ -1,0 +1,67 @@
+r"""What is under the pointer: the first triangle that a ray meets (Möller & Trumbore 1997).
+
+A point of the ray is :math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they meet where
+:math:`t > 0`, :math:`u, v \ge 0` and :math:`u + v \le 1`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.sequence import IntArray
+
+
+class Picked(NamedTuple):
+    """What a ray meets first.
+
+    Attributes
+    ----------
+    face : int
+        The triangle.
+    vertex : int
+        The nearest of its corners.
+    distance : float
+        How far along the ray, in lengths of its direction.
+    """
+
+    face: int
+    vertex: int
+    distance: float
+
+
+def pick(
+    points: NDArray[np.floating], faces: IntArray, origin: ArrayLike, direction: ArrayLike
+) -> Picked | None:
+    """Return the first triangle that a ray meets, from either side, or None.
+
+    Parameters
+    ----------
+    points : (V, 3) float
+        Vertices.
+    faces : (F, 3) int
+        Triangles.
+    origin, direction : (3,) float
+        The ray.
+    """
+    start, along = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
+    a, b, c = np.moveaxis(np.asarray(points, dtype=np.float64)[faces], 1, 0)
+    first, second = b - a, c - a
+    across = np.cross(along, second)
+    volume = np.einsum("fi,fi->f", first, across)
+    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge on
+        offset = start - a
+        u = np.einsum("fi,fi->f", offset, across) / volume
+        turned = np.cross(offset, first)
+        v = turned @ along / volume
+        t = np.einsum("fi,fi->f", second, turned) / volume
+        met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & np.isfinite(t)
+    if not met.any():
+        return None
+    face = int(np.where(met, t, np.inf).argmin())
+    corners = faces[face]
+    place = start + t[face] * along
+    nearest = np.linalg.norm(np.asarray(points, dtype=np.float64)[corners] - place, axis=1).argmin()
+    return Picked(face, int(corners[nearest]), float(t[face]))

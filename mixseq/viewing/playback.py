@@ -1,0 +1,238 @@
+"""Showing the frame that is due: a thread between the clock, the decoded frames, and a stage that draws them.
+
+Frames that are not decoded in time are left out, and no frame is sent before the stage has drawn the one before: the
+time that is seen is right, however slow the machine or the line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Condition, Thread
+from time import monotonic
+from typing import Protocol, Self
+
+from mixseq.errors import MixseqError
+from mixseq.viewing.clock import Clock
+from mixseq.viewing.frames import MEMORY, Frames
+from mixseq.viewing.shown import Points, Shot
+
+PATIENCE = 0.25
+"""Seconds after which a frame counts as drawn, though nobody said so."""
+
+IDLE = 0.5
+"""Seconds after which a stage is asked again, where nothing happens."""
+
+
+class Stage(Protocol):
+    """What draws."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether it still draws the last moment; it then calls `Playback.drawn`."""
+
+    def show(self, moment: Moment) -> None:
+        """Draw a moment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is seen at a time.
+
+    Attributes
+    ----------
+    shot : Shot
+        What is shown.
+    frame : int
+        Which frame of it.
+    poses : tuple of (V, 3) float32
+        The points of its items.
+    """
+
+    shot: Shot
+    frame: int
+    poses: tuple[Points, ...]
+
+
+class Playback:
+    """Plays a shot on a stage.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is shown.
+    stage : Stage
+        What draws it.
+    failed : callable
+        Told about errors, on the thread that plays.
+    threads : int
+        How many threads decode.
+    memory : int
+        Bytes of decoded frames that are kept.
+    """
+
+    def __init__(
+        self,
+        shot: Shot,
+        stage: Stage,
+        failed: Callable[[MixseqError], None],
+        threads: int = 2,
+        memory: int = MEMORY,
+    ) -> None:
+        self._shot = shot
+        self._stage = stage
+        self._failed = failed
+        self._clock = Clock(shot.count, shot.fps)
+        self._settled = True
+        self._shown: tuple[Shot, int] | None = None
+        self._stale = False
+        self._sent = 0.0
+        self._closed = False
+        self._changed = Condition()
+        self._frames = Frames(self.drawn, threads, memory)
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join()
+        self._frames.close()
+
+    @property
+    def shot(self) -> Shot:
+        """What is shown."""
+        return self._shot
+
+    @property
+    def plays(self) -> bool:
+        """Whether it runs."""
+        return self._clock.runs
+
+    @property
+    def frame(self) -> int:
+        """The frame that is due."""
+        return self._clock.at(monotonic())
+
+    def play(self) -> None:
+        """Go on, from the begin if it stands at the end."""
+        with self._changed:
+            if not self._clock.runs and self._clock.at(monotonic()) == self._clock.count - 1:
+                self._clock = self._clock.sought(0, monotonic())
+            self._clock = self._clock.started(monotonic())
+            self._changed.notify_all()
+
+    def pause(self) -> None:
+        """Stand still at the frame that was shown last, if it runs."""
+        with self._changed:
+            if not self._clock.runs:
+                return
+            now = monotonic()
+            frame = self._shown[1] if self._shown and self._shown[0] is self._shot else self._clock.at(now)
+            self._clock = self._clock.stopped(now).sought(frame, now)
+            self._changed.notify_all()
+
+    def seek(self, frame: int) -> None:
+        """Go to a frame."""
+        with self._changed:
+            self._clock = self._clock.sought(frame, monotonic())
+            self._changed.notify_all()
+
+    def pace(self, speed: float) -> None:
+        """Play at another speed."""
+        with self._changed:
+            self._clock = self._clock.paced(speed, monotonic())
+            self._changed.notify_all()
+
+    def rate(self, fps: float) -> None:
+        """Show so many frames a second: of models all of them, of sequences the nearest."""
+        with self._changed:
+            self.change(replace(self._shot, rate=fps))
+
+    def change(self, shot: Shot, settled: bool = True) -> None:
+        """Show something else at the same time.
+
+        Parameters
+        ----------
+        shot : Shot
+            What.
+        settled : bool
+            Whether it will stay, so that its other frames are worth decoding.
+        """
+        with self._changed:
+            self._clock = self._clock.over(shot.count, shot.fps, monotonic())
+            self._shot, self._settled = shot, settled
+            self._changed.notify_all()
+
+    def refresh(self) -> None:
+        """Show the same again, in other colours."""
+        with self._changed:
+            self._shown, self._stale = None, True
+            self._changed.notify_all()
+
+    def caught_up(self, patience: float) -> bool:
+        """Wait until what is shown now was sent to the stage, at most so many seconds, and return whether it was."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: self._closed or (self._shown is not None and self._shown[0] is self._shot), patience
+            )
+
+    def drawn(self) -> None:
+        """Wake up: the stage is ready again, or a frame was decoded."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        awaited: tuple[Shot, int] | None = None
+        while True:
+            with self._changed:
+                if self._closed:
+                    return
+                now = monotonic()
+                if self._stage.busy and now - self._sent < PATIENCE:
+                    self._changed.wait(PATIENCE - (now - self._sent))
+                    continue
+                # a frame that took long is shown late rather than never
+                if awaited is None or awaited[0] is not self._shot or not self._clock.runs:
+                    awaited = self._shot, self._clock.at(now)
+                if awaited == self._shown:
+                    awaited = None
+                    self._changed.wait(self._clock.next_at(now) if self._clock.runs else IDLE)
+                    continue
+                shot, frame = awaited
+                ahead = self._settled
+                try:
+                    poses = self._frames.want(shot, frame, ahead)
+                except MixseqError as error:
+                    self._clock = self._clock.stopped(now)
+                    self._shown, awaited = (shot, frame), None
+                    failure: MixseqError | None = error
+                else:
+                    failure = None
+                    if poses is None:
+                        self._changed.wait(IDLE)
+                        continue
+                    self._stale = False
+            if failure is not None:
+                self._failed(failure)
+                continue
+            assert poses is not None
+            self._sent = monotonic()
+            try:
+                self._stage.show(Moment(shot, frame, poses))
+            except MixseqError as error:  # scales of colours look at frames of their own
+                self.pause()
+                self._failed(error)
+            with self._changed:
+                # whether it was asked for again while it was sent, maybe in the colours of before
+                self._shown = None if self._stale else (shot, frame)
+                self._changed.notify_all()
+            awaited = None

@@ -1,0 +1,196 @@
+"""A session of editing: which model is edited, what was done to it, and the thread that does it.
+
+Edits are done one after the other. Of previews, which follow the mouse, only the newest is done, and not before the one
+before was seen.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Condition, Thread
+from traceback import print_exception
+from typing import Protocol, Self
+
+from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.signals import Model
+from mixseq.viewing.history import History
+from mixseq.viewing.playback import Playback
+
+Edit = Callable[[Model], Model]
+Save = Callable[[Path, Model], None]
+
+PATIENCE = 1.0
+"""Seconds after which the next preview is made, though the last one was not seen."""
+
+
+class Told(Protocol):
+    """Who is told what happens, on another thread."""
+
+    def edited(self, session: Session) -> None:
+        """Another model is seen, or another one is edited."""
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Something could not be done."""
+
+    def saved(self, path: Path) -> None:
+        """A file was written."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    name: str
+    index: int
+    change: Callable[[History], History]
+    preview: bool = False
+
+
+class Session:
+    """Editing of the models of a shot.
+
+    Parameters
+    ----------
+    playback : Playback
+        Shows them.
+    told : Told
+        Who is told what happens.
+    save : callable
+        Writes a model to a file, as a model or as a sequence; raises `MixseqError`.
+    """
+
+    def __init__(self, playback: Playback, told: Told, save: Save) -> None:
+        self._playback = playback
+        self._told = told
+        self._save = save
+        self._histories = {
+            index: History.of(item.motion)
+            for index, item in enumerate(playback.shot.items)
+            if isinstance(item.motion, Model)
+        }
+        self._saved: dict[int, Model] = {}
+        self._index = min(self._histories, default=-1)
+        self._jobs: deque[_Job] = deque()
+        self._closed = False
+        self._changed = Condition()
+        self._thread = Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the thread, after the edit that it is at."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    @property
+    def editable(self) -> list[int]:
+        """Which items of the shot are models."""
+        return list(self._histories)
+
+    @property
+    def index(self) -> int:
+        """Which item is edited; -1 if none is a model."""
+        return self._index
+
+    @property
+    def history(self) -> History:
+        """What was done to the model that is edited."""
+        return self._histories[self._index]
+
+    @property
+    def model(self) -> Model:
+        """The model that is edited, as it is now."""
+        return self.history.model
+
+    @property
+    def unsaved(self) -> list[str]:
+        """Names of the models that were edited and are in no file."""
+        return [
+            self._playback.shot.items[index].name
+            for index, history in self._histories.items()
+            if history.changed and self._saved.get(index) is not history.model
+        ]
+
+    def choose(self, index: int) -> None:
+        """Edit another item."""
+        if index in self._histories:
+            self._index = index
+            self._told.edited(self)
+
+    def edit(self, name: str, edit: Edit) -> None:
+        """Do something to the model, on another thread; it can be undone."""
+        self._add(_Job(name, self._index, _step(name, edit)))
+
+    def preview(self, name: str, edit: Edit) -> None:
+        """Show what an edit of the model would make of it, unless another one is asked for first."""
+        self._add(_Job(name, self._index, _step(name, edit), preview=True))
+
+    def undo(self) -> None:
+        """Take back the last step, after the edits that were asked for before."""
+        self._add(_Job("undo", self._index, History.undone))
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._add(_Job("redo", self._index, History.redone))
+
+    def save(self, path: Path) -> None:
+        """Write the model to a file, on a thread of its own."""
+        Thread(target=self._write, args=(path, self._index, self.model), daemon=True).start()
+
+    def _write(self, path: Path, index: int, model: Model) -> None:
+        try:
+            self._save(path, model)
+        except Exception as error:
+            self._fail("save", error)
+        else:
+            self._saved[index] = model
+            self._told.saved(path)
+
+    def _add(self, job: _Job) -> None:
+        with self._changed:
+            while self._jobs and self._jobs[-1].preview:
+                self._jobs.pop()
+            self._jobs.append(job)
+            self._changed.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if self._closed:
+                    return
+                job = self._jobs.popleft()
+            try:
+                self._see(job, job.change(self._histories[job.index]))
+            except Exception as error:
+                model = self._histories[job.index].model
+                self._playback.change(self._playback.shot.with_item(job.index, model))
+                self._fail(job.name, error)
+
+    def _see(self, job: _Job, history: History) -> None:
+        shot = self._playback.shot.with_item(job.index, history.model)
+        shot.count  # noqa: B018  # too many frames at this rate, or too few, are no edit either
+        if job.preview:
+            self._playback.change(shot, settled=False)
+            self._playback.caught_up(PATIENCE)
+        else:
+            self._histories[job.index] = history
+            self._playback.change(shot)
+            self._told.edited(self)
+
+    def _fail(self, what: str, error: Exception) -> None:
+        if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the session goes on
+            print_exception(error)
+        self._told.failed(what, error)
+
+
+def _step(name: str, edit: Edit) -> Callable[[History], History]:
+    return lambda history: history.done(name, edit(history.model))

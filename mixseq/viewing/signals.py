@@ -1,0 +1,99 @@
+"""A model's signals as charts on a page draw them: plain numbers, as many and as exact as a screen can show."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mixseq.operations.dragging import default_reach
+from mixseq.plots.camera import Array
+from mixseq.plots.signals import dense_times, largest_coordinates
+from mixseq.signals import Model
+from mixseq.signals.layout import Plane
+
+POINTS = 800
+"""So many points make lines that look like curves; ours, about two for every pixel of a chart."""
+
+FRAMES = 300
+"""No more dots than this; ours."""
+
+HANDLES = 13
+"""Points of the curve that can be dragged, evenly spaced in time; ours: as many as keep apart on a small chart."""
+
+KEYS = 5
+"""Keys of the retiming to begin with; ours."""
+
+DIGITS = 5
+"""So many digits of the largest number: a screen of 4000 pixels shows no more."""
+
+
+def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
+    """Return what the charts of a page draw of a model, ready for JSON.
+
+    Parameters
+    ----------
+    model : Model
+        Any. Without modes, or of one frame, it has no handles; of one frame, no keys either.
+    plane : Plane, optional
+        The layout that is drawn, see `Model.layout`; by default the model's own.
+
+    Returns
+    -------
+    dict
+        In diagonals and seconds:
+
+        - ``start``, ``end``; ``times`` (n,) and the ``path`` (n, 2), `Model.layout` at them;
+        - ``frames`` (f, 2) and ``frameTimes`` (f,), frames on the path;
+        - ``handles``, each a ``time`` and where the path is ``at`` that time; ``reach``, how far a drag of one goes to
+          both sides (`mixseq.operations.drag`);
+        - ``coefficients``, each a ``name`` and its ``values`` (n,), those that `mixseq.plots.draw_coefficients` draws;
+        - ``keys`` (k, 2), times of the output and of the source: equal.
+
+    Raises
+    ------
+    SettingsError
+        If the plane is of other key shapes.
+    """
+    start, end = model.start, model.end
+    moves = end > start and model.time.dim > 0
+    times = _spread(dense_times(model), POINTS) if end > start else np.array([start])
+    frames = _spread(model.times, FRAMES)
+    handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
+    chosen, units = largest_coordinates(model)
+    lines = model.time(times)[:, chosen] * units
+    keys = np.linspace(start, end, KEYS).tolist() if end > start else []
+    path = model.layout(times, plane)
+    step = float(np.abs(path).max(initial=0.0))
+    return {
+        "start": start,
+        "end": end,
+        "times": _rounded(times, end - start),
+        "path": _rounded(path, step),
+        "frames": _rounded(model.layout(frames, plane), step),
+        "frameTimes": _rounded(frames, end - start),
+        "handles": [
+            {"time": time, "at": at}
+            for time, at in zip(handles.tolist(), _rounded(model.layout(handles, plane), step), strict=True)
+        ],
+        "reach": default_reach(model),
+        "coefficients": [
+            {"name": f"coordinate {number + 1}", "values": _rounded(line, float(np.abs(lines).max()))}
+            for number, line in zip(chosen.tolist(), lines.T, strict=True)
+        ],
+        "keys": [[time, time] for time in keys],
+    }
+
+
+def _spread(values: Array, most: int) -> Array:
+    """Choose `most` of the values, evenly, the first and the last among them; all if there are no more."""
+    if len(values) <= most:
+        return values
+    return values[np.linspace(0, len(values) - 1, most).round().astype(np.intp)]
+
+
+def _rounded(values: Array, largest: float) -> list[Any]:
+    """Return values as lists, rounded to `DIGITS` digits of the largest."""
+    decimals = DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else DIGITS
+    rounded: list[Any] = (np.round(values, min(max(decimals, 0), 15)) + 0.0).tolist()
+    return rounded

@@ -1,0 +1,170 @@
+"""Models along maps of time: what resampling shows, as a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import mixseq
+from mixseq.errors import SettingsError
+from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
+from mixseq.operations.sampling import shape_measure
+from mixseq.sequence import bounding_diagonal
+from mixseq.signals import Model, fit
+from mixseq.signals.fit import SpaceName
+from tests.meshes import Float, seeds
+from tests.operations.motions import bar_motion, signals, spin
+
+TIMES = np.linspace(0.0, 0.8, 23)
+TO_AND_FRO = [[0.0, 0.0], [0.5, 0.8], [0.7, 0.8], [1.6, 0.1], [2.0, 0.6]]
+
+
+def same_signals(one: Model, other: Model, atol: float = 1e-10) -> None:
+    times = np.linspace(one.start, one.end, 61)
+    for found, expected in zip(signals(one), signals(other), strict=True):
+        np.testing.assert_allclose(found(times), expected(times), atol=atol)
+
+
+@pytest.mark.parametrize("knots", [None, 2])
+@pytest.mark.parametrize("smooth", [True, False])
+@pytest.mark.parametrize("keys", [[0.0, 0.8], [0.0, 0.21, 0.5, 0.8]])
+def test_each_time_to_itself_is_the_model(knots: int | None, smooth: bool, keys: list[float]) -> None:
+    model = bar_motion(knots=knots)
+    same = retime(model, np.repeat(np.array(keys)[:, None], 2, axis=1), smooth)
+    np.testing.assert_allclose(same.times, model.times, atol=1e-12)
+    assert (same.start, same.end) == (model.start, model.end)
+    same_signals(same, model)
+
+
+@pytest.mark.parametrize("space", ["mixed", "vertex"])
+def test_straight_maps_are_those_of_other_operations(space: SpaceName) -> None:
+    model = bar_motion(space)
+    same_signals(retime(model, [[0.0, 0.8], [0.8, 0.0]]), reverse(model))
+    same_signals(retime(model, [[0.0, 0.0], [0.4, 0.8]]), speed(model, 2.0))
+    same_signals(retime(model, [[3.0, 0.0], [3.8, 0.8]]), shift(model, 3.0))
+    same_signals(retime(model, [[0.2, 0.2], [0.7, 0.7]]), cut(model, 0.2, 0.7))
+    there_and_back = [[0.0, 0.0], [0.8, 0.8], [1.6, 0.0]]
+    back = retime(retime(model, there_and_back, smooth=False), [[0.0, 0.0], [0.8, 0.8]])
+    same_signals(back, model, atol=1e-5)
+
+
+@given(seed=seeds, smooth=st.booleans(), knots=st.sampled_from([None, 2]))
+@settings(max_examples=25, deadline=None)
+def test_signals_are_those_of_the_source(seed: int, smooth: bool, knots: int | None) -> None:
+    rng = np.random.default_rng(seed)
+    model, count = bar_motion(knots=knots), rng.integers(2, 6)
+    keys = np.stack([np.cumsum(rng.uniform(0.1, 1.0, count)), rng.uniform(0.0, 0.8, count)], axis=1)
+    if count > 2:
+        keys[1, 1] = keys[2, 1]  # stands still
+    retiming = Retiming.through(*keys.T, smooth)  # type: ignore[call-arg]
+    found = retime(model, keys, smooth)
+    times = np.linspace(keys[0, 0], keys[-1, 0], 301)
+    apart = shape_measure(model)(found.time(times) - model.time(retiming(times)))
+    assert apart.max() < 5e-5
+    whole, source = signals(found)[1], signals(model)[1]
+    np.testing.assert_allclose(whole(times), source(retiming(times)), atol=3e-4)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_frames_are_those_of_a_resampling(smooth: bool) -> None:
+    model = bar_motion()
+    shown = resample(model, retiming=Retiming.through(*np.transpose(TO_AND_FRO), smooth))  # type: ignore[call-arg]
+    frames = retime(model, TO_AND_FRO, smooth).sample()
+    np.testing.assert_allclose(frames.times, shown.times, atol=1e-12)
+    apart = np.linalg.norm(frames.points - shown.points, axis=2)
+    assert apart.max() < 1e-4 * bounding_diagonal(shown.points[0])
+
+
+def test_velocities_follow_the_map() -> None:
+    model = bar_motion()
+    slow = retime(model, [[0.0, 0.0], [0.8, 0.4], [1.6, 0.6]], smooth=False)
+    np.testing.assert_allclose(slow.velocity(0.41), 0.5 * model.velocity(0.205), atol=2e-2)
+    np.testing.assert_allclose(slow.velocity(1.23), 0.25 * model.velocity(0.5075), atol=2e-2)
+
+
+def test_a_pose_that_is_held() -> None:
+    for model in (bar_motion(), bar_motion(frames=1)):
+        time = model.end / 3
+        held = retime(model, [[0.0, time], [1.0, time]])
+        assert len(held.times) == 11
+        for moment in (0.0, 0.33, 1.0):
+            np.testing.assert_allclose(held(moment), model(time), atol=1e-9)
+
+
+def test_a_body_that_travels_goes_back_again() -> None:
+    model = spin(step=0.5)
+    for moving in (model, repeat(model, 0.0, 1.0, times=2, travel=True)):
+        bounce = retime(moving, [[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]])
+        retiming = Retiming.through([0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
+        assert np.linalg.norm(bounce(1.0).mean(axis=0) - bounce(0.0).mean(axis=0)) > 3.0
+        for time in (0.3, 1.0, 1.4, 2.0):
+            np.testing.assert_allclose(bounce(time), moving(retiming([time])[0]), atol=1e-3)
+
+
+def test_frames_begin_with_the_output() -> None:
+    found = retime(bar_motion(), [[0.25, 0.0], [0.78, 0.5]])
+    np.testing.assert_allclose(found.times, 0.25 + np.arange(6) / 10)
+    assert (found.start, found.end) == (0.25, 0.78)
+    np.testing.assert_allclose(retime(bar_motion(), [[0.0, 0.0], [0.3 - 1e-9, 0.5]]).times[-1], 0.3)
+
+
+@dataclass(frozen=True)
+class Rising:
+    """One displacement, growing with the square of time."""
+
+    field: Float
+
+    def at(self, times: Float) -> Float:
+        return np.asarray(times[:, None, None] ** 2 * self.field)
+
+    def rates(self, times: Float) -> Float:
+        return np.asarray(2 * times[:, None, None] * self.field)
+
+
+def test_corrections_come_along() -> None:
+    plain = bar_motion()
+    model = replace(plain, corrections=Rising(np.ones((plain.header.vertex_count, 3))))
+    keys = [[0.0, 0.8], [1.6, 0.0]]
+    found, without = retime(model, keys), retime(plain, keys)
+    assert without.corrections is None
+    np.testing.assert_allclose(found(0.4), without(0.4) + 0.36, atol=1e-12)
+    np.testing.assert_allclose(found.velocity(0.4), without.velocity(0.4) - 0.6, atol=1e-12)
+    np.testing.assert_allclose(found.velocity(0.4), -0.5 * model.velocity(0.6), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([0.0, 1.0], r"keys have shape \(2,\); \(n, 2\) is expected, pairs of a time"),
+        ([[0.0, 0.0, 0.0]], r"keys have shape \(1, 3\)"),
+        ([[0.0, 0.0]], "1 output times and 1 source times; two of each, or more"),
+        ([[0.0, 0.0], [0.0, 0.5]], "its output times increase"),
+        ([[0.0, 0.0], [1.0, np.nan]], "must be finite"),
+        (
+            [[0.0, 0.0], [1.0, 0.9]],
+            "asks for more than there is: time 0.9 s is outside the sequence, 0 to 0.8 s",
+        ),
+        ([[0.0, 0.0], [1e8, 0.8]], "the output lasts 1e[+]08 s, which makes more than 10,000,000 frames"),
+    ],
+)
+def test_maps_that_are_none(keys: list[list[float]], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        retime(bar_motion(), keys)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["fox_run", "q_wolf_gallop"])
+def test_real_motions_are_what_resampling_shows(data: Path, name: str) -> None:
+    model = fit(mixseq.read(data / "npz" / f"{name}.npz"))
+    end = model.end
+    keys = np.array([[0.0, 0.0], [0.5, 0.5], [1.2, 0.5], [2.0, 0.1], [2.5, 1.0]]) * end
+    for smooth in (True, False):
+        shown = resample(model, fps=37, retiming=Retiming.through(*keys.T, smooth))  # type: ignore[call-arg]
+        points = retime(model, keys, smooth).sample(shown.times).points
+        apart = np.linalg.norm(points - shown.points, axis=2).max()
+        assert apart < 1e-4 * bounding_diagonal(shown.points[0])

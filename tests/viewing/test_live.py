@@ -1,0 +1,157 @@
+"""The viewer in a browser, as a user works with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.creature import walk_cycle
+from mixseq.signals import Model
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.shown import Item, Shot
+from tests.viewing.conftest import NewPage
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from mixseq.viewing.live import Viewer, ViewSettings, viewer
+
+QUICK = "/?fixedDpr=0.5"
+"""Half the pixels: there is no graphics card here."""
+
+ARRAY = """(name) => {
+  let found = [];
+  window.__viserMutable?.nodeRefFromName["/mesh/0"]?.traverse((each) => {
+    const values = each.isMesh && !found.length && each.geometry.attributes[name];
+    if (values) found = [...values.array.slice(0, 600)];
+  });
+  return found;
+}"""
+"""What the page draws of the mesh: the first numbers of one of its attributes."""
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return mixseq.fit(walk_cycle(16), rank=6)
+
+
+@pytest.fixture
+def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
+    shot = Shot((Item("fox.h5", model),))
+    settings = ViewSettings(port=8300, folder=tmp_path, name="fox-edited.h5", threads=1, material="toon5")
+    with viewer(Paint(shot), settings, mixseq.save) as started:
+        yield started
+
+
+def eventually(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
+    """Wait until something holds, and return it."""
+    until = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.05)
+    return found
+
+
+class Window:
+    """A page with the viewer, and a hand."""
+
+    def __init__(self, page: Page, address: str) -> None:
+        self.page = page
+        page.goto(address + QUICK)
+        page.wait_for_function(
+            "() => document.getElementById('mixseq-charts')?.mixseqCharts?.handlePixels().length"
+        )
+        eventually(lambda: self.array("color"))
+        # tells that there is no graphics card, and stands in the way
+        eventually(lambda: page.get_by_text("Software WebGL").count())
+        page.locator(".mantine-Notification-closeButton").click()
+
+    def array(self, name: str) -> list[float]:
+        values: list[float] = self.page.evaluate(ARRAY, name)
+        return values
+
+    def changes(self, name: str, action: Callable[[], object]) -> None:
+        """Do something, after which the page draws other positions or colours."""
+        before = self.array(name)
+        action()
+        eventually(lambda: self.array(name) != before)
+
+    def drag(self, index: int, by: tuple[float, float]) -> None:
+        """Drag a handle of the time curve; the mesh follows before it is let go."""
+        places = self.page.evaluate("document.getElementById('mixseq-charts').mixseqCharts.handlePixels()")
+        x, y = places[index]
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.changes("position", lambda: self.page.mouse.move(x + by[0], y + by[1], steps=5))
+        self.page.mouse.up()
+
+    def click(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def choose(self, now: str, option: str) -> None:
+        self.page.locator(f"input[role='combobox'][value='{now}']").click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080)])
+def test_a_session(
+    new_page: NewPage,
+    running: Viewer,
+    screenshots: Path,
+    model: Model,
+    tmp_path: Path,
+    width: int,
+    height: int,
+) -> None:
+    window = Window(new_page(width, height), running.address)
+    page, session, playback = window.page, running.session, running.playback
+    page.screenshot(path=screenshots / "view.png")
+
+    window.changes("position", lambda: window.click("Play"))
+    assert playback.plays
+    window.click("Pause")
+    eventually(lambda: not playback.plays)
+
+    slider = page.get_by_role("slider").first
+    window.changes("position", lambda: slider.press("Home"))
+    eventually(lambda: playback.frame == 0)
+    window.changes("position", lambda: list(map(slider.press, 3 * ["ArrowRight"])))
+    eventually(lambda: playback.frame == 3)
+
+    for now, colour in (("clay", "parts"), ("parts", "strain")):
+        window.changes("color", partial(window.choose, now, colour))
+        page.wait_for_timeout(300)
+        page.screenshot(path=screenshots / f"view_{colour}.png")
+
+    window.drag(3, (30, 25))
+    eventually(lambda: session.history.undoes == "drag")
+    page.screenshot(path=screenshots / "view_dragged.png")
+    edited = session.model
+    assert np.abs(edited.time(edited.times) - model.time(model.times)).max() > 1e-3
+
+    window.changes("position", lambda: window.click("Undo"))
+    assert session.model is model
+    window.changes("position", lambda: window.click("Redo"))
+    assert session.model is edited
+
+    window.click("Save")
+    saved = tmp_path / "fox-edited.h5"
+    eventually(saved.exists)
+    eventually(lambda: page.get_by_text("Saved", exact=True).count())
+    again = mixseq.load(saved)
+    np.testing.assert_allclose(again.time(again.times), edited.time(edited.times), atol=1e-12)
+
+    drawn = window.array("position")
+    other = Window(page, running.address)  # loads the page again
+    assert other.array("position") == drawn
+    assert session.model is edited
+    page.screenshot(path=screenshots / "view_wide.png")
