@@ -16,7 +16,7 @@ import numpy as np
 import mixseq
 from mixseq.sequence import MeshSequence
 from tests.formats.gltf_files import write_glb
-from tests.meshes import bending, tube
+from tests.meshes import bending, bent, tube
 
 CUT = '[[edit]]\noperation = "cut"\nstart = 0.5\nend = 1.0\n'
 
@@ -32,6 +32,13 @@ def horse() -> MeshSequence:
     return walk(1, sides=7, rings=19)
 
 
+def rising() -> MeshSequence:
+    """The bar lying on the ground, whose far end rises."""
+    points, faces = tube(5, 15)
+    poses = np.stack([bent(points, angle) for angle in np.linspace(0, -1, 5)])
+    return MeshSequence.from_arrays(poses, faces, fps=24, name="rising")
+
+
 def taller(sequence: MeshSequence) -> MeshSequence:
     """The first frame of a sequence, longer."""
     return MeshSequence.from_arrays(sequence.points[:1] * [1, 1.3, 1], sequence.faces)
@@ -40,17 +47,23 @@ def taller(sequence: MeshSequence) -> MeshSequence:
 def pairs() -> Iterator[str]:
     """Lines of a file of markers of the bar and the horse: vertices that are near each other."""
     ours, theirs = walk(2).points[0], horse().points[0]
-    for vertex in range(0, len(ours), 3):
+    for vertex in range(0, len(ours), 2):
         distances = np.linalg.norm(theirs - ours[vertex], axis=1)
         if distances.min() < 0.1:
             yield f"{vertex} {distances.argmin()}"
+
+
+def soles() -> list[int]:
+    """Vertices of the horse on which its near end lies."""
+    points = horse().points[0]
+    return np.flatnonzero((points[:, 1] < -0.4) & (points[:, 2] < 1)).tolist()
 
 
 def animated(*names: str) -> Callable[[Path], None]:
     """Return what writes a glTF file with animations of these names."""
 
     def make(path: Path) -> None:
-        mixseq.write(path, walk(5))
+        mixseq.write(path, rising())
         document, buffer = chunks(path)
         document["animations"] = [document["animations"][0] | {"name": name} for name in names]
         write_glb(path, document, buffer)
@@ -99,7 +112,11 @@ def model(path: Path) -> None:
 
 def text(content: str) -> Callable[[Path], None]:
     """Return what writes a text."""
-    return lambda path: path.write_text(content, encoding="utf-8") and None
+
+    def make(path: Path) -> None:
+        path.write_text(content, encoding="utf-8")
+
+    return make
 
 
 FILES: dict[str, Callable[[Path], None]] = {
@@ -107,7 +124,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "character.glb": skinned,
     "decoded.usdc": moving,
     "edits.toml": text(CUT),
-    "feet.json": text('{"foot": [0, 1, 2, 3]}'),
+    "feet.json": lambda path: text(json.dumps({"foot": soles()}))(path),
     "Horse.glb": lambda path: mixseq.write(path, horse()),
     "Wolf.glb": animated("Gallop", "Walk"),
     "horse.glb": lambda path: mixseq.write(path, horse()),

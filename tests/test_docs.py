@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
 import shlex
+import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
-from glob import glob
 from importlib import import_module
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import click
@@ -87,7 +89,7 @@ RUN = (PROGRAM, PART, *COMMANDS_SHOWN, *FILE)
 """Languages of blocks that run. Programs go on from block to block of a page; parts of them take names as given."""
 
 BROUGHT = {
-    "README.md": "run.usdc gallop.usdc horse.glb pairs.txt character.usdz character.glb tall.obj",
+    "README.md": "shot.usdc run.usdc gallop.usdc horse.glb pairs.txt character.usdz character.glb tall.obj",
     "docs/cli.md": "walk.usdc walk.h5 robot.glb shots/a.usdc shots/b.usdc ramp.csv run.h5 attack.toml edits.toml "
     "lion.npz tall.obj wolf.glb horse.glb pairs.txt feet.json man.glb painted.ply decoded.usdc",
     "docs/file-format.md": "walk.h5",
@@ -101,14 +103,13 @@ BROUGHT = {
 """Files that readers of a page bring; everything else it makes by itself."""
 
 NOT_RUN = {
-    r"pip install |python -m venv |\. venv/bin/activate": "installs",
+    r"pip install |python -m venv |\. \.?venv/bin/activate": "installs",
     r"scripts/(demo|test|check|docs)": "sets up and runs tools; continuous integration does that",
     r"export MIXSEQ_DATA=": "names a folder of the reader's",
     r"scripts/bench \w+|(MIXSEQ_DATA=FOLDER )?scripts/paper": "measures for minutes to hours, with data of others",
-    r"python docs/images/make.py": "draws for minutes",
+    r"python docs/images/\w+.py": "draws for minutes",
     r"mixseq .* --cluster tcp:": "needs other machines; tests/test_cluster.py has a cluster here",
     r"mixseq decode .* --cluster local:4": "starts processes; tests/test_cluster.py does that",
-    r"mixseq demo --out fox --frames 12$": "runs in docs/how-to/resample.md",
     r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
     r"mixseq view (?!.*--export)": "waits for a browser; tests/viewing has one",
 }
@@ -148,7 +149,7 @@ def test_every_block_is_of_a_language_that_runs(name: str) -> None:
     plain = [text for language, text in found if language == "text"]
     assert len(plain) == NO_CODE.get(name, 0)
     for text in plain:
-        assert not re.search(r"^\$ |^(mixseq [a-z]|pip|python|scripts/)", text, re.MULTILINE), text
+        assert not re.search(r"^\$ |^(mixseq [a-z]+ |pip |python |scripts/\w)", text, re.MULTILINE), text
 
 
 def test_what_is_not_run_is_shown() -> None:
@@ -168,6 +169,8 @@ def test_measurements_that_are_shown_are_there() -> None:
                 elif "scripts/paper" in line:
                     options = line.index("--mesh") if "--mesh" in line else len(line)
                     assert set(line[line.index("scripts/paper") + 1 : options]) <= set(STAGES), line
+                elif line[0] == "python" and line[1].endswith(".py"):
+                    assert (ROOT / line[1]).is_file(), line
                 elif line[0].startswith("scripts/"):
                     assert os.access(ROOT / line[0], os.X_OK), line
 
@@ -178,6 +181,17 @@ def commands(text: str) -> list[tuple[str, str]]:
         found = [command.partition("\n") for command in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]]
         return [(line, shown) for line, _, shown in found]
     return [(line, "") for line in text.splitlines() if line.strip()]
+
+
+@cache
+def demo(*arguments: str) -> Path:
+    """Run ``mixseq demo --out FOLDER``, of which several pages take the same files, and return the folder."""
+    folder = Path(mkdtemp(prefix="mixseq-demo-"))
+    result = CliRunner().invoke(main, ["demo", "--out", str(folder), *arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert not result.stderr
+    atexit.register(shutil.rmtree, folder)
+    return folder
 
 
 def write_text(text: str, path: Path) -> None:
@@ -207,7 +221,9 @@ def test_every_operation_is_explained() -> None:
 def words(line: str) -> list[str]:
     """Return the words of a command, without a comment at its end, with the files that a pattern means."""
     split = shlex.split(re.sub(r"\s+#\s.*", "", line))
-    return [name for word in split for name in (sorted(glob(word)) if "*" in word else [word])]
+    return [
+        name for word in split for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])
+    ]
 
 
 def run_commands(text: str) -> None:
@@ -223,14 +239,16 @@ def run_commands(text: str) -> None:
             continue
         program, *arguments = words(line)
         assert program == "mixseq", f"{line}: neither run nor among what is not run"
+        if arguments[0] == "demo":
+            shutil.copytree(demo(*(each for each in arguments[3:] if each != "--quiet")), arguments[2])
+            continue
         result = CliRunner().invoke(main, arguments, catch_exceptions=False)
         assert result.exit_code == 0, f"{line}\n{result.output}"
         for expected in shown.splitlines():
             label = expected.split("  ")[0]
             assert any(each.startswith(label) for each in result.output.splitlines()), f"{line}: {expected}"
-        assert result.stderr.splitlines() == [each for each in shown.splitlines() if "warning: " in each], (
-            line
-        )
+        warned = [each for each in shown.splitlines() if "warning: " in each]
+        assert result.stderr.splitlines() == warned, line
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)

@@ -1,6 +1,6 @@
 """The documentation site: it builds without warnings, all pages are in its menu, what is made from the code is whole.
 
-Building needs the extra ``docs`` and KaTeX, which ``scripts/docs`` installs; without them that test is skipped.
+Building needs the extra ``docs`` and KaTeX, which ``scripts/test`` installs; without them those tests are skipped.
 """
 
 from __future__ import annotations
@@ -24,13 +24,21 @@ from scripts.site.anchors import anchor
 from scripts.site.check import faults
 from scripts.site.commands import commands_page
 from scripts.site.names import ROW, with_docstrings, with_tables
-from tests.test_docs import blocks, page
+from scripts.site.notebooks import FOLDER
+from tests.test_docs import page
+from tests.viewing.conftest import NewPage, browser, new_page
+
+__all__ = ["browser", "new_page"]  # fixtures
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 MODULES = ROOT / ".venv" / "node" / "node_modules"
 CONFIG = ROOT / "scripts" / "site" / "mkdocs.yml"
-MADE = {"commands.md", "changelog.md"}  # by hooks
+MADE = {
+    "commands.md",
+    "changelog.md",
+    *(f"notebooks/{path.stem}.md" for path in FOLDER.glob("*.ipynb")),
+}  # by hooks
 
 CONTEXT = click.Context(main, info_name="mixseq", **main.context_settings)
 COMMANDS = main.list_commands(CONTEXT)
@@ -108,14 +116,6 @@ def test_anchors_are_those_of_github(heading: str, expected: str) -> None:
     assert anchor(heading) == expected
 
 
-def test_examples_for_contributors_run() -> None:
-    names: dict[str, Any] = {}
-    examples = blocks("docs/contributing.md", "python")
-    assert len(examples) >= 4
-    for number, (_, text) in enumerate(examples):
-        exec(compile(text, f"docs/contributing.md, block {number}", "exec"), names)
-
-
 def test_files_for_contributors_are_there() -> None:
     named = re.findall(r"`((?:mixseq|io|tests|scripts|docs)/[\w./-]+)`", page("docs/contributing.md"))
     assert len(named) > 40
@@ -170,34 +170,60 @@ def test_style_sheets_load_nothing_from_elsewhere(tmp_path: Path) -> None:
     assert "from elsewhere" in next(iter(faults(tmp_path)))
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("mkdocs") is None
-    or not all((MODULES / name).is_dir() for name in ("katex", "iframe-worker")),
-    reason="scripts/docs was not run here",
-)
-def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
-    build = [
-        sys.executable,
-        "-m",
-        "mkdocs",
-        "build",
-        "--strict",
-        "--config-file",
-        str(CONFIG),
-        "--site-dir",
-        str(tmp_path),
-    ]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the site, built without warnings."""
+    if importlib.util.find_spec("mkdocs") is None:
+        pytest.skip("mkdocs is not installed; it is in the extra docs")
+    if not all((MODULES / name).is_dir() for name in ("katex", "iframe-worker")):
+        pytest.skip("KaTeX is not installed; scripts/test and scripts/docs take it from npm")
+    folder = tmp_path_factory.mktemp("site")
+    build = f"-m mkdocs build --strict --config-file {CONFIG} --site-dir {folder}"
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    result = subprocess.run(build, cwd=ROOT, env=quiet, capture_output=True, text=True)
+    result = subprocess.run(
+        [sys.executable, *build.split()], cwd=ROOT, env=quiet, capture_output=True, text=True
+    )
     assert result.returncode == 0, result.stderr
-    assert list(faults(tmp_path)) == []
+    return folder
+
+
+def test_the_site_is_whole(site: Path) -> None:
+    assert list(faults(site)) == []
     for source in (*DOCS.rglob("*.md"), *map(Path, MADE)):
         name = source.relative_to(DOCS) if source.is_absolute() else source
-        assert (tmp_path / name).with_suffix(".html").is_file()
-    formulas = (tmp_path / "mixed-space.html").read_text(encoding="utf-8")
+        assert (site / name).with_suffix(".html").is_file()
+    assert len(list(site.rglob("*.html"))) > 40
+    formulas = (site / "mixed-space.html").read_text(encoding="utf-8")
     assert formulas.count('class="arithmatex"') == len(
         re.findall(r"^```math|\$[^$\n]+\$", page("docs/mixed-space.md"), re.M)
     )
-    api = (tmp_path / "api.html").read_text(encoding="utf-8")
+    api = (site / "api.html").read_text(encoding="utf-8")
     for name in ROW.findall(page("docs/api.md")):
         assert f'id="{name}"' in api
+
+
+def test_notebooks_are_pages_and_files(site: Path) -> None:
+    for notebook in FOLDER.glob("*.ipynb"):
+        assert (site / "notebooks" / notebook.name).read_bytes() == notebook.read_bytes()
+        text = (site / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
+        for name in re.findall(r'<img alt="[^"]+" src="([^"]+)"', text):
+            assert (site / "notebooks" / name).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["reconstruction", "compression", "notebooks/walk"])
+def test_formulas_are_set_in_a_browser(name: str, site: Path, new_page: NewPage) -> None:
+    shown = new_page()
+    shown.goto((site / f"{name}.html").as_uri())
+    written = shown.locator(".arithmatex").count()
+    shown.locator(".arithmatex .katex").nth(written - 1).wait_for(state="attached")
+    assert written > 0
+    assert shown.locator(".katex").count() == written
+    assert shown.locator(".katex-error").count() == 0
+    assert shown.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # nothing sticks out
+
+
+@pytest.mark.parametrize("name", ["index", "tutorial", "signals", "api", "cli", "commands", "notebooks/walk"])
+def test_pages_fit_a_phone(name: str, site: Path, new_page: NewPage) -> None:
+    shown = new_page(390, 844)
+    shown.goto((site / f"{name}.html").as_uri())
+    assert shown.evaluate("document.documentElement.scrollWidth <= window.innerWidth")

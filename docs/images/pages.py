@@ -14,6 +14,7 @@ from playwright.sync_api import Page, sync_playwright
 import mixseq
 from mixseq.cli.view import command as view_command
 from mixseq.creature import walk_cycle
+from mixseq.signals import Model
 from mixseq.viewing.live import ViewSettings, viewer
 from mixseq.viewing.painting import Paint
 from mixseq.viewing.shown import Item, Shot
@@ -35,7 +36,7 @@ def main() -> None:
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
         settings = ViewSettings(folder=Path(folder), name="walk-edited.h5")
-        with viewer(Paint(Shot((Item("walk.h5", model),))), settings, mixseq.save) as running:
+        with viewer(Paint(Shot((Item("walk.h5", model),))), settings, save_model) as running:
             take_viewer(browser.new_page(viewport=SIZE), running.address)
         mixseq.save(Path(folder, "walk.h5"), model)
         exported = str(Path(folder, "walk.html"))
@@ -45,6 +46,10 @@ def main() -> None:
         page.wait_for_timeout(4000)
         save(page, "page.png")
         browser.close()
+
+
+def save_model(path: Path, model: Model, replace: bool) -> None:
+    """Nothing is saved here."""
 
 
 def take_viewer(page: Page, address: str) -> None:

@@ -8,6 +8,7 @@ import threading
 import warnings
 import webbrowser
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, options_of, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
-from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -59,6 +60,9 @@ if TYPE_CHECKING:
     help="Listen at this port, or the next one that is free.  [default: 8080]",
 )
 @click.option(
+    "--overlaid", is_flag=True, help="Meshes stand in one place at first, not side by side; on pages, too."
+)
+@click.option(
     "--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]"
 )
 @click.option(
@@ -86,6 +90,7 @@ def command(
     rate: float | None,
     host: str | None,
     port: int | None,
+    overlaid: bool,
     browser: bool | None,
     shading: str | None,
     threads: int | None,
@@ -117,14 +122,18 @@ def command(
             raise SettingsError(f"--{name} is about {about}")
     if page is not None:
         _check_page(page, [*files, *([against] if against else [])])
+    else:
+        from mixseq.viewing.live import check_viser
+
+        check_viser()
     with progress_bar(quiet) as progress:
         shot, original = _opened(files, against, rate, reading, progress)
         paint = _paint(shot, original)
         if page is not None:
             given = {name: value for name, value in only_page.items() if value is not None}
-            _export(page, paint, rate, given, threads, progress)
+            _export(page, paint, {"fps": rate, "overlaid": overlaid, **given}, threads, progress)
     if page is None:
-        _run(paint, files, {"host": host, "port": port}, browser, shading, threads)
+        _run(paint, files, {"host": host, "port": port, "overlaid": overlaid}, browser, shading, threads)
 
 
 def _opened(
@@ -148,7 +157,9 @@ def _opened(
             return stored(reader, progress)
 
     items = tuple(Item(file.name, mixseq.load(file) if is_model(file) else read(file)) for file in files)
-    return Shot(items, fps), None if against is None else read(against)
+    shot = Shot(items, fps)
+    shot.count  # noqa: B018  # refuses a rate that gives too few frames or too many
+    return shot, None if against is None else read(against)
 
 
 def _paint(shot: Shot, original: Stored | None) -> Paint:
@@ -162,7 +173,7 @@ def _paint(shot: Shot, original: Stored | None) -> Paint:
 def _run(
     paint: Paint,
     files: Sequence[Path],
-    network: Mapping[str, Any],
+    given: Mapping[str, Any],
     browser: bool | None,
     shading: str | None,
     threads: int | None,
@@ -177,9 +188,9 @@ def _run(
         name=f"{first.stem}-edited.h5",
         threads=threads or thread_count(),
         material="toon5" if shading == "simple" else "standard",
-        **{name: value for name, value in network.items() if value is not None},
+        **{name: value for name, value in given.items() if value is not None},
     )
-    with viewer(paint, settings, lambda path, model: _save(path, model, files)) as running:
+    with viewer(paint, settings, partial(_save, files)) as running:
         click.echo(f"mixseq view: {running.address} (Ctrl-C ends it)")
         if browser or (browser is None and _has_screen()):
             webbrowser.open(running.address)
@@ -199,12 +210,15 @@ def _has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _save(path: Path, model: Model, sources: Sequence[Path]) -> None:
+def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> None:
     """Write an edited model, as a model or as a sequence."""
     from mixseq.mapping import on_threads
+    from mixseq_io.numbered.names import files_of_pattern
 
     for source in sources:
         check_target(path, source)
+    if not replace and (path.exists() or any(files_of_pattern(path))):
+        raise OutputError(f"{path.name} exists; give another name, or tick Replace")
     if path.suffix.lower() in MODEL_EXTENSIONS:
         mixseq.save(path, model)
     else:
@@ -224,7 +238,6 @@ def _check_page(page: Path, sources: Sequence[Path]) -> None:
 def _export(
     page: Path,
     paint: Paint,
-    fps: float | None,
     chosen: Mapping[str, Any],
     threads: int | None,
     progress: Progress,
@@ -237,7 +250,7 @@ def _export(
     from mixseq.viewing.signals import signals_of
     from mixseq_io.atomic import replacing
 
-    settings = ExportSettings(fps=fps, **chosen)
+    settings = ExportSettings(**chosen)
     workers = on_threads(threads)
     shown = [
         Exported(

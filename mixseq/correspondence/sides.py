@@ -61,7 +61,10 @@ def exchanged_groups(bending: Bending, source: Float, target: Float) -> tuple[In
             if max(len(first), len(second)) > ALIKE * min(len(first), len(second)):
                 continue
             both = np.concatenate([first, second])
-            off = np.linalg.solve(matrix[np.ix_(both, both)], force[both])
+            try:
+                off = np.linalg.solve(matrix[np.ix_(both, both)], force[both])
+            except np.linalg.LinAlgError:  # the others are in a plane, and do not say where these should be
+                continue
             one, two = off[: len(first)].mean(axis=0), off[len(first) :].mean(axis=0)
             apart = target[second].mean(axis=0) - target[first].mean(axis=0)
             straight = float(np.sqrt((one @ one + two @ two) / 2))

@@ -115,6 +115,11 @@ class Colouring:
         return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
 
 
+def clay(count: int) -> Colouring:
+    """Return the plain colour of so many vertices."""
+    return Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))
+
+
 def colourings_of(
     header: SequenceHeader,
     rest: FloatArray,
@@ -151,7 +156,7 @@ def colourings_of(
     """
     faces, count = header.faces, header.vertex_count
     _check("the pose at rest", rest, count)
-    found = {"clay": Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))}
+    found = {"clay": clay(count)}
     if decomposition is not None:
         found["parts"] = Colouring(
             "parts", _part_palette(), _fixed(_part_entries(faces, count, decomposition))

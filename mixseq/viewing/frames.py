@@ -9,9 +9,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Condition, Thread
+from traceback import print_exception
 from typing import Self
 
-from mixseq.errors import MixseqError
+from mixseq.errors import MixseqError, ReconstructionError
 from mixseq.threads import one_blas_thread
 from mixseq.viewing.shown import Item, Points, Shot
 
@@ -122,6 +123,9 @@ class Frames:
                     found = item.pose(elapsed)
             except MixseqError as error:
                 found = error
+            except Exception as error:  # a bug, or no memory: this frame cannot be shown, others may be
+                print_exception(error)
+                found = ReconstructionError(f"{type(error).__name__}: {error}")
             with self._changed:
                 self._busy.discard(key)
                 self._keep(key, found)

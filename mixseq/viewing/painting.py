@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from mixseq.stored import Stored
-from mixseq.viewing.colouring import Colouring, colourings_of
+from mixseq.viewing.colouring import Colouring, clay, colourings_of
 from mixseq.viewing.shown import Item, Points, Shot
 
 Bytes = NDArray[np.uint8]
@@ -39,6 +40,10 @@ class Paint:
     _found: dict[int, dict[str, Colouring]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
+    def _plain(self) -> list[Colouring]:
+        return [clay(item.header.vertex_count) for item in self.shot.items]
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """What colours may show, of one mesh at least."""
         some_parts = any(_decomposed(item) for item in self.shot.items)
@@ -53,8 +58,9 @@ class Paint:
 
     def of(self, index: int, name: str) -> Colouring:
         """Return what colours show of a mesh: clay, where the mesh has no such colours."""
-        known = self.each(index)
-        return known.get(name, known["clay"])
+        if name == "clay":  # the first colour that is seen, and all others take time
+            return self._plain[index]
+        return self.each(index).get(name, self._plain[index])
 
     def each(self, index: int) -> dict[str, Colouring]:
         """Return all colours that a mesh can have."""
@@ -81,10 +87,8 @@ class Paint:
         )
 
     def _reference(self, item: Item) -> Callable[[float], Points] | None:
-        """Return the original's points at elapsed times, if it has the same triangles."""
-        if self.original is None or not np.array_equal(self.original.header.faces, item.header.faces):
-            return None
-        if self.original.header.vertex_count != item.header.vertex_count:
+        """Return the original's points at elapsed times, if it is the same mesh."""
+        if self.original is None or not _same_mesh(self.original.header, item.header):
             return None
         return Item("the original", self.original).pose
 
@@ -95,13 +99,14 @@ def check_original(shot: Shot, original: Stored) -> None:
     Raises
     ------
     SettingsError
-        If no mesh of the shot has its triangles, or one that has them begins at another time.
+        If no mesh of the shot has its vertices and triangles, or one that has them begins at another time.
     """
     header = original.header
-    same = [item for item in shot.items if np.array_equal(item.header.faces, header.faces)]
+    same = [item for item in shot.items if _same_mesh(item.header, header)]
     if not same:
         raise SettingsError(
-            f"none of the meshes has the {len(header.faces)} triangles of the original; errors need one mesh"
+            f"none of the meshes has the {header.vertex_count} vertices and {len(header.faces)} triangles of the "
+            "original; errors need one mesh"
         )
     for item in same:
         if abs(item.header.times[0] - header.times[0]) > 1e-3 / header.fps:
@@ -109,6 +114,10 @@ def check_original(shot: Shot, original: Stored) -> None:
                 f"{item.name} begins at {item.header.times[0]:g} s, the original at {header.times[0]:g} s; errors need "
                 "the same times"
             )
+
+
+def _same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
+    return one.vertex_count == other.vertex_count and np.array_equal(one.faces, other.faces)
 
 
 def _decomposed(item: Item) -> bool:

@@ -18,9 +18,17 @@ from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.signals import Model
 from mixseq.viewing.history import History
 from mixseq.viewing.playback import Playback
+from mixseq.viewing.shown import Shot
 
 Edit = Callable[[Model], Model]
-Save = Callable[[Path, Model], None]
+
+
+class Save(Protocol):
+    """Writes a model to a file, as a model or as a sequence."""
+
+    def __call__(self, path: Path, model: Model, replace: bool) -> None:
+        """Write it; raise `MixseqError` if that cannot be, or there is such a file and it shall not be replaced."""
+
 
 PATIENCE = 1.0
 """Seconds after which the next preview is made, though the last one was not seen."""
@@ -56,8 +64,8 @@ class Session:
         Shows them.
     told : Told
         Who is told what happens.
-    save : callable
-        Writes a model to a file, as a model or as a sequence; raises `MixseqError`.
+    save : Save
+        Writes models to files.
     """
 
     def __init__(self, playback: Playback, told: Told, save: Save) -> None:
@@ -70,6 +78,7 @@ class Session:
             if isinstance(item.motion, Model)
         }
         self._saved: dict[int, Model] = {}
+        self._writing: list[Thread] = []
         self._index = min(self._histories, default=-1)
         self._jobs: deque[_Job] = deque()
         self._closed = False
@@ -84,11 +93,13 @@ class Session:
         self.close()
 
     def close(self) -> None:
-        """End the thread, after the edit that it is at."""
+        """End the threads, after the edit and the files that they are at."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         self._thread.join()
+        for writing in self._writing:
+            writing.join()
 
     @property
     def editable(self) -> list[int]:
@@ -141,13 +152,23 @@ class Session:
         """Do again what was taken back."""
         self._add(_Job("redo", self._index, History.redone))
 
-    def save(self, path: Path) -> None:
-        """Write the model to a file, on a thread of its own."""
-        Thread(target=self._write, args=(path, self._index, self.model), daemon=True).start()
+    def save(self, path: Path, replace: bool = False) -> None:
+        """Write the model to a file, on a thread of its own.
 
-    def _write(self, path: Path, index: int, model: Model) -> None:
+        Parameters
+        ----------
+        path : Path
+            The file.
+        replace : bool
+            Whether a file that there is may be replaced.
+        """
+        writing = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
+        self._writing = [thread for thread in self._writing if thread.is_alive()] + [writing]
+        writing.start()
+
+    def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:
-            self._save(path, model)
+            self._save(path, model, replace)
         except Exception as error:
             self._fail("save", error)
         else:
@@ -169,22 +190,27 @@ class Session:
                     return
                 job = self._jobs.popleft()
             try:
-                self._see(job, job.change(self._histories[job.index]))
+                history = job.change(self._histories[job.index])
+                shot = self._playback.shot.with_item(job.index, history.model)
+                shot.count  # noqa: B018  # too many frames at this rate, or too few, are no edit either
             except Exception as error:
                 model = self._histories[job.index].model
                 self._playback.change(self._playback.shot.with_item(job.index, model))
                 self._fail(job.name, error)
+            else:
+                self._see(job, history, shot)
 
-    def _see(self, job: _Job, history: History) -> None:
-        shot = self._playback.shot.with_item(job.index, history.model)
-        shot.count  # noqa: B018  # too many frames at this rate, or too few, are no edit either
+    def _see(self, job: _Job, history: History, shot: Shot) -> None:
         if job.preview:
             self._playback.change(shot, settled=False)
             self._playback.caught_up(PATIENCE)
-        else:
-            self._histories[job.index] = history
-            self._playback.change(shot)
+            return
+        self._histories[job.index] = history
+        self._playback.change(shot)
+        try:
             self._told.edited(self)
+        except Exception as error:
+            self._fail("drawing charts", error)
 
     def _fail(self, what: str, error: Exception) -> None:
         if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the session goes on

@@ -1,7 +1,8 @@
 """What MkDocs does to the pages on their way to the site; in the repository they stay plain Markdown.
 
 Formulas, written as GitHub has them, are set by KaTeX. Headings get GitHub's anchors. The change log, which is outside
-`docs`, becomes a page, the commands of `mixseq` become another one, and the Python page gets the docstrings.
+`docs`, becomes a page, the commands of `mixseq` become another one, notebooks become pages, and the Python page gets
+the docstrings.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pymdownx.arithmatex import arithmatex_fenced_format
 from scripts.site.anchors import anchor
 from scripts.site.commands import commands_page
 from scripts.site.names import with_docstrings
+from scripts.site.notebooks import FOLDER, page_of, read
 
 ROOT = Path(__file__).parents[2]
 ASSETS = Path(__file__).parent / "assets"
@@ -26,6 +28,7 @@ MODULES = ROOT / ".venv" / "node" / "node_modules"
 KATEX = MODULES / "katex" / "dist"
 IFRAME_WORKER = MODULES / "iframe-worker" / "shim" / "index.js"  # lets search work without a server
 COPIED = {"changelog.md": "CHANGELOG.md"}  # pages made of files outside docs, with paths in the project
+NOTEBOOKS = {f"notebooks/{path.stem}.md": path for path in sorted(FOLDER.glob("*.ipynb"))}
 
 LINK = re.compile(r"(?<=\]\()[^)\s:#]+")
 
@@ -46,6 +49,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "commands.md", content=commands_page()))
     for page, source in COPIED.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+    for page, notebook in NOTEBOOKS.items():
+        content, pictures = page_of(read(notebook), notebook.stem)
+        files.append(File.generated(config, page, content=content))
+        for name, picture in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=picture))
     for asset in ASSETS.iterdir():
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     fonts = {f"katex/fonts/{font.name}": font for font in KATEX.glob("fonts/*.woff2")}
@@ -69,6 +77,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     def led(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[0]))
         pages = {path: name for name, path in COPIED.items()}
+        pages |= {f"docs/notebooks/{path.name}": name for name, path in NOTEBOOKS.items()}
         on_site = pages.get(target, target.removeprefix("docs/"))
         return posixpath.relpath(on_site, posixpath.dirname(here) or ".")
 

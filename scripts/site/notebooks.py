@@ -44,16 +44,21 @@ def run(notebook: Notebook, folder: Path) -> Notebook:
     from nbclient import NotebookClient
     from traitlets.config import Config
 
-    ran = nbformat.reads(json.dumps(notebook), as_version=4)
+    ran = nbformat.reads(json.dumps(notebook), as_version=4)  # type: ignore[no-untyped-call]
     resources = {"metadata": {"path": str(folder)}}
     with TemporaryDirectory() as sockets:  # of the kernel: no network is needed
         kernel = {"transport": "ipc", "connection_file": str(Path(sockets, "kernel.json"))}
         settings = Config({"KernelManager": kernel})
         client = NotebookClient(
-            ran, config=settings, timeout=SECONDS, resources=resources, record_timing=False
+            ran,
+            config=settings,
+            timeout=SECONDS,
+            resources=resources,
+            record_timing=False,
+            coalesce_streams=True,
         )
         client.execute()
-    return dict(json.loads(nbformat.writes(ran)))
+    return dict(json.loads(nbformat.writes(ran)))  # type: ignore[no-untyped-call]
 
 
 def clean(notebook: Notebook) -> Notebook:
@@ -104,7 +109,7 @@ def page_of(notebook: Notebook, name: str) -> tuple[str, dict[str, bytes]]:
         texts.append(f"```python\n{source}\n```")
         for kind, content in contents(cell):
             if kind == "text/plain":
-                texts.append(f"```text\n{content.rstrip()}\n```")
+                texts.append(f"``` {{.text .output}}\n{content.rstrip()}\n```")
             else:
                 picture = f"{name}-{len(pictures) + 1}{EXTENSIONS[kind]}"
                 pictures[picture] = b64decode(content)

@@ -122,7 +122,7 @@ class ShowControls:
 class SaveControls:
     """Save what was edited, under a name in the folder where the viewer was started."""
 
-    def __init__(self, server: Any, folder: Path, name: str, save: Callable[[Path], None]) -> None:
+    def __init__(self, server: Any, folder: Path, name: str, save: Callable[[Path, bool], None]) -> None:
         gui = server.gui
         self._folder = folder
         self._save = save
@@ -140,10 +140,8 @@ class SaveControls:
         # whoever can reach the page should not write anywhere
         if not name or Path(name).name != name:
             notify(event.client, "Not saved", f"{name!r} is no name of a file; it goes to {self._folder}")
-        elif path.exists() and not self._replace.value:
-            notify(event.client, "Not saved", f"{name} exists; give another name, or tick Replace")
         else:
-            self._save(path)
+            self._save(path, bool(self._replace.value))
 
 
 def notify(client: Any, title: str, text: str, good: bool = False) -> None:

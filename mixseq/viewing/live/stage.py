@@ -33,11 +33,15 @@ class LiveStage:
         Colours.
     material : {"standard", "toon5"}
         How light falls on meshes; the second is quick without a graphics card.
+    overlaid : bool
+        Whether meshes stand in one place at first, rather than side by side.
     told : callable
         Told about every moment that is shown, while it is.
     """
 
-    def __init__(self, server: Any, paint: Paint, material: str, told: Callable[[Moment], None]) -> None:
+    def __init__(
+        self, server: Any, paint: Paint, material: str, overlaid: bool, told: Callable[[Moment], None]
+    ) -> None:
         self._server = server
         self._paint = paint
         self._told = told
@@ -47,7 +51,7 @@ class LiveStage:
         self._placed: dict[int, tuple[Float, float]] = {}
         self._colour = "clay"
         self._painted: list[Colouring | None] = [None] * len(paint.shot.items)
-        self._arrangement = arranged(paint.shot, side_by_side=True)
+        self._arrangement = arranged(paint.shot, side_by_side=not overlaid)
         self._furnish()
         self._meshes, self._clouds, self._labels = [], [], []
         for index, item in enumerate(paint.shot.items):

@@ -39,6 +39,8 @@ class ViewSettings:
         How many threads decode.
     material : {"standard", "toon5"}
         How light falls on meshes; the second is for machines without a graphics card.
+    overlaid : bool
+        Whether meshes stand in one place at first, rather than side by side.
     """
 
     host: str = "127.0.0.1"
@@ -47,6 +49,7 @@ class ViewSettings:
     name: str = "edited.h5"
     threads: int = 2
     material: str = "standard"
+    overlaid: bool = False
 
 
 class Viewer:
@@ -73,7 +76,7 @@ class Viewer:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         gui.set_panel_label("mixseq")
-        self._stage = LiveStage(server, paint, settings.material, self._show)
+        self._stage = LiveStage(server, paint, settings.material, settings.overlaid, self._show)
         self.playback = stack.enter_context(
             Playback(paint.shot, self._stage, self._failed, threads=settings.threads)
         )
@@ -153,6 +156,22 @@ class Viewer:
             notify(client, title, text, good)
 
 
+def check_viser() -> None:
+    """Refuse to go on without viser.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise MissingExtraError(
+            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
+        ) from None
+
+
 @contextmanager
 def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
     """Run a viewer in the background, as long as the context lasts.
@@ -163,20 +182,17 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
         The shot, and its colours.
     settings : ViewSettings
         How.
-    save : callable
-        Writes an edited model to a file, as a model or as a sequence; raises `MixseqError`.
+    save : Save
+        Writes edited models to files.
 
     Raises
     ------
     MissingExtraError
         If viser is not installed.
     """
-    try:
-        import viser
-    except ImportError:
-        raise MissingExtraError(
-            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
-        ) from None
+    check_viser()
+    import viser
+
     with ExitStack() as stack:
         with redirect_stdout(StringIO()):  # a greeting of viser
             server = viser.ViserServer(settings.host, settings.port, label="mixseq", verbose=False)

@@ -85,6 +85,13 @@ window.mixseqLive ??= (function () {
   }
   tick();
 
+  // keys that move a slider or a number should not turn the camera as well, which listens farther out
+  for (const kind of ["keydown", "keyup"]) {
+    document.getElementById("root").addEventListener(kind, (event) => {
+      if (event.target.closest?.("[role=slider], input, textarea")) event.stopPropagation();
+    });
+  }
+
   return {
     /** Talk to the text input of this name; again after every reconnection. */
     connect(to) {

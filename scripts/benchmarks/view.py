@@ -1,0 +1,125 @@
+"""The viewer without its browser: how many frames of a model are there in time, and what a frame takes to be sent.
+
+Usage: scripts/bench view [NAME ...]   (animations of $MIXSEQ_DATA/npz)
+
+Every sequence becomes a model of the default tolerance, which plays three times at its own rate on a stage that draws
+at once. Frames that were not decoded in time are left out. Then milliseconds to send a frame: scene and colours of
+viser, with no page open.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import redirect_stdout
+from io import StringIO
+
+import numpy as np
+
+import mixseq
+from mixseq.mapping import thread_count
+from mixseq.sequence import MeshSequence
+from mixseq.stored import stored
+from mixseq.viewing.live.stage import LiveStage
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.playback import Moment, Playback
+from mixseq.viewing.shown import Item, Shot
+from scripts.benchmarks.common.animations import animation
+
+NAMES = ("q_wolf_gallop", "horse_gallop", "elephant_gallop")
+ROUNDS = 3
+COLOURS = ("clay", "strain", "curvature")
+SIDE = 245  # vertices of the side of the sheet: 60 025 in all
+
+
+class Watch:
+    """A stage that only takes notes."""
+
+    busy = False
+
+    def __init__(self) -> None:
+        self.shown: list[tuple[float, int]] = []
+
+    def show(self, moment: Moment) -> None:
+        self.shown.append((time.monotonic(), moment.frame))
+
+
+def main() -> int:
+    columns = (
+        "sequence",
+        "vertices",
+        "frames/s",
+        *(f"round {number + 1}" for number in range(ROUNDS)),
+        *COLOURS,
+    )
+    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
+    for name in sys.argv[1:] or NAMES:
+        item = Item(name, mixseq.fit(animation(name)))
+        row(item, rounds(Shot((item,))))
+    row(Item("sheet, not a model", stored(sheet())), ["", "", ""])
+    return 0
+
+
+def rounds(shot: Shot) -> list[str]:
+    """Play a shot and return the share of its frames that was seen in every round."""
+    watch, period = Watch(), shot.count / shot.fps
+    with Playback(shot, watch, lambda error: None, threads=thread_count()) as playback:
+        playback.caught_up(60.0)
+        begin = time.monotonic()
+        playback.play()
+        time.sleep(ROUNDS * period)
+    seen = [
+        {frame for at, frame in watch.shown if 0 <= at - begin - k * period < period} for k in range(ROUNDS)
+    ]
+    return [f"{len(frames)} of {shot.count}" for frames in seen]
+
+
+def row(item: Item, shares: list[str]) -> None:
+    """Print what was seen, and measure what sending takes."""
+    times = [f"{1000 * sending(item, colour):.1f} ms" for colour in COLOURS]
+    cells = (
+        item.name,
+        f"{item.header.vertex_count:,}".replace(",", " "),
+        f"{item.header.fps:g}",
+        *shares,
+        *times,
+    )
+    print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def sending(item: Item, colour: str) -> float:
+    """Return the seconds that the scene takes for a frame, the median of some."""
+    from viser import ViserServer
+
+    shot = Shot((item,))
+    with redirect_stdout(StringIO()):
+        server = ViserServer("127.0.0.1", 8500, verbose=False)
+        stage = LiveStage(server, Paint(shot), "standard", False, lambda moment: None)
+        stage.colour(colour)
+        moments = [Moment(shot, frame, (item.pose(shot.elapsed(frame)),)) for frame in shot.spread(24)]
+        stage.show(moments[0])  # works out the colours
+        seconds = []
+        for moment in moments:
+            begin = time.perf_counter()
+            stage.show(moment)
+            seconds.append(time.perf_counter() - begin)
+        server.stop()
+    return float(np.median(seconds))
+
+
+def sheet(frames: int = 24) -> MeshSequence:
+    """Return a sheet of 60 025 vertices with a wave running through it."""
+    x, z = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-2, 2, SIDE)]))
+    phase = 2 * np.pi * np.arange(frames)[:, None] / frames
+    y = 0.4 * np.sin(phase + 2 * x)
+    points = np.stack([np.broadcast_to(x, y.shape), y, np.broadcast_to(z, y.shape)], axis=2)
+    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = (
+        each.ravel() for each in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:])
+    )
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return MeshSequence.from_arrays(points, faces, fps=24)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

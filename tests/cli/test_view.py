@@ -1,0 +1,341 @@
+"""``mixseq view``: a viewer that starts and ends, a page that plays on its own, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import sysconfig
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from click.testing import Result
+
+import mixseq
+import mixseq.cli.view as module
+from mixseq.errors import OutputError
+from mixseq.mapping import thread_count
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Model
+from mixseq.viewing import live
+from mixseq.viewing.painting import Paint
+from mixseq.viewing.session import Save
+
+Run = Callable[..., Result]
+Contents = Callable[[], dict[str, bytes | None]]
+
+MIXSEQ = str(Path(sysconfig.get_path("scripts")) / "mixseq")
+PATIENCE = 60.0
+"""Seconds until we give up."""
+
+
+# What is refused ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("view", "Missing argument 'FILES...'.*see mixseq view --help"),
+        ("view none.npz", "none.npz.* does not exist"),
+        ("view none.h5", "none.h5 does not exist"),
+        ("view notes.txt", "notes.txt"),
+        ("view cut_model.h5", "cut_model.h5"),
+        ("view bar.npz none.usdc", "none.usdc.* does not exist"),
+        ("view bar.npz --fps 0", "--fps.*0.0 is not in the range"),
+        (
+            "view bar.npz --export new.html --fps 0.1",
+            "a film has from 2 to 100,000, change its duration or its rate",
+        ),
+        ("view bar.npz --port 0", "--port.*0 is not in the range"),
+        ("view bar.npz --every 2", "--every is about pages; give --export as well"),
+        ("view bar.npz --largest 10", "--largest is about pages; give --export as well"),
+        ("view bar.npz --against none.npz", "none.npz.* does not exist"),
+        ("view bar.npz --against other.npz", "none of the meshes has .* errors need one mesh"),
+        ("view bar.npz --prim /mesh", "none of the files is read with an option 'prim'"),
+        ("view bar.usdc --prim /none", "/none"),
+        (
+            "view bar.npz --export new.html --port 9000",
+            "--port is about the viewer in a browser; leave it out",
+        ),
+        ("view bar.npz --export new.html --host 0.0.0.0", "--host is about the viewer in a browser"),
+        ("view bar.npz --export new.html --no-browser", "--browser is about the viewer in a browser"),
+        ("view bar.npz --export new.html --shading simple", "--shading is about the viewer in a browser"),
+        ("view bar.npz --export new.pdf", "new.pdf: pages end in .html"),
+        ("view none.npz --export new", "new: pages end in .html"),
+        ("view bar.npz --export nowhere/new.html", "nowhere does not exist; make it first"),
+        ("view bar.npz --export new.html --every 0", "--every.*0 is not in the range"),
+        ("view bar.npz --export new.html --largest 0.001", "more than 0.001 MB; take fewer frames"),
+        ("view bar.npz --export new.html --largest -1", "-1"),
+        ("view none.npz --export new.html", "none.npz.* does not exist"),
+        ("view bar.npz --export new.html --against other.npz", "errors need one mesh"),
+    ],
+)
+def test_failure(
+    run: Run, contents: Contents, monkeypatch: pytest.MonkeyPatch, line: str, message: str
+) -> None:
+    monkeypatch.setattr(live, "check_viser", lambda: None)
+    monkeypatch.setattr(live, "viewer", None)  # nothing gets so far
+    before = contents()
+    result = run(*line.split())
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert re.fullmatch(f"mixseq: error: .*{message}.*\n", result.stderr), result.stderr
+    assert contents() == before
+
+
+@pytest.mark.parametrize("against", [False, True])
+def test_a_page_never_replaces_a_source(run: Run, contents: Contents, folder: Path, against: bool) -> None:
+    (folder / "page.html").symlink_to(folder / "bar.npz")
+    before = contents()
+    files = ["bar.usdc", "--against", "bar.npz"] if against else ["model.h5", "bar.npz"]
+    result = run("view", *files, "--export", "page.html")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "page.html is the source itself and would be lost; give another name" in result.stderr
+    assert contents() == before
+
+
+def test_without_viser(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)  # importing it fails
+    result = run("view", "bar.npz", "--no-browser")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert re.fullmatch(r"mixseq: error: .*viser.*pip install 'mixseq\[viewer\]'\n", result.stderr)
+
+
+# Pages ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("files", [["bar.npz"], ["model.h5"], ["bar.npz", "model.h5", "bar.usdc"]])
+def test_a_page(run: Run, monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)  # which pages do not need
+    result = run("view", *files, "--export", "new.html")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert re.fullmatch(
+        r"wrote new\.html \(.*\)\nno coordinate is off by more than .*, of the meshes' own units\n",
+        result.stdout,
+    )
+    text = Path("new.html").read_text(encoding="utf-8")
+    assert text.startswith("<!doctype html>") or text.startswith("<!DOCTYPE html>")
+    assert all(file in text for file in files)
+
+
+def test_a_page_with_fewer_frames(run: Run) -> None:
+    sizes = []
+    for options in ((), ("--every", "3")):
+        assert run("view", "bar.npz", "--export", "new.html", *options).exit_code == 0
+        sizes.append(Path("new.html").stat().st_size)
+    assert sizes[1] < sizes[0]
+
+
+def test_a_page_with_everything_in_one_place(run: Run) -> None:
+    pages = []
+    for options in ((), ("--overlaid",)):
+        assert run("view", "bar.npz", "model.h5", "--export", "new.html", *options).exit_code == 0
+        pages.append(Path("new.html").read_bytes())
+    assert pages[0] != pages[1]
+
+
+def test_a_page_replaces_a_page(run: Run, folder: Path) -> None:
+    (folder / "old.html").write_text("somebody's work")
+    assert run("view", "bar.npz", "--against", "bar.usdc", "--export", "old.html", "-q").exit_code == 0
+    assert "error" in (folder / "old.html").read_text(encoding="utf-8")
+
+
+# The viewer, by what it is told -----------------------------------------------------------------------------
+
+
+class Room:
+    """A viewer that remembers what it was given, and ends at once, as by Ctrl-C."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.unsaved: list[str] = []
+        self.opened: list[str] = []
+        self.ended = False
+        self.paint: Paint
+        self.settings: live.ViewSettings
+        self.save: Save
+        monkeypatch.setattr(live, "viewer", self._viewer)
+        monkeypatch.setattr(webbrowser, "open", self.opened.append)
+        monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
+
+    @contextmanager
+    def _viewer(self, paint: Paint, settings: live.ViewSettings, save: Any) -> Iterator[Any]:
+        self.paint, self.settings, self.save = paint, settings, save
+        try:
+            yield SimpleNamespace(
+                address="http://127.0.0.1:8080", session=SimpleNamespace(unsaved=self.unsaved)
+            )
+        finally:
+            self.ended = True
+
+    def wait(self) -> None:
+        assert not self.ended
+        raise KeyboardInterrupt
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> Room:
+    return Room(monkeypatch)
+
+
+def test_the_address_is_told(run: Run, room: Room) -> None:
+    result = run("view", "model.h5", "--no-browser")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout == "mixseq view: http://127.0.0.1:8080 (Ctrl-C ends it)\n\n"
+    assert room.ended
+
+
+def test_what_is_shown(run: Run, room: Room) -> None:
+    run(
+        "view",
+        "bar.npz",
+        "model.h5",
+        "bar.usdc",
+        "--against",
+        "bar_sequence.h5",
+        "--fps",
+        "30",
+        "--no-browser",
+    )
+    shot = room.paint.shot
+    assert [item.name for item in shot.items] == ["bar.npz", "model.h5", "bar.usdc"]
+    assert [isinstance(item.motion, Model) for item in shot.items] == [False, True, False]
+    assert (shot.fps, "error" in room.paint.names) == (30, True)
+
+
+def test_defaults(run: Run, room: Room, folder: Path) -> None:
+    run("view", "bar.npz", "model.h5", "--no-browser")
+    settings = room.settings
+    assert (settings.host, settings.port, settings.material) == ("127.0.0.1", 8080, "standard")
+    assert (settings.folder, settings.name, settings.threads) == (folder, "model-edited.h5", thread_count())
+    assert not settings.overlaid
+
+
+def test_settings(run: Run, room: Room) -> None:
+    line = "view bar.npz --host 0.0.0.0 --port 9123 --shading simple --threads 1 --overlaid --no-browser"
+    run(*line.split())
+    settings = room.settings
+    assert (settings.host, settings.port, settings.material) == ("0.0.0.0", 9123, "toon5")
+    assert (settings.name, settings.threads, settings.overlaid) == ("bar-edited.h5", 1, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "opens"),
+    [
+        (["--browser"], {}, True),
+        (["--browser"], {"SSH_CONNECTION": "1"}, True),
+        (["--no-browser"], {"DISPLAY": ":0"}, False),
+        ([], {"DISPLAY": ":0"}, True),
+        ([], {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ([], {"DISPLAY": ":0", "SSH_CONNECTION": "1"}, False),
+        ([], {}, False),
+    ],
+)
+def test_a_browser_where_there_is_a_screen(
+    run: Run,
+    room: Room,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    environment: dict[str, str],
+    opens: bool,
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SSH_CONNECTION"):
+        monkeypatch.delenv(name, raising=False)
+        if name in environment:
+            monkeypatch.setenv(name, environment[name])
+    assert run("view", "bar.npz", *options).exit_code == 0
+    assert room.opened == (["http://127.0.0.1:8080"] if opens else [])
+
+
+def test_edits_that_were_not_saved_are_warned_about(run: Run, room: Room) -> None:
+    room.unsaved.extend(["walk.h5", "run.h5"])
+    result = run("view", "model.h5", "--no-browser")
+    assert result.exit_code == 0
+    assert result.stderr == (
+        "mixseq: warning: what was edited of walk.h5 was not saved\n"
+        "mixseq: warning: what was edited of run.h5 was not saved\n"
+    )
+
+
+def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder: Path) -> None:
+    run("view", "model.h5", "bar.npz", "--no-browser")
+    edited = replace(bar_model)
+    room.save(folder / "edited.h5", edited, replace=False)
+    again = mixseq.load(folder / "edited.h5")
+    np.testing.assert_allclose(again(0.1), edited(0.1), atol=1e-12)
+    room.save(folder / "edited.usdc", edited, replace=False)
+    decoded: MeshSequence = mixseq.read(folder / "edited.usdc")
+    np.testing.assert_allclose(decoded.points[2], edited(edited.times[2]), atol=1e-5)
+    with pytest.raises(OutputError, match="edited.usdc exists; give another name, or tick Replace"):
+        room.save(folder / "edited.usdc", edited, replace=False)
+    room.save(folder / "edited.usdc", edited, replace=True)
+    for source in ("model.h5", "bar.npz"):
+        before = (folder / source).read_bytes()
+        with pytest.raises(OutputError, match="is the source itself"):
+            room.save(folder / source, edited, replace=True)
+        assert (folder / source).read_bytes() == before
+
+
+# The viewer as a process ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Let processes that we start heed Ctrl-C, even if we run in the background of a shell and do not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def free_port() -> int:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        port: int = server.getsockname()[1]
+    return port
+
+
+def first_line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], PATIENCE)
+    assert ready, "it said nothing"
+    return process.stdout.readline()
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: int) -> None:
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    before = sorted(folder.iterdir())
+    command = [MIXSEQ, "view", "model.h5", "bar.npz", "--no-browser", "--port", str(free_port())]
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            found = re.fullmatch(
+                r"mixseq view: (http://127\.0\.0\.1:\d+) \(Ctrl-C ends it\)\n", first_line(process)
+            )
+            assert found
+            with urlopen(found[1], timeout=PATIENCE) as response:
+                assert response.status == 200
+                assert b"<html" in response.read()
+            begin = time.monotonic()
+            process.send_signal(number)
+            stdout, stderr = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert (process.returncode, stdout.strip(), stderr) == (code, "", "")
+    assert time.monotonic() - begin < 15.0
+    with pytest.raises(OSError, match="refused"):
+        urlopen(found[1], timeout=PATIENCE)
+    assert sorted(folder.iterdir()) == before
