@@ -277,7 +277,7 @@ def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder
     room.save(folder / "edited.usdc", edited, replace=False)
     decoded: MeshSequence = mixseq.read(folder / "edited.usdc")
     np.testing.assert_allclose(decoded.points[2], edited(edited.times[2]), atol=1e-5)
-    with pytest.raises(OutputError, match="edited.usdc exists; give another name, or tick Replace"):
+    with pytest.raises(OutputError, match=r"edited\.usdc exists; give another name, or tick Replace"):
         room.save(folder / "edited.usdc", edited, replace=False)
     room.save(folder / "edited.usdc", edited, replace=True)
     for source in ("model.h5", "bar.npz"):
