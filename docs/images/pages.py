@@ -35,7 +35,7 @@ def main() -> None:
     )
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
-        settings = ViewSettings(folder=Path(folder), name="walk-edited.h5")
+        settings = ViewSettings(folder=Path(folder))
         with viewer(Paint(Shot((Item("walk.h5", model),))), settings, save_model) as running:
             take_viewer(browser.new_page(viewport=SIZE), running.address)
         mixseq.save(Path(folder, "walk.h5"), model)

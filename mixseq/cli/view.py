@@ -156,10 +156,22 @@ def _opened(
         with mixseq.open_sequence(file, **options_of(file, reading)) as reader:
             return stored(reader, progress)
 
-    items = tuple(Item(file.name, mixseq.load(file) if is_model(file) else read(file)) for file in files)
+    items = tuple(
+        Item(name, mixseq.load(file) if is_model(file) else read(file))
+        for name, file in zip(_names(files), files, strict=True)
+    )
     shot = Shot(items, fps)
     shot.count  # noqa: B018  # refuses a rate that gives too few frames or too many
     return shot, None if against is None else read(against)
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Return what files are called: their names, with as many folders as tell them apart, or else a number."""
+    for parts in range(1, max(len(file.parts) for file in files) + 1):
+        names = ["/".join(file.parts[-parts:]) for file in files]
+        if len(set(names)) == len(files):
+            return names
+    return [f"{number + 1} {file.name}" for number, file in enumerate(files)]
 
 
 def _paint(shot: Shot, original: Stored | None) -> Paint:
@@ -182,10 +194,8 @@ def _run(
     from mixseq.mapping import thread_count
     from mixseq.viewing.live import ViewSettings, viewer
 
-    first = next((file for file in files if is_model(file)), files[0])
     settings = ViewSettings(
         folder=Path.cwd(),
-        name=f"{first.stem}-edited.h5",
         threads=threads or thread_count(),
         material="toon5" if shading == "simple" else "standard",
         **{name: value for name, value in given.items() if value is not None},
@@ -219,10 +229,13 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> N
         check_target(path, source)
     if not replace and (path.exists() or any(files_of_pattern(path))):
         raise OutputError(f"{path.name} exists; give another name, or tick Replace")
-    if path.suffix.lower() in MODEL_EXTENSIONS:
-        mixseq.save(path, model)
-    else:
-        write_frames(path, model, model.header, False, {}, silent, on_threads())
+    try:
+        if path.suffix.lower() in MODEL_EXTENSIONS:
+            mixseq.save(path, model)
+        else:
+            write_frames(path, model, model.header, False, {}, silent, on_threads())
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror or error}") from None
 
 
 # Pages that play on their own -----------------------------------------------------------------------------

@@ -15,6 +15,10 @@ MOST_POINTS = 5000
 """A stroke has no more points, a retiming no more keys."""
 
 
+LARGEST = 1e6
+"""No time, in seconds, and no place, in diagonals, is farther away; ours."""
+
+
 @dataclass(frozen=True)
 class Drawn:
     """The page has drawn a frame."""
@@ -75,7 +79,7 @@ def message_of(text: str) -> Message | None:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         raise ValueError
     return float(value)
 

@@ -38,7 +38,10 @@ class Told(Protocol):
     """Who is told what happens, on another thread."""
 
     def edited(self, session: Session) -> None:
-        """Another model is seen, or another one is edited."""
+        """The model that is edited is another one."""
+
+    def chosen(self, session: Session) -> None:
+        """Another model is edited."""
 
     def failed(self, what: str, error: Exception) -> None:
         """Something could not be done."""
@@ -134,7 +137,7 @@ class Session:
         """Edit another item."""
         if index in self._histories:
             self._index = index
-            self._told.edited(self)
+            self._told.chosen(self)
 
     def edit(self, name: str, edit: Edit) -> None:
         """Do something to the model, on another thread; it can be undone."""
@@ -151,6 +154,11 @@ class Session:
     def redo(self) -> None:
         """Do again what was taken back."""
         self._add(_Job("redo", self._index, History.redone))
+
+    def settle(self) -> None:
+        """Show the model as it is, whatever a preview shows."""
+        if self._histories:
+            self._add(_Job("settle", self._index, lambda history: history))
 
     def save(self, path: Path, replace: bool = False) -> None:
         """Write the model to a file, on a thread of its own.
@@ -196,7 +204,8 @@ class Session:
             except Exception as error:
                 model = self._histories[job.index].model
                 self._playback.change(self._playback.shot.with_item(job.index, model))
-                self._fail(job.name, error)
+                if not job.preview:  # the mouse goes on, and the last word is told
+                    self._fail(job.name, error)
             else:
                 self._see(job, history, shot)
 
@@ -215,7 +224,10 @@ class Session:
     def _fail(self, what: str, error: Exception) -> None:
         if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the session goes on
             print_exception(error)
-        self._told.failed(what, error)
+        try:
+            self._told.failed(what, error)
+        except Exception as again:
+            print_exception(again)
 
 
 def _step(name: str, edit: Edit) -> Callable[[History], History]:

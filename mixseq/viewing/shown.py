@@ -18,9 +18,9 @@ Points = NDArray[np.float32]
 Float = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Item:
-    """A mesh that is shown.
+    """A mesh that is shown; equal to others of the same name and the very same motion.
 
     Attributes
     ----------

@@ -217,8 +217,23 @@ def test_defaults(run: Run, room: Room, folder: Path) -> None:
     run("view", "bar.npz", "model.h5", "--no-browser")
     settings = room.settings
     assert (settings.host, settings.port, settings.material) == ("127.0.0.1", 8080, "standard")
-    assert (settings.folder, settings.name, settings.threads) == (folder, "model-edited.h5", thread_count())
+    assert (settings.folder, settings.threads) == (folder, thread_count())
     assert not settings.overlaid
+
+
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        ("a.h5 b.usdc", ["a.h5", "b.usdc"]),
+        ("a.h5 old/a.h5", ["a.h5", "old/a.h5"]),
+        ("one/a.h5 two/a.h5 b.h5", ["one/a.h5", "two/a.h5", "one/b.h5"]),
+        ("a.h5 a.h5", ["1 a.h5", "2 a.h5"]),
+    ],
+)
+def test_files_are_told_apart(files: str, names: list[str]) -> None:
+    found = module._names([Path(name) for name in files.split()])
+    assert len(set(found)) == len(found)
+    assert [name.rpartition("/")[2] for name in found] == [name.rpartition("/")[2] for name in names]
 
 
 def test_settings(run: Run, room: Room) -> None:
@@ -226,7 +241,7 @@ def test_settings(run: Run, room: Room) -> None:
     run(*line.split())
     settings = room.settings
     assert (settings.host, settings.port, settings.material) == ("0.0.0.0", 9123, "toon5")
-    assert (settings.name, settings.threads, settings.overlaid) == ("bar-edited.h5", 1, True)
+    assert (settings.threads, settings.overlaid) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -31,10 +31,20 @@ PATIENCE = 60_000
 """Milliseconds that a busy machine may take for anything."""
 
 
+SCREENSHOTS = "MIXSEQ_SCREENSHOTS"
+"""Where pictures of pages are kept."""
+
+
 class NewPage(Protocol):
     """Opens a page of so many pixels, `scale` of the screen's for each."""
 
     def __call__(self, width: int = 1280, height: int = 800, scale: float = 1.0) -> Page: ...
+
+
+class Keep(Protocol):
+    """Keeps a picture of a page under a name."""
+
+    def __call__(self, page: Page, name: str) -> None: ...
 
 
 # One for every file, no more: while playwright lives, its event loop runs in this thread, and other tests start theirs.
@@ -53,34 +63,57 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
-@pytest.fixture
-def new_page(browser: Browser) -> Iterator[NewPage]:
-    """Opens pages. Errors on them, and requests to anywhere but this machine, fail the test at its end."""
-    complaints: list[str] = []
-    opened: list[Page] = []
+class Watched:
+    """Opens pages, and keeps what goes wrong on them: errors, and requests to anywhere but this machine."""
 
-    def listen_to_console(message: ConsoleMessage) -> None:
-        if message.type == "error":
-            complaints.append(f"on the console: {message.text}")
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
+        self._opened: list[Page] = []
+        self._complaints: list[str] = []
 
-    def listen_to_requests(request: Request) -> None:
-        address = urlsplit(request.url)
-        if address.scheme not in ("file", "data", "blob", "about") and address.hostname != "127.0.0.1":
-            complaints.append(f"a request to {request.url}")
-
-    def open_page(width: int = 1280, height: int = 800, scale: float = 1.0) -> Page:
-        page = browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
+    def open(self, width: int = 1280, height: int = 800, scale: float = 1.0) -> Page:
+        page = self._browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
         page.set_default_timeout(PATIENCE)
-        page.on("console", listen_to_console)
-        page.on("pageerror", lambda error: complaints.append(f"an error: {error}"))
-        page.on("request", listen_to_requests)
-        opened.append(page)
+        page.on("console", self._listen_to_console)
+        page.on("pageerror", lambda error: self._complaints.append(f"an error: {error}"))
+        page.on("request", self._listen_to_requests)
+        self._opened.append(page)
         return page
 
-    yield open_page
-    for page in opened:
-        page.context.close()
-    assert not complaints, "\n".join(complaints)
+    def check(self) -> None:
+        """Fail if something went wrong since last time."""
+        complaints, self._complaints = self._complaints, []
+        assert not complaints, "\n".join(complaints)
+
+    def close(self) -> None:
+        for page in self._opened:
+            page.context.close()
+
+    def _listen_to_console(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            self._complaints.append(f"on the console: {message.text}")
+
+    def _listen_to_requests(self, request: Request) -> None:
+        address = urlsplit(request.url)
+        if address.scheme not in ("file", "data", "blob", "about") and address.hostname != "127.0.0.1":
+            self._complaints.append(f"a request to {request.url}")
+
+
+@pytest.fixture
+def new_page(browser: Browser) -> Iterator[NewPage]:
+    """Opens pages for one test, which fails at its end if something went wrong on them."""
+    watched = Watched(browser)
+    yield watched.open
+    watched.close()
+    watched.check()
+
+
+@pytest.fixture(scope="module")
+def watched(browser: Browser) -> Iterator[Watched]:
+    """Opens pages that the tests of a file share; each test calls `Watched.check` at its end."""
+    watched = Watched(browser)
+    yield watched
+    watched.close()
 
 
 @pytest.fixture
@@ -90,9 +123,21 @@ def page(new_page: NewPage) -> Page:
 
 
 @pytest.fixture
+def keep() -> Keep:
+    """Keeps pictures of pages, to be looked at, in the folder $MIXSEQ_SCREENSHOTS if it is set: they take time."""
+
+    def keep(page: Page, name: str) -> None:
+        if folder := os.environ.get(SCREENSHOTS):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            page.screenshot(path=Path(folder) / f"{name}.png")
+
+    return keep
+
+
+@pytest.fixture
 def screenshots(tmp_path: Path) -> Path:
-    """Where pictures of pages are kept: the folder $MIXSEQ_SCREENSHOTS, if it is set."""
-    named = os.environ.get("MIXSEQ_SCREENSHOTS")
+    """The folder of `keep`, or a temporary one."""
+    named = os.environ.get(SCREENSHOTS)
     folder = Path(named) if named else tmp_path / "screenshots"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

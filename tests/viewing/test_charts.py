@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from mixseq.creature import walk_cycle
 from mixseq.operations.dragging import drag
+from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from mixseq.viewing.assets import CHART_SCRIPTS, chart_scripts
 from mixseq.viewing.signals import signals_of
-from tests.viewing.conftest import NewPage
+from tests.meshes import bar
+from tests.viewing.conftest import Keep, NewPage, Watched
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -25,14 +24,25 @@ PAGE = """<!doctype html><meta charset="utf-8">
 <style>html, body, #root { margin: 0; height: 100% }</style><div id="root"></div>
 <script>CHARTS</script>
 <script>
-  window.log = [];
   const say = (kind) => (message) => log.push([kind, message]);
-  window.charts = mixseqCharts(
-    document.getElementById("root"),
-    { onDrag: say("drag"), onSketch: say("sketch"), onRetime: say("retime"), onSeek: say("seek") },
-    OPTIONS,
-  );
-</script>"""
+  var log, charts;
+  function make(options) {
+    charts?.remove();
+    log = [];
+    charts = mixseqCharts(
+      document.getElementById("root"),
+      { onDrag: say("drag"), onSketch: say("sketch"), onRetime: say("retime"), onSeek: say("seek") },
+      options,
+    );
+  }
+</script>""".replace("CHARTS", chart_scripts())
+
+SETTLED = """async () => {
+  const frame = () => new Promise(requestAnimationFrame);
+  do await frame(); while (!root.mixseqCharts.settled());
+  await frame();
+}"""
+"""Waits until all is drawn."""
 
 WIDTH, HEIGHT = 380, 760
 
@@ -44,7 +54,7 @@ class Charts:
 
     def __init__(self, page: Page, signals: dict[str, Any] | None, **options: bool) -> None:
         self.page = page
-        page.set_content(PAGE.replace("CHARTS", chart_scripts()).replace("OPTIONS", json.dumps(options)))
+        page.evaluate("(options) => make(options)", options)
         if signals is not None:
             self.show(signals)
 
@@ -53,11 +63,7 @@ class Charts:
         self.settle()
 
     def settle(self) -> None:
-        """Wait until all is drawn."""
-        self.page.evaluate(
-            "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
-        )
-        self.page.wait_for_function("() => root.mixseqCharts.settled()")
+        self.page.evaluate(SETTLED)
 
     def ask(self, what: str) -> Any:
         return self.page.evaluate(f"() => root.mixseqCharts.{what}")
@@ -90,19 +96,36 @@ class Charts:
 
 
 @pytest.fixture(scope="module")
-def fox() -> Model:
-    return fit(walk_cycle(frames=12), exact=True, space="vertex")
+def model() -> Model:
+    """A bar whose tip goes almost around once, and up and down, in 12 frames from 0 to 11 / 24 s."""
+    rest = bar(sides=4, rings=6, frames=1)
+    turn = np.linspace(0, 1.8 * np.pi, 12)
+    tip = np.stack([np.cos(turn), np.sin(turn), 0.3 * np.sin(2 * turn)], axis=1)
+    moves = tip[:, None] * rest.points[0, :, 2:]
+    return fit(MeshSequence.from_arrays(rest.points + moves, rest.faces, fps=24), exact=True, space="vertex")
 
 
 @pytest.fixture(scope="module")
-def signals(fox: Model) -> dict[str, Any]:
-    return signals_of(fox)
+def signals(model: Model) -> dict[str, Any]:
+    return signals_of(model)
+
+
+@pytest.fixture(scope="module")
+def opened_page(watched: Watched) -> Page:
+    page = watched.open(WIDTH, HEIGHT)
+    page.set_content(PAGE)
+    return page
 
 
 @pytest.fixture
-def small(new_page: NewPage) -> Page:
-    """A page of the size that charts have beside a mesh."""
-    return new_page(WIDTH, HEIGHT)
+def small(opened_page: Page, watched: Watched) -> Iterator[Page]:
+    """A page of the size that charts have beside a mesh, with nothing in it yet and no key or button down."""
+    opened_page.mouse.move(0, 0)
+    yield opened_page
+    opened_page.mouse.up()
+    for key in ("Shift", "Alt"):
+        opened_page.keyboard.up(key)
+    watched.check()
 
 
 @pytest.fixture
@@ -133,11 +156,11 @@ def test_the_layout_has_one_scale(charts: Charts, signals: dict[str, Any]) -> No
     assert np.ptp(shown, axis=0).max() > 0.7 * WIDTH
 
 
-def test_the_point_is_where_the_model_is(charts: Charts, fox: Model) -> None:
+def test_the_point_is_where_the_model_is(charts: Charts, model: Model) -> None:
     time = 0.3
     charts.page.evaluate("(time) => charts.at(time)", time)
     charts.settle()
-    assert apart(charts.ask("pointPixel()"), charts.pixel(fox.layout([time])[0])) < 1
+    assert apart(charts.ask("pointPixel()"), charts.pixel(model.layout([time])[0])) < 1
 
 
 def test_dragging_a_handle(charts: Charts, signals: dict[str, Any]) -> None:
@@ -165,32 +188,34 @@ def test_a_click_on_a_handle_goes_there(charts: Charts, signals: dict[str, Any])
     assert charts.told() == [["seek", signals["handles"][5]["time"]]]
 
 
-def test_showing_does_not_fight_the_hand(charts: Charts, signals: dict[str, Any], fox: Model) -> None:
+def test_showing_does_not_fight_the_hand(charts: Charts, signals: dict[str, Any], model: Model) -> None:
     """While a handle is dragged and the answer comes late, it stays in the hand, and the picture does not move."""
     time, start = signals["handles"][5]["time"], charts.ask("handlePixels()")[5]
     end = (start[0] + 30, start[1] - 60)
     scale = charts.ask("scale()")
     charts.grab(start)
     charts.move(end)
-    half = drag(fox, time, np.add(signals["handles"][5]["at"], np.array([15, 30]) / scale).tolist())
-    charts.show(signals_of(half, fox.plane))
+    half = drag(model, time, np.add(signals["handles"][5]["at"], np.array([15, 30]) / scale).tolist())
+    charts.show(signals_of(half, model.plane))
     assert apart(charts.ask("handlePixels()")[5], end) < 1 and charts.ask("scale()") == scale
     charts.drop()
     (last,) = [each for each in charts.told("drag") if each["done"]]
     assert apart(charts.pixel(last["to"]), end) < 1
     assert apart(charts.ask("handlePixels()")[5], end) < 1  # until it is answered
-    charts.show(signals_of(drag(fox, time, last["to"]), fox.plane))
+    charts.show(signals_of(drag(model, time, last["to"]), model.plane))
     assert apart(charts.ask("handlePixels()")[5], charts.pixel(last["to"])) < 1
     charts.show({**signals, "handles": []})
     assert charts.ask("handlePixels()") == []
 
 
-def test_what_a_drag_will_make_is_shown_at_once(charts: Charts, signals: dict[str, Any], fox: Model) -> None:
+def test_what_a_drag_will_make_is_shown_at_once(
+    charts: Charts, signals: dict[str, Any], model: Model
+) -> None:
     time, start = signals["handles"][5]["time"], charts.ask("handlePixels()")[5]
     charts.grab(start)
     charts.move((start[0] + 30, start[1] - 60))
     to = charts.told("drag")[-1]["to"]
-    made = signals_of(drag(fox, time, to), fox.plane)["path"]
+    made = signals_of(drag(model, time, to), model.plane)["path"]
     changed = np.abs(np.subtract(made, signals["path"])).max(axis=1) > 1e-4
     shown = np.array(charts.ask("bentPixels()"))
     made_there = np.array([charts.pixel(point) for point in np.array(made)[changed]])
@@ -256,10 +281,10 @@ def test_late_news_does_not_fight_the_hand_either(charts: Charts) -> None:
     assert charts.ask("pointPixel()") != held
 
 
-def test_seeking_on_the_curve(charts: Charts, fox: Model, signals: dict[str, Any]) -> None:
+def test_seeking_on_the_curve(charts: Charts, model: Model, signals: dict[str, Any]) -> None:
     before, after = signals["handles"][7:9]
     time = (before["time"] + after["time"]) / 2
-    x, y = charts.pixel(fox.layout([time])[0])
+    x, y = charts.pixel(model.layout([time])[0])
     charts.drag((x, y), (x, y))
     assert charts.told("seek")[0] == pytest.approx(time, abs=0.002)
     assert apart(charts.ask("pointPixel()"), (x, y)) < 1.5
@@ -367,12 +392,10 @@ def test_models_that_hardly_are(charts: Charts, signals: dict[str, Any]) -> None
     assert len(charts.ask("handlePixels()")) == len(signals["handles"])
 
 
-def test_touch(browser: Any, signals: dict[str, Any]) -> None:
+def test_touch(charts: Charts) -> None:
     """Fingers drag too, and need not be as exact as a mouse."""
-    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT}, has_touch=True)
-    charts = Charts(context.new_page(), signals, editable=True)
     x, y = charts.ask("handlePixels()")[5]
-    touch = context.new_cdp_session(charts.page)
+    touch = charts.page.context.new_cdp_session(charts.page)
     for kind, place in (
         ("Start", (x + 9, y + 9)),
         ("Move", (x + 30, y)),
@@ -384,7 +407,6 @@ def test_touch(browser: Any, signals: dict[str, Any]) -> None:
     charts.settle()
     last = charts.told("drag")[-1]
     assert last["done"] and apart(charts.pixel(last["to"]), (x + 40, y)) < 1
-    context.close()
 
 
 COLOURS = """(frames) => {
@@ -402,18 +424,22 @@ COLOURS = """(frames) => {
 }"""
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize(("width", "height", "scale"), [(380, 760, 2), (1280, 800, 1)])
+@pytest.mark.parametrize(
+    ("width", "height", "scale", "dark"),
+    [(380, 760, 2, False), (1000, 640, 1, True)],
+    ids=["narrow, light", "wide, dark"],
+)
 def test_pictures(
     new_page: NewPage,
     signals: dict[str, Any],
-    screenshots: Path,
+    keep: Keep,
     width: int,
     height: int,
     scale: int,
     dark: bool,
 ) -> None:
     page = new_page(width, height, scale)
+    page.set_content(PAGE)
     charts = Charts(page, signals, editable=True, dark=dark)
     page.evaluate("() => charts.at(0.2)")
     charts.settle()
@@ -428,15 +454,18 @@ def test_pictures(
     seen = page.evaluate(COLOURS, count)
     assert seen["dots"] >= count / 2  # some are under handles
     assert seen["dark" if dark else "light"] and not seen["light" if dark else "dark"]  # the present
-    page.screenshot(path=screenshots / f"charts-{'dark' if dark else 'light'}-{width}x{height}@{scale}.png")
+    keep(page, f"charts-{'dark' if dark else 'light'}-{width}x{height}@{scale}")
 
 
-def test_charts_follow_the_size(page: Page, signals: dict[str, Any]) -> None:
-    charts = Charts(page, signals, editable=True)
-    wide = charts.ask("handlePixels()")
-    page.set_viewport_size({"width": 400, "height": 700})
+def test_charts_follow_the_size(charts: Charts) -> None:
+    before = charts.ask("handlePixels()")
+    charts.page.set_viewport_size({"width": 700, "height": 400})
     charts.settle()
-    narrow = charts.ask("handlePixels()")
-    assert np.ptp(narrow, axis=0)[0] < np.ptp(wide, axis=0)[0] and np.max(narrow, axis=0)[0] < 400
-    charts.drag(narrow[5], (narrow[5][0] + 20, narrow[5][1]))
+    wide = charts.ask("handlePixels()")
+    assert np.max(wide, axis=0)[0] < 350 and np.max(wide, axis=0)[1] < 400
+    assert np.ptp(wide, axis=0).max() != pytest.approx(np.ptp(before, axis=0).max(), rel=0.01)
+    charts.drag(wide[5], (wide[5][0] + 20, wide[5][1]))
     assert charts.told("drag")[-1]["done"]
+    charts.page.set_viewport_size({"width": WIDTH, "height": HEIGHT})
+    charts.settle()
+    assert np.ptp(charts.ask("pathPixels()"), axis=0).max() > 0.7 * WIDTH

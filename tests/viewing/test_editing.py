@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
+from mixseq.operations import sketch, speed
 from mixseq.signals import Model
 from mixseq.viewing.live.bridge import in_script
-from mixseq.viewing.live.editing import pause
+from mixseq.viewing.live.editing import SHORTEST, duration, pause, reach_of
 from mixseq.viewing.live.stage import linear
 
 NEAR = 4e-4
@@ -36,6 +37,26 @@ def test_before_and_after_a_pause_everything_is_shown_once(bar_model: Model) -> 
     assert rests == sorted(rests, reverse=True)
     assert goes == sorted(goes)
     assert min(rests[0], goes[-1]) > 0.1
+
+
+def test_a_pause_changes_no_other_speed(bar_model: Model) -> None:
+    paused = pause(bar_model, 0.15, 0.4)
+    for time in (0.05, 0.1):
+        np.testing.assert_allclose(paused(time), bar_model(time), atol=NEAR)
+        np.testing.assert_allclose(paused(0.7 - time), bar_model(0.3 - time), atol=NEAR)
+
+
+@pytest.mark.parametrize(("end", "shown"), [(7 / 6, 1.167), (0.625, 0.625), (1.9583333, 1.959), (1.0, 1.0)])
+def test_a_slider_does_not_end_before_the_model(bar_model: Model, end: float, shown: float) -> None:
+    longer = speed(bar_model, bar_model.end / end)
+    assert duration(longer) == pytest.approx(shown)
+    assert longer.end <= duration(longer) < longer.end + SHORTEST
+
+
+def test_a_single_frame_has_lengths_that_controls_take(bar_model: Model) -> None:
+    still = sketch(bar_model, [[0.0, 0.0]], 1e-4)
+    assert duration(still) >= SHORTEST
+    assert reach_of(still) >= SHORTEST
 
 
 @pytest.mark.parametrize("time", [-0.1, 0.4])

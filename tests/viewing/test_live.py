@@ -47,7 +47,7 @@ def model() -> Model:
 @pytest.fixture
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     shot = Shot((Item("fox.h5", model),))
-    settings = ViewSettings(port=8300, folder=tmp_path, name="fox-edited.h5", threads=1, material="toon5")
+    settings = ViewSettings(port=8300, folder=tmp_path, threads=1, material="toon5")
     with viewer(Paint(shot), settings, lambda path, model, replace: mixseq.save(path, model)) as started:
         yield started
 

@@ -10,9 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixseq.viewing.messages import MOST_POINTS, Drag, Drawn, Message, Retime, Seek, Sketch, message_of
+from mixseq.viewing.messages import (
+    LARGEST,
+    MOST_POINTS,
+    Drag,
+    Drawn,
+    Message,
+    Retime,
+    Seek,
+    Sketch,
+    message_of,
+)
 
-numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(2**53), 2**53)
+numbers = st.floats(-LARGEST, LARGEST) | st.integers(-int(LARGEST), int(LARGEST))
 pairs = st.tuples(numbers, numbers).map(list)
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
 values = st.recursive(
@@ -38,6 +48,11 @@ def test_seek(time: float) -> None:
     said = message_of(json.dumps({"kind": "seek", "time": time}))
     assert isinstance(said, Seek)
     assert said.time == time
+
+
+@pytest.mark.parametrize("time", [1.001 * LARGEST, -1e308, 10**400])
+def test_nothing_is_so_far_away(time: float) -> None:
+    assert message_of(json.dumps({"kind": "seek", "time": time})) is None
 
 
 @given(numbers, pairs, st.booleans())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from itertools import pairwise
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,15 @@ from mixseq.viewing.export import ExportSettings, export_page, poses_of
 from mixseq.viewing.exporting import Exported, integers
 from mixseq.viewing.signals import signals_of
 from tests.meshes import bar
-from tests.viewing.conftest import NewPage
+from tests.viewing.conftest import SCREENSHOTS, Keep, NewPage, Watched
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 Pixels = NDArray[np.uint8]
-SMALL = 480, 560
+SMALL = 400, 480
+WIDE = 900, 420
+"""Room for the signals beside the meshes."""
 
 
 def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | None = None) -> Exported:
@@ -51,52 +54,81 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
     return Exported(name, motion.header, poses_of(of), elapsed, colours, signals)
 
 
-@pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page with a bar of 9 frames, 0.9 s."""
-    target = tmp_path_factory.mktemp("one") / "bar.html"
-    export_page(target, [exported("a <b>bar</b> & more", bar(frames=9))])
-    return target
+class Player:
+    """A page that plays, and a hand."""
+
+    def __init__(self, page: Page, path: Path) -> None:
+        self.page = page
+        self.path = path
+        self.asked: list[str] = []
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.goto(path.as_uri())
+        page.wait_for_selector("html[data-state=ready]", state="attached")
+        self.restore()
+
+    def restore(self) -> None:
+        """Stop it at its first frame, with everything as it was at first."""
+        for key in ("Shift", "Control"):
+            self.page.keyboard.up(key)
+        if self.page.viewport_size != dict(zip(("width", "height"), SMALL, strict=True)):
+            self.resize(*SMALL)
+        self.page.emulate_media(color_scheme="light")
+        self.page.evaluate(RESTORE)
+
+    def resize(self, width: int, height: int) -> None:
+        self.page.set_viewport_size({"width": width, "height": height})
+
+    def run(self, script: str) -> Any:
+        """Run a script, wait until all is drawn, and return what it returned."""
+        return self.page.evaluate(
+            f"async () => {{ const made = {script}; await mixseqPlayer.settled(); return made }}"
+        )
+
+    def seek(self, time: float) -> None:
+        self.run(f"mixseqPlayer.seek({time})")
+
+    def state(self) -> dict[str, Any]:
+        return dict(self.page.evaluate("async () => (await mixseqPlayer.settled(), mixseqPlayer.state())"))
+
+    def picture(self, wanted: str = "#stage") -> Pixels:
+        image = pytest.importorskip("PIL.Image")
+        x, y, width, height = self.run(
+            f"(({{x, y, width, height}}) => [x, y, width, height])"
+            f"(document.querySelector('{wanted}').getBoundingClientRect())"
+        )
+        seen = self.page.screenshot(clip={"x": x, "y": y, "width": width, "height": height})
+        return np.asarray(image.open(io.BytesIO(seen)).convert("RGB"))
+
+    def at(self, wanted: str, across: float = 0.5, down: float = 0.5) -> tuple[float, float]:
+        """Where a place of an element is on the page."""
+        box = self.page.locator(wanted).bounding_box()
+        assert box
+        return box["x"] + across * box["width"], box["y"] + down * box["height"]
+
+    def drag(self, right: int, down: int) -> None:
+        x, y = self.at("#view", 0.5, 0.4)
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + right, y + down, steps=2)
+        self.page.mouse.up()
 
 
-@pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory, bent_bar: MeshSequence, bar_model: Model) -> Path:
-    """A page with a bar and its model, which begins at 0 s and ends at 0.3 s."""
-    target = tmp_path_factory.mktemp("two") / "bars.html"
-    export_page(target, [exported("original", bent_bar), exported("model", bar_model, bent_bar)])
-    return target
-
-
-@pytest.fixture(scope="module")
-def fox(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The fox, and a model of it that keeps two modes."""
-    target = tmp_path_factory.mktemp("fox") / "fox.html"
-    walk = walk_cycle(frames=12)
-    model = fit(walk, rank=2)
-    export_page(
-        target, [exported("original", walk), exported("two modes", model, walk)], ExportSettings(title="Fox")
-    )
-    return target
-
-
-def opened(new_page: NewPage, path: Path, width: int = SMALL[0], height: int = SMALL[1]) -> Page:
-    """Open a page, wait until it is unpacked, and stop it at its first frame."""
-    page = new_page(width, height)
-    page.goto(path.as_uri())
-    page.wait_for_selector("html[data-state=ready]", state="attached")
-    page.evaluate("mixseqPlayer.play(false); mixseqPlayer.seek(0)")
-    return page
-
-
-def state(page: Page) -> dict[str, Any]:
-    page.evaluate("mixseqPlayer.settled()")
-    return dict(page.evaluate("mixseqPlayer.state()"))
-
-
-def picture(page: Page, wanted: str = "#stage") -> Pixels:
-    image = pytest.importorskip("PIL.Image")
-    page.evaluate("mixseqPlayer.settled()")
-    return np.asarray(image.open(io.BytesIO(page.locator(wanted).screenshot())).convert("RGB"))
+RESTORE = """async () => {
+  const element = (id) => document.getElementById(id);
+  const first = { loop: true, smooth: true, wires: false, ground: true, fold: false };
+  for (const [id, on] of Object.entries(first)) {
+    if (!element(id).hidden && element(id).getAttribute("aria-pressed") !== String(on)) element(id).click();
+  }
+  for (const [id, value] of [["speed", "1"], ["layout", "side"], ["colour", "clay"]]) {
+    if (element(id).value !== value) Object.assign(element(id), { value }).onchange({ target: element(id) });
+  }
+  element("help").close();
+  element("reset").click();
+  document.activeElement.blur();
+  mixseqPlayer.play(false);
+  mixseqPlayer.seek(0);
+  await mixseqPlayer.settled();
+}"""
 
 
 def changed(before: Pixels, after: Pixels) -> float:
@@ -105,32 +137,60 @@ def changed(before: Pixels, after: Pixels) -> float:
     return float((np.abs(before.astype(int) - after).max(axis=2) > 12).mean())
 
 
-def drag(page: Page, by: tuple[int, int], start: tuple[float, float] = (0.5, 0.4)) -> None:
-    box = page.locator("#view").bounding_box()
-    assert box
-    x, y = box["x"] + start[0] * box["width"], box["y"] + start[1] * box["height"]
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + by[0], y + by[1], steps=4)
-    page.mouse.up()
+@pytest.fixture(scope="module")
+def bar_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with a bar of 9 frames, 0.9 s."""
+    target = tmp_path_factory.mktemp("one") / "bar.html"
+    export_page(target, [exported("a <b>bar</b> & more", bar(frames=9))])
+    return target
+
+
+@pytest.fixture(scope="module")
+def bars_page(tmp_path_factory: pytest.TempPathFactory, bent_bar: MeshSequence, bar_model: Model) -> Path:
+    """A page with a bar and its model, which begins at 0 s and ends at 0.3 s."""
+    target = tmp_path_factory.mktemp("two") / "bars.html"
+    export_page(target, [exported("original", bent_bar), exported("model", bar_model, bent_bar)])
+    return target
+
+
+@pytest.fixture(scope="module")
+def opened_bar(watched: Watched, bar_page: Path) -> Player:
+    return Player(watched.open(*SMALL), bar_page)
+
+
+@pytest.fixture(scope="module")
+def opened_bars(watched: Watched, bars_page: Path) -> Player:
+    return Player(watched.open(*SMALL), bars_page)
+
+
+@pytest.fixture
+def one(opened_bar: Player, watched: Watched) -> Iterator[Player]:
+    """The page with one bar, stopped at its first frame."""
+    yield opened_bar
+    opened_bar.restore()
+    watched.check()
+
+
+@pytest.fixture
+def two(opened_bars: Player, watched: Watched) -> Iterator[Player]:
+    """The page with a bar and its model, stopped at the first frame."""
+    yield opened_bars
+    opened_bars.restore()
+    watched.check()
 
 
 # What is in it --------------------------------------------------------------------------------------------
 
 
-def test_only_the_file_is_asked_for(new_page: NewPage, two: Path) -> None:
-    page = new_page(*SMALL)
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(two.as_uri())
-    page.wait_for_selector("html[data-state=ready]", state="attached")
-    page.wait_for_timeout(300)
-    assert asked == [two.as_uri()]
+def test_only_the_file_is_asked_for(two: Player) -> None:
+    two.resize(*WIDE)
+    two.seek(0.1)
+    assert two.asked == [two.path.as_uri()]
 
 
-def test_the_browser_finds_the_numbers_that_were_packed(new_page: NewPage, one: Path) -> None:
-    page, sequence = opened(new_page, one), bar(frames=9)
-    item = page.evaluate(
+def test_the_browser_finds_the_numbers_that_were_packed(one: Player) -> None:
+    sequence = bar(frames=9)
+    item = one.run(
         "(({centre, step, faces, positions, colourings}) => ({centre, step, faces: [...faces],"
         " positions: [...positions], colours: colourings.map((c) => [c.name, [...c.indices]])}))(mixseqPlayer.items[0])"
     )
@@ -144,8 +204,8 @@ def test_the_browser_finds_the_numbers_that_were_packed(new_page: NewPage, one: 
         assert indices == np.concatenate(entries[:1] if colouring.constant else entries).tolist()
 
 
-def test_names_are_shown_as_they_are(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
+def test_names_are_shown_as_they_are(one: Player) -> None:
+    page = one.page
     assert page.locator(".name").all_inner_texts() == ["a <b>bar</b> & more"]
     assert page.title() == "a <b>bar</b> & more"
     page.click("#about")
@@ -156,163 +216,151 @@ def test_names_are_shown_as_they_are(new_page: NewPage, one: Path) -> None:
 
 # Time -----------------------------------------------------------------------------------------------------
 
+WATCH = """async (until) => {
+  const seen = [];
+  for (let frame = 0; frame < 600; frame++) {
+    const { time, playing } = mixseqPlayer.state();
+    seen.push(time);
+    if (!playing || (until === "again" && time < seen[seen.length - 2])) break;
+    await new Promise(requestAnimationFrame);
+  }
+  return seen;
+}"""
+"""Times of what is drawn until it stops, or starts again."""
 
-def test_it_plays_and_starts_again(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
+
+def test_it_plays_and_starts_again_or_ends_at_the_end(one: Player) -> None:
+    page = one.page
     page.click("#play")
-    seen = []
-    for _ in range(200):
-        seen.append(page.evaluate("mixseqPlayer.state().time"))
-        if any(after < before for before, after in pairwise(seen)):
-            break
-        page.wait_for_timeout(20)
+    seen = page.evaluate(WATCH, "again")
     assert max(seen) > 0.5, "most of the 0.9 s were seen"
     assert seen[-1] < seen[-2], "and then the beginning again"
     page.keyboard.press("Space")
-    assert not state(page)["playing"]
-
-
-def test_without_the_loop_it_ends_at_the_end(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
+    assert not one.state()["playing"]
     page.click("#loop")
     page.select_option("#speed", "2")
+    page.keyboard.press("End")
+    page.keyboard.press("ArrowLeft")
     page.click("#play")
-    for _ in range(200):
-        if not state(page)["playing"]:
-            break
-        page.wait_for_timeout(20)
-    assert state(page)["frame"] == 8
+    seen = page.evaluate(WATCH, "end")
+    assert min(seen) > 0.6
+    assert (one.state()["playing"], one.state()["frame"]) == (False, 8)
 
 
-def test_keys_step_by_frames(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
+def test_keys_step_by_frames(one: Player) -> None:
     for key, frame in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", 8), ("ArrowRight", 0)):
-        page.keyboard.press(key)
-        assert state(page)["frame"] == frame, key
-    assert page.locator("#now").inner_text().startswith("1 / 9")
+        one.page.keyboard.press(key)
+        assert one.state()["frame"] == frame, key
+    assert one.page.locator("#now").inner_text().startswith("1 / 9")
 
 
-def test_scrubbing_moves_the_mesh(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
-    before = picture(page)
-    box = page.locator("#time").bounding_box()
-    assert box
-    page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + box["height"] / 2)
-    assert state(page)["time"] == pytest.approx(0.6, abs=0.1)
-    assert changed(before, picture(page)) > 0.01
+def test_scrubbing_moves_the_mesh(one: Player) -> None:
+    before = one.picture()
+    one.page.mouse.click(*one.at("#time", 0.75))
+    assert one.state()["time"] == pytest.approx(0.6, abs=0.1)
+    assert changed(before, one.picture()) > 0.01
 
 
-def test_between_frames_it_moves_smoothly_unless_told_otherwise(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
-    pictures = {}
-    for name, time in (("first", 0.0), ("between", 0.06), ("next", 0.1)):
-        page.evaluate("(time) => mixseqPlayer.seek(time)", time)
-        pictures[name] = picture(page)
-    assert changed(pictures["between"], pictures["next"]) > 0.001
-    page.click("#smooth")
-    page.mouse.move(1, 1)
-    page.evaluate("mixseqPlayer.seek(0.06)")
-    assert changed(picture(page), pictures["next"]) == 0
+def test_between_frames_it_moves_smoothly_unless_told_otherwise(one: Player) -> None:
+    pictures = []
+    for time in (0.06, 0.1):
+        one.seek(time)
+        pictures.append(one.picture())
+    assert changed(*pictures) > 0.001
+    one.page.click("#smooth")
+    one.seek(0.06)
+    assert changed(one.picture(), pictures[1]) == 0
 
 
 def test_a_single_pose_has_no_clock(new_page: NewPage, tmp_path: Path) -> None:
     export_page(tmp_path / "a.html", [exported("bar", bar(frames=1))])
-    page = opened(new_page, tmp_path / "a.html")
-    assert not page.locator("#transport").is_visible()
-    page.keyboard.press("Space")
-    assert not state(page)["playing"]
+    player = Player(new_page(*SMALL), tmp_path / "a.html")
+    assert not player.page.locator("#transport").is_visible()
+    player.page.keyboard.press("Space")
+    assert not player.state()["playing"]
 
 
 # Looks ----------------------------------------------------------------------------------------------------
 
 
-def test_colours_can_be_chosen(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two)
-    page.evaluate("mixseqPlayer.seek(0.3)")
-    clay = picture(page)
+def test_colours_can_be_chosen(two: Player) -> None:
+    page = two.page
+    two.seek(0.3)
+    clay = two.picture()
     assert not page.locator("#legend").is_visible()
-    assert page.locator("#colour option").all_inner_texts() == [
-        "Clay",
-        "Strain",
-        "Curvature",
-        "Parts",
-        "Error",
-    ]
+    colours = ["Clay", "Strain", "Curvature", "Parts", "Error"]
+    assert page.locator("#colour option").all_inner_texts() == colours
     for name, words in (
         ("parts", "red are joints"),
         ("strain", "Strain (%)"),
         ("error", "Error (diagonals)"),
     ):
         page.select_option("#colour", name)
-        assert changed(clay, picture(page)) > 0.01
+        assert changed(clay, two.picture()) > 0.01
         assert words in page.locator("#legend").inner_text()
 
 
-def test_dragging_turns_and_a_double_click_undoes_it(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
-    before = picture(page)
-    drag(page, (80, 20))
-    assert state(page)["yaw"] == pytest.approx(-32)
-    assert state(page)["pitch"] == pytest.approx(8)
-    assert changed(before, picture(page)) > 0.01
-    page.dblclick("#view")
-    assert changed(before, picture(page)) == 0
+def test_dragging_turns_and_a_double_click_undoes_it(one: Player) -> None:
+    before = one.picture()
+    one.drag(80, 20)
+    state = one.state()
+    assert (state["yaw"], state["pitch"]) == pytest.approx((-32, 8))
+    assert changed(before, one.picture()) > 0.01
+    one.page.dblclick("#view")
+    assert changed(before, one.picture()) == 0
 
 
-def test_shift_and_the_wheel_move_and_zoom(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
-    page.keyboard.down("Shift")
-    drag(page, (30, 40))
-    page.keyboard.up("Shift")
-    assert state(page)["pan"] == pytest.approx([30, 40])
-    page.mouse.wheel(0, -300)
-    page.wait_for_timeout(100)
-    assert state(page)["zoom"] > 1.3
-    page.keyboard.press("0")
-    assert (state(page)["zoom"], state(page)["pan"]) == (1, [0, 0])
+def test_shift_and_the_wheel_move_and_zoom(one: Player) -> None:
+    one.page.keyboard.down("Shift")
+    one.drag(30, 40)
+    one.page.keyboard.up("Shift")
+    assert one.state()["pan"] == pytest.approx([30, 40])
+    one.page.mouse.wheel(0, -300)
+    one.page.wait_for_function("mixseqPlayer.state().zoom > 1.3")
+    one.page.keyboard.press("0")
+    state = one.state()
+    assert (state["zoom"], state["pan"]) == (1, [0, 0])
 
 
-def test_overlaid_meshes_stand_in_one_place(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two)
-    before = picture(page)
-    assert page.locator(".name").count() == 2
-    page.select_option("#layout", "over")
-    assert page.locator(".name").all_inner_texts() == ["originalmodel"]
-    assert changed(before, picture(page)) > 0.01
+def test_overlaid_meshes_stand_in_one_place(two: Player) -> None:
+    before = two.picture()
+    assert two.page.locator(".name").count() == 2
+    two.page.select_option("#layout", "over")
+    assert two.page.locator(".name").all_inner_texts() == ["originalmodel"]
+    assert changed(before, two.picture()) > 0.01
 
 
-def test_edges_and_the_ground_can_be_switched(new_page: NewPage, one: Path) -> None:
-    page = opened(new_page, one)
-    pictures = [picture(page)]
+def test_edges_and_the_ground_can_be_switched(one: Player) -> None:
+    pictures = [one.picture()]
     for name in ("#wires", "#ground"):
-        page.click(name)
-        pictures.append(picture(page))
+        one.page.click(name)
+        pictures.append(one.picture())
         assert changed(pictures[-2], pictures[-1]) > 0.005
 
 
-def test_the_signals_follow_and_lead(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two, 1280, 800)
-    assert page.locator("#side").is_visible()
-    before = picture(page, "#charts")
-    page.evaluate("mixseqPlayer.seek(0.2)")
-    assert changed(before, picture(page, "#charts")) > 0.0005
-    x, y = page.evaluate("document.getElementById('charts').mixseqCharts.timePixel(0.1)")[:2]
-    page.mouse.click(x, y)
-    assert state(page)["time"] == pytest.approx(0.1, abs=0.01)
-    wide = page.locator("#stage").bounding_box()
+def test_the_signals_follow_and_lead(two: Player) -> None:
+    page = two.page
+    two.resize(*WIDE)
     page.click("#fold")
-    wider = page.locator("#stage").bounding_box()
-    assert wide
-    assert wider
-    assert wider["width"] > wide["width"] + 300
+    assert page.locator("#side").is_visible()
+    before = two.picture("#charts")
+    two.seek(0.2)
+    assert changed(before, two.picture("#charts")) > 0.0005
+    page.mouse.click(*two.run("document.getElementById('charts').mixseqCharts.timePixel(0.1)"))
+    assert two.state()["time"] == pytest.approx(0.1, abs=0.01)
+    width = "document.getElementById('stage').clientWidth"
+    narrow = two.run(width)
+    page.click("#fold")
+    assert two.run(width) > narrow + 300
 
 
-def test_it_is_dark_where_that_is_preferred(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two)
-    assert picture(page)[200, 3].min() > 240
-    page.emulate_media(color_scheme="dark")
-    page.wait_for_timeout(100)
-    assert picture(page)[200, 3].max() < 50
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_it_is_dark_where_that_is_preferred(request: pytest.FixtureRequest, name: str) -> None:
+    """With charts and without."""
+    player: Player = request.getfixturevalue(name)
+    assert player.picture()[200, 3].min() > 240
+    player.page.emulate_media(color_scheme="dark")
+    assert player.picture()[200, 3].max() < 50
 
 
 # Where it cannot play -------------------------------------------------------------------------------------
@@ -325,16 +373,16 @@ def test_it_is_dark_where_that_is_preferred(new_page: NewPage, two: Path) -> Non
         ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
     ],
 )
-def test_browsers_that_cannot_are_told(new_page: NewPage, one: Path, without: str, words: str) -> None:
+def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, without: str, words: str) -> None:
     page = new_page(*SMALL)
     page.add_init_script(without)
-    page.goto(one.as_uri())
+    page.goto(bar_page.as_uri())
     page.wait_for_selector("html[data-state=failed]", state="attached")
     assert words in page.get_by_role("alert").inner_text()
 
 
-def test_damaged_pages_are_told(new_page: NewPage, one: Path, tmp_path: Path) -> None:
-    text = one.read_text()
+def test_damaged_pages_are_told(new_page: NewPage, bar_page: Path, tmp_path: Path) -> None:
+    text = bar_page.read_text()
     place = text.index('data-bytes="2">\n') + 200
     (tmp_path / "a.html").write_text(text[:place] + ("A" if text[place] != "A" else "B") + text[place + 1 :])
     page = new_page(*SMALL)
@@ -345,54 +393,49 @@ def test_damaged_pages_are_told(new_page: NewPage, one: Path, tmp_path: Path) ->
 
 # What it looks like ---------------------------------------------------------------------------------------
 
-CONTROLS = "#bar button:visible, #bar select:visible, #bar input:visible, #bar output:visible"
+BOXES = """[...document.querySelectorAll("#bar button, #bar select, #bar input, #bar output")]
+  .filter((each) => each.offsetParent).map((each) => each.getBoundingClientRect())
+  .map(({ left, top, right, bottom }) => [left, top, right, bottom])"""
+"""Left, top, right and bottom ``(n, 4)`` of the controls that can be seen."""
 
 
-def boxes(page: Page, wanted: str) -> NDArray[np.float64]:
-    """Left, top, right and bottom ``(n, 4)`` of elements."""
-    found = [element.bounding_box() for element in page.locator(wanted).all()]
-    return np.array([[b["x"], b["y"], b["x"] + b["width"], b["y"] + b["height"]] for b in found if b])
-
-
-def test_controls_have_room(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two, 360, 740)
-    page.click("#fold")
+def test_controls_have_room(two: Player) -> None:
     for width in (360, 390, 600, 768, 1024, 1280, 1920):
-        page.set_viewport_size({"width": width, "height": 740})
-        assert page.evaluate("document.documentElement.scrollWidth") == width
-        controls = boxes(page, CONTROLS)
+        two.resize(width, 560)
+        controls = np.array(two.run(BOXES))
+        assert len(controls) > 12
+        assert two.run("document.documentElement.scrollWidth") == width
         assert controls[:, 0].min() >= 0
         assert controls[:, 2].max() <= width
-        for k, box in enumerate(controls):
-            others = np.delete(controls, k, axis=0)
-            beside = (others[:, :2] >= box[2:] - 0.5).any(axis=1) | (others[:, 2:] <= box[:2] + 0.5).any(
-                axis=1
-            )
-            assert beside.all(), f"control {k} is over another one where the window is {width} wide"
-        (stage,) = boxes(page, "#stage")
-        assert stage[3] - stage[1] > 150
+        beside = (controls[:, None, :2] >= controls[None, :, 2:] - 0.5).any(axis=2)
+        over = ~(beside | beside.T | np.eye(len(controls), dtype=bool))
+        assert not over.any(), f"controls {np.argwhere(over).tolist()} overlap in a window {width} wide"
+        assert two.run("document.getElementById('stage').clientHeight") > 150
 
 
-def test_all_controls_have_names(new_page: NewPage, two: Path) -> None:
-    page = opened(new_page, two)
-    for control in page.locator("#bar button, #bar select, #bar input").all():
-        named = control.evaluate(
-            "(e) => e.ariaLabel || e.innerText || [...e.labels].map((l) => l.innerText).join()"
-        )
-        assert named.strip()
+def test_all_controls_have_names(two: Player) -> None:
+    names = two.run(
+        "[...document.querySelectorAll('#bar button, #bar select, #bar input')].map((each) => "
+        "each.ariaLabel || each.innerText || [...each.labels].map((label) => label.innerText).join())"
+    )
+    assert len(names) > 12
+    assert all(name.strip() for name in names)
 
 
+@pytest.mark.skipif(SCREENSHOTS not in os.environ, reason=f"pictures to be looked at: set {SCREENSHOTS}")
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080), (390, 844)])
-def test_pictures(new_page: NewPage, fox: Path, screenshots: Path, width: int, height: int) -> None:
-    """Kept to be looked at."""
-    page = opened(new_page, fox, width, height)
-    page.evaluate("mixseqPlayer.seek(0.25)")
-    page.screenshot(path=screenshots / f"page-{width}x{height}-clay.png")
-    page.select_option("#colour", "error")
-    page.evaluate("mixseqPlayer.settled()")
-    page.screenshot(path=screenshots / f"page-{width}x{height}-error.png")
-    page.emulate_media(color_scheme="dark")
-    page.select_option("#colour", "parts")
-    page.wait_for_timeout(100)
-    page.evaluate("mixseqPlayer.settled()")
-    page.screenshot(path=screenshots / f"page-{width}x{height}-parts.png")
+def test_pictures(new_page: NewPage, keep: Keep, tmp_path: Path, width: int, height: int) -> None:
+    """The fox, and a model of it that keeps two modes."""
+    walk = walk_cycle(frames=12)
+    items = [exported("original", walk), exported("two modes", fit(walk, rank=2), walk)]
+    export_page(tmp_path / "fox.html", items, ExportSettings(title="Fox"))
+    page = new_page(width, height)
+    player = Player(page, tmp_path / "fox.html")
+    player.resize(width, height)
+    if width > WIDE[0]:
+        page.click("#fold")
+    for colour in ("clay", "error", "parts"):
+        page.emulate_media(color_scheme="dark" if colour == "parts" else "light")
+        page.select_option("#colour", colour)
+        player.seek(0.25)
+        keep(page, f"page-{width}x{height}-{colour}")

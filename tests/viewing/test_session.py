@@ -32,6 +32,10 @@ class Told:
         """Remember the model."""
         self.seen.append(session.model)
 
+    def chosen(self, session: Session) -> None:
+        """Remember the history, as an edit does."""
+        self.edited(session)
+
     def failed(self, what: str, error: Exception) -> None:
         """Remember the error."""
         self.failures.append((what, str(error)))
@@ -270,15 +274,37 @@ def test_an_edit_that_makes_too_many_frames(room: Room, bar_model: Model) -> Non
     long = bar_model
     while (long.end - long.start) * 240 < 1e5:
         long = repeat(long, long.start, long.end, times=100)
-    for ask in (room.session.preview, room.session.edit):
-        room.told.failures.clear()
-        ask("repeat", lambda model: long)
-        eventually(lambda: room.told.failures)
-        assert room.told.failures[0][0] == "repeat"
-        assert "a film has from 2 to 100,000" in room.told.failures[0][1]
-        assert (room.session.model, room.shown()) == (bar_model, bar_model)
+    room.session.preview("repeat", lambda model: long)  # of which nothing is told
+    room.session.edit("repeat", lambda model: long)
+    eventually(lambda: room.told.failures)
+    assert [name for name, _ in room.told.failures] == ["repeat"]
+    assert "a film has from 2 to 100,000" in room.told.failures[0][1]
+    assert (room.session.model, room.shown()) == (bar_model, bar_model)
     room.session.edit("loop", same)
     room.done(1)
+
+
+def test_a_failing_preview_is_not_told(room: Room, bar_model: Model) -> None:
+    tried = Event()
+
+    def failing(model: Model) -> Model:
+        tried.set()
+        raise SettingsError("no")
+
+    room.session.preview("drag", failing)
+    eventually(tried.is_set)
+    room.session.edit("loop", same)
+    room.done(1)
+    assert room.told.failures == []
+
+
+def test_settling_shows_the_model_again(room: Room, bar_model: Model) -> None:
+    other = same(bar_model)
+    room.session.preview("drag", lambda model: other)
+    eventually(lambda: room.shown() is other)
+    room.session.settle()
+    eventually(lambda: room.shown() is bar_model)
+    assert not room.session.history.changed
 
 
 def test_save(room: Room, bar_model: Model, tmp_path: Path) -> None:

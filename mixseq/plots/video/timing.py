@@ -87,10 +87,11 @@ def film_times(
     """
     rate = headers[0].fps if fps is None else fps
     period = max(_period(header) for header in headers)
-    wanted = (seconds or period or STILL) * rate
+    lasting = seconds or period or STILL
+    wanted = lasting * rate
     if not 1.5 <= wanted < MOST_FRAMES:
         raise SettingsError(
-            f"{wanted / rate:g} s at {rate:g} frames per second are {wanted:.3g} frames; a film has from 2 to "
+            f"{lasting:g} s at {rate:g} frames per second are {wanted:.3g} frames; a film has from 2 to "
             f"{MOST_FRAMES:,}, change its duration or its rate"
         )
     elapsed = np.arange(round(wanted)) / rate

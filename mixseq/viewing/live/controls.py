@@ -29,7 +29,7 @@ class PlayControls:
         self._text = gui.add_html("")
         speed = gui.add_button_group("Speed", tuple(SPEEDS))
         self._rate = gui.add_number(
-            "Frames/s", playback.shot.fps, min=1.0, max=240.0, hint="Models are decoded at any rate"
+            "Frames/s", playback.shot.fps, min=1e-3, max=1e4, hint="Models are decoded at any rate"
         )
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
@@ -77,8 +77,10 @@ class PlayControls:
             return
         try:
             self._playback.rate(float(self._rate.value))
-        except SettingsError as error:
-            notify(event.client, "Not so many frames", str(error))
+        except SettingsError:  # half-typed numbers come here, too
+            self._text.content = _line(
+                f"not at {self._rate.value:g} frames/s: too few, or too many", "mixseq-time"
+            )
 
 
 class ShowControls:
@@ -133,6 +135,10 @@ class SaveControls:
             self._replace = gui.add_checkbox("Replace", False, hint="Whether a file of this name is replaced")
             self._button = gui.add_button("Save", icon=_icon("DEVICE_FLOPPY"))
         self._button.on_click(self._clicked)
+
+    def name(self, name: str) -> None:
+        """Propose another name."""
+        self._name.value = name
 
     def _clicked(self, event: Any) -> None:
         name = self._name.value.strip()

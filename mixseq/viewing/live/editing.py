@@ -1,114 +1,35 @@
-"""The panel on the left: charts of the model that is edited, and buttons for what can be done to it."""
+"""The buttons: what can be done to the model that is edited."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import Any
 
-from mixseq.errors import SettingsError
-from mixseq.operations import (
-    cut,
-    drag,
-    exaggerate,
-    exaggerate_part,
-    hold,
-    loop,
-    repeat,
-    retime,
-    reverse,
-    sketch,
-)
+import numpy as np
+
+from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, retime, reverse
+from mixseq.operations.dragging import default_reach
 from mixseq.signals import Model
-from mixseq.signals.layout import Plane
 from mixseq.spaces import MixedSpace
-from mixseq.viewing.live.bridge import in_script
-from mixseq.viewing.messages import Drag, Message, Retime, Seek, Sketch
+from mixseq.viewing.live.charts import Charts
 from mixseq.viewing.picking import Picked
-from mixseq.viewing.playback import Moment, Playback
+from mixseq.viewing.playback import Playback
 from mixseq.viewing.session import Edit, Session
-from mixseq.viewing.signals import signals_of
 
 WHOLE = "whole body"
 
-
-class Charts:
-    """The charts, and what is done with the mouse in them."""
-
-    def __init__(self, server: Any, session: Session, playback: Playback) -> None:
-        gui = server.gui
-        self._session = session
-        self._playback = playback
-        self._planes: dict[int, Plane] = {}
-        self._version = 0
-        self._pen = False
-        gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
-        self._signals = gui.add_html("")
-        self._now = gui.add_html("")
-
-    @property
-    def _plane(self) -> Plane | None:
-        """The layout that is drawn."""
-        return self._planes.get(self._session.index)
-
-    def edited(self) -> None:
-        """Draw the model that is edited."""
-        self._version += 1
-        model = self._session.model
-        # what is dragged should not turn the picture that it is dragged in
-        known = self._planes.get(self._session.index)
-        fits = known is not None and _same_space(model, known)
-        self._planes[self._session.index] = known if fits and known is not None else model.plane
-        self._signals.content = (
-            f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
-            f"{in_script(signals_of(model, self._plane))}</script>"
-        )
-
-    def show(self, moment: Moment) -> None:
-        """Move the point that is now."""
-        model = self._session.model
-        time = min(model.start + moment.shot.elapsed(moment.frame), model.end)
-        pen = "true" if self._pen else "false"
-        self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
-
-    def pen(self, on: bool) -> None:
-        """Let the mouse draw, or drag."""
-        self._pen = on
-        self._playback.refresh()
-
-    def heard(self, message: Message, reach: float, seconds: float) -> None:
-        """Do what was done with the mouse.
-
-        Parameters
-        ----------
-        message : Message
-            What the page said.
-        reach : float
-            Seconds to both sides over which the curve follows.
-        seconds : float
-            Duration of what is sketched.
-        """
-        session = self._session
-        match message:
-            case Seek(time):
-                self._playback.seek(self._playback.shot.frame_at(time - session.model.start))
-            case Drag(time, to, done):
-                if not self._playback.plays:  # what is dragged should be seen
-                    self._playback.seek(self._playback.shot.frame_at(time - session.model.start))
-                edit = partial(drag, time=time, to=to.tolist(), reach=reach, plane=self._plane)
-                (session.edit if done else session.preview)("drag", edit)
-            case Sketch(points):
-                session.edit("sketch", partial(sketch, curve=points, duration=seconds, plane=self._plane))
-            case Retime(keys, done):
-                (session.edit if done else session.preview)("retime", partial(retime, keys=keys))
+SHORTEST = 1e-3
+"""Seconds that a length of time has at least."""
 
 
 class EditControls:
-    """Buttons: undo, sections, parts."""
+    """Undo, sections, parts."""
 
     def __init__(self, server: Any, session: Session, playback: Playback, charts: Charts) -> None:
         gui = server.gui
         self._session = session
         self._playback = playback
+        self._charts = charts
         model = session.model
         with gui.add_folder("Edit"):
             if len(session.editable) > 1:
@@ -118,16 +39,16 @@ class EditControls:
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
             self._steps = gui.add_html("")
             pen = gui.add_checkbox("Pen", False, hint="Draw a new curve (shift and drag does it, too)")
-            self._seconds = gui.add_number("Draw for (s)", _duration(model), min=0.05, step=0.05)
+            self._seconds = gui.add_number("Draw for (s)", duration(model), min=SHORTEST, step=0.05)
             self._reach = gui.add_number(
                 "Drag over (s)",
-                round(_duration(model) / 8, 3),
-                min=0.0,
+                reach_of(model),
+                min=SHORTEST,
                 step=0.01,
                 hint="How far before and after the point the curve follows it",
             )
             self._section = gui.add_multi_slider(
-                "Section (s)", 0.0, _duration(model), _step(model), (0.0, _duration(model))
+                "Section (s)", 0.0, duration(model), SHORTEST, (0.0, duration(model))
             )
             self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="How often Repeat shows it")
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
@@ -138,33 +59,38 @@ class EditControls:
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
         pen.on_update(lambda _: charts.pen(pen.value))
+        self._seconds.on_update(lambda _: charts.last(float(self._seconds.value)))
+        self._reach.on_update(lambda _: charts.reach(float(self._reach.value)))
         sections.on_click(lambda _: self._edit_section(sections.value))
         parts.on_click(lambda _: self._edit_part(parts.value))
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
-    @property
-    def reach(self) -> float:
-        """Seconds over which a dragged curve follows."""
-        return float(self._reach.value)
-
-    @property
-    def seconds(self) -> float:
-        """Duration of a sketch."""
-        return float(self._seconds.value)
-
     def edited(self) -> None:
-        """Fit what can be chosen to the model."""
+        """Fit what can be chosen to the model, and keep what was chosen as far as that fits."""
         model, history = self._session.model, self._session.history
-        undone = f"{history.now} of {len(history.steps) - 1} steps"
+        done = f"{history.now} of {len(history.steps) - 1} steps"
         last = f": {history.undoes}" if history.undoes else ""
         self._steps.content = (
-            f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{undone}{last}</div>'
+            f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{done}{last}</div>'
         )
-        self._section.max = _duration(model)
-        self._section.value = (0.0, _duration(model))
-        self._seconds.value = _duration(model)
+        before, after = self._section.max, duration(model)
+        if after != before:
+            first, last_second = self._section.value
+            whole = (first, last_second) == (0.0, before) or first >= after
+            self._section.max = after
+            self._section.value = (0.0, after) if whole else (first, min(last_second, after))
+
+    def chosen(self) -> None:
+        """Begin anew with another model."""
+        model = self._session.model
+        self._section.max = duration(model)
+        self._section.value = (0.0, duration(model))
+        self._seconds.value = duration(model)
+        self._reach.value = reach_of(model)
+        self._part.value = WHOLE
         self._part.options = (WHOLE, *_parts(model))
+        self.edited()
 
     def picked(self, index: int, picked: Picked) -> str:
         """Choose the part that was clicked, and return what was."""
@@ -179,8 +105,7 @@ class EditControls:
         return text
 
     def _edit_section(self, name: str) -> None:
-        begin = self._session.model.start
-        start, end = (begin + each for each in self._section.value)
+        start, end = self._chosen_section
         edits: dict[str, Edit] = {
             "Repeat": partial(repeat, start=start, end=end, times=int(self._times.value)),
             "Cut": partial(cut, start=start, end=end),
@@ -190,17 +115,24 @@ class EditControls:
         self._session.edit(name.lower(), edits[name])
 
     def _edit_part(self, name: str) -> None:
-        model, part, gain = self._session.model, self._part.value, float(self._gain.value)
+        part, gain = self._part.value, float(self._gain.value)
         if name == "Exaggerate" and part == WHOLE:
             self._session.edit("exaggerate", partial(exaggerate, gain=gain))
         elif name == "Exaggerate":
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
         elif part == WHOLE:
-            first, last = self._section.value
-            self._session.edit("hold", partial(pause, time=self._time, seconds=last - first))
+            start, end = self._chosen_section
+            self._session.edit("hold", partial(pause, time=self._time, seconds=end - start))
         else:
-            start, end = (model.start + each for each in self._section.value)
+            start, end = self._chosen_section
             self._session.edit("hold", partial(hold, part=int(part), time=self._time, start=start, end=end))
+
+    @property
+    def _chosen_section(self) -> tuple[float, float]:
+        """From when to when, in the times of the model; the slider has rounded them."""
+        model = self._session.model
+        first, last = (min(model.start + each, model.end) for each in self._section.value)
+        return first, last
 
     @property
     def _time(self) -> float:
@@ -219,24 +151,18 @@ def pause(model: Model, time: float, seconds: float) -> Model:
     """
     before = [[model.start, model.start]] if time > model.start else []
     after = [[model.end + seconds, model.end]] if time < model.end else []
-    return retime(model, [*before, [time, time], [time + seconds, time], *after])
+    return retime(model, [*before, [time, time], [time + seconds, time], *after], smooth=False)
 
 
-def _same_space(model: Model, plane: Plane) -> bool:
-    """Whether a plane can be one of a model."""
-    try:
-        model.known(plane)
-    except SettingsError:
-        return False
-    return True
+def duration(model: Model) -> float:
+    """Return how long a model lasts, in seconds, or at least a frame: rounded up, so that no slider ends before it."""
+    lasts = max(model.end - model.start, 1 / model.header.fps, SHORTEST)
+    return float(np.ceil(lasts / SHORTEST - 1e-6) * SHORTEST)
 
 
-def _duration(model: Model) -> float:
-    return round(max(model.end - model.start, 1 / model.header.fps), 3)
-
-
-def _step(model: Model) -> float:
-    return round(1 / model.header.fps, 3)
+def reach_of(model: Model) -> float:
+    """Return over how many seconds a dragged curve follows, if nothing else is chosen."""
+    return max(round(default_reach(model), 3), SHORTEST)
 
 
 def _parts(model: Model) -> tuple[str, ...]:

@@ -176,12 +176,21 @@ class LiveStage:
         @client.camera.on_update  # type: ignore[untyped-decorator]
         def _(camera: Any) -> None:
             # the window of a page gets its shape when panels dock, after the page has come
-            place, aspect = self._placed.get(client.client_id, (None, 0.0))
-            untouched = place is not None and np.allclose(camera.position, place, rtol=1e-3, atol=1e-3)
+            if client.client_id not in self._placed:
+                return
+            place, aspect = self._placed[client.client_id]
+            first = self._server.initial_camera.position  # comes again, and late
+            untouched = any(
+                np.allclose(camera.position, each, rtol=1e-3, atol=1e-3) for each in (place, first)
+            )
             if untouched and abs(camera.aspect / aspect - 1) > WIDER:
                 self._place_camera(client)
 
         self._place_camera(client)
+
+    def forget(self, client: Any) -> None:
+        """Forget a page that went away."""
+        self._placed.pop(client.client_id, None)
 
     def _place_camera(self, client: Any) -> None:
         aspect = client.camera.aspect

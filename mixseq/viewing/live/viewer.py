@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
-from mixseq.errors import MissingExtraError, MixseqError
+from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning
 from mixseq.viewing.live.bridge import add_bridge
+from mixseq.viewing.live.charts import Charts
 from mixseq.viewing.live.controls import PlayControls, SaveControls, ShowControls, notify
-from mixseq.viewing.live.editing import Charts, EditControls
+from mixseq.viewing.live.editing import EditControls, duration, reach_of
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.messages import Drawn, Message
 from mixseq.viewing.painting import Paint
@@ -33,8 +35,6 @@ class ViewSettings:
         Port, or the next one that is free.
     folder : Path
         Where edited motions are saved.
-    name : str
-        Under which name, if no other is typed.
     threads : int
         How many threads decode.
     material : {"standard", "toon5"}
@@ -46,7 +46,6 @@ class ViewSettings:
     host: str = "127.0.0.1"
     port: int = 8080
     folder: Path = Path()
-    name: str = "edited.h5"
     threads: int = 2
     material: str = "standard"
     overlaid: bool = False
@@ -69,7 +68,6 @@ class Viewer:
         self, server: Any, paint: Paint, settings: ViewSettings, save: Save, stack: ExitStack
     ) -> None:
         self._server = server
-        self._clients: list[Any] = []
         self._play: PlayControls | None = None  # the first frame may be there before they are
         self._charts: Charts | None = None
         self._edit: EditControls | None = None
@@ -88,15 +86,16 @@ class Viewer:
         gui.main_panel.set_width(300)
         if self.session.editable:
             panel = gui.add_panel()
+            model = self.session.model
             with panel.add_tab("Curves"):
-                self._charts = Charts(server, self.session, self.playback)
+                self._charts = Charts(server, self.session, self.playback, reach_of(model), duration(model))
             panel.dock_left()
             panel.set_width(360)
             self._edit = EditControls(server, self.session, self.playback, self._charts)
-            SaveControls(server, settings.folder, settings.name, self.session.save)
-            self._charts.edited()
+            self._save = SaveControls(server, settings.folder, self._target, self.session.save)
         self._stage.on_click(self._clicked)
         server.on_client_connect(self._connected)
+        server.on_client_disconnect(self._disconnected)
         self.address = f"http://{_reachable(settings.host)}:{server.get_port()}"
 
     # What the session tells -----------------------------------------------------------------------------
@@ -104,17 +103,26 @@ class Viewer:
     def edited(self, session: Session) -> None:
         """Another model is seen."""
         if self._charts is not None and self._edit is not None:
-            self._charts.edited()
+            self._charts.draw()
             self._edit.edited()
+
+    def chosen(self, session: Session) -> None:
+        """Another model is edited."""
+        if self._charts is not None and self._edit is not None:
+            self._edit.chosen()
+            self._charts.draw()
+            self._save.name(self._target)
+            self.playback.refresh()
 
     def failed(self, what: str, error: Exception) -> None:
         """Tell on all pages what could not be done, and draw what there is instead."""
-        self.edited(self.session)
-        self._tell(f"{what}: not done", str(error), good=False)
+        self.tell(f"{what}: not done", str(error))
+        if self._charts is not None:
+            self._charts.draw()
 
     def saved(self, path: Path) -> None:
         """Tell on all pages that a file was written."""
-        self._tell("Saved", path.name, good=True)
+        self.tell("Saved", path.name, good=True)
 
     # What the playback tells ----------------------------------------------------------------------------
 
@@ -127,7 +135,7 @@ class Viewer:
     def _failed(self, error: MixseqError) -> None:
         if self._play is not None:
             self._play.refresh()
-        self._tell("This frame cannot be shown", str(error), good=False)
+        self.tell("This frame cannot be shown", str(error))
 
     # What the page tells --------------------------------------------------------------------------------
 
@@ -135,12 +143,16 @@ class Viewer:
         self._stage.welcome(client)
         self.playback.refresh()
 
+    def _disconnected(self, client: Any) -> None:
+        self._stage.forget(client)
+        self.session.settle()  # a hand may have been dragging
+
     def _heard(self, message: Message) -> None:
         if isinstance(message, Drawn):
             self._stage.drawn()
             self.playback.drawn()
         elif self._charts is not None and self._edit is not None:
-            self._charts.heard(message, self._edit.reach, self._edit.seconds)
+            self._charts.heard(message)
 
     def _clicked(self, index: int, picked: Picked) -> None:
         name = self.playback.shot.items[index].name
@@ -151,7 +163,13 @@ class Viewer:
         )
         self._shown.picked(f"{name}: {what}" if len(self.playback.shot.items) > 1 else what)
 
-    def _tell(self, title: str, text: str, good: bool) -> None:
+    @property
+    def _target(self) -> str:
+        """Under which name the model that is edited is saved, if no other is typed."""
+        return f"{Path(self.playback.shot.items[self.session.index].name).stem}-edited.h5"
+
+    def tell(self, title: str, text: str, good: bool = False) -> None:
+        """Tell something on all pages."""
         for client in self._server.get_clients().values():
             notify(client, title, text, good)
 
@@ -197,7 +215,31 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
         with redirect_stdout(StringIO()):  # a greeting of viser
             server = viser.ViserServer(settings.host, settings.port, label="mixseq", verbose=False)
         stack.callback(_stop, server)
-        yield Viewer(server, paint, settings, save, stack)
+        running = Viewer(server, paint, settings, save, stack)
+        stack.enter_context(_told_warnings(running))
+        yield running
+
+
+@contextmanager
+def _told_warnings(running: Viewer) -> Iterator[None]:
+    """Let pages show warnings, too, which come from threads of ours."""
+    usual = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        usual(message, category, filename, lineno, file, line)
+        if issubclass(category, MixseqWarning):
+            running.tell("Please note", str(message))
+
+    warnings.showwarning = show
+    yield
+    warnings.showwarning = usual
 
 
 def _stop(server: Any) -> None:

@@ -85,12 +85,16 @@ window.mixseqLive ??= (function () {
   }
   tick();
 
-  // keys that move a slider or a number should not turn the camera as well, which listens farther out
+  // Keys that move a slider or are typed should not turn the camera as well, which listens farther out. Other keys of
+  // a slider are for viser: P plays.
   for (const kind of ["keydown", "keyup"]) {
     document.getElementById("root").addEventListener(kind, (event) => {
-      if (event.target.closest?.("[role=slider], input, textarea")) event.stopPropagation();
+      const slides = event.target.closest?.("[role=slider]") && /^(Arrow|Home|End|Page)/.test(event.key);
+      if (slides || event.target.closest?.("input:not([type=checkbox]), textarea")) event.stopPropagation();
     });
   }
+  // viser has no keys while a box to tick is in focus
+  document.addEventListener("change", (event) => event.target.type === "checkbox" && event.target.blur());
 
   return {
     /** Talk to the text input of this name; again after every reconnection. */

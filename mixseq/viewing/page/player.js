@@ -181,10 +181,9 @@
 
   function makeCharts() {
     if (!withSignals.length) return;
-    charts?.remove?.();
+    charts?.remove();
     charts = mixseqCharts(element("charts"), { onSeek: (seconds) => seekInSignals(seconds) }, { editable: false, dark: darkness.matches });
     charts.show(chosenSignals);
-    redraw();
   }
 
   function seekInSignals(seconds) {
@@ -292,7 +291,10 @@
       redraw();
     };
     window.addEventListener("keydown", key);
-    darkness.addEventListener("change", makeCharts);
+    darkness.addEventListener("change", () => {
+      makeCharts();
+      redraw();
+    });
     new ResizeObserver(arrange).observe(element("stage"));
     // a card that was taken away, by sleep or by another page, comes back empty
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());

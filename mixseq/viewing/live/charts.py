@@ -1,0 +1,118 @@
+"""The panel on the left: charts of the model that is edited, and what is done with the mouse in them."""
+
+from __future__ import annotations
+
+from functools import partial
+from threading import Lock
+from typing import Any
+
+from mixseq.errors import SettingsError
+from mixseq.operations import drag, retime, sketch
+from mixseq.signals import Model
+from mixseq.signals.layout import Plane
+from mixseq.viewing.live.bridge import in_script
+from mixseq.viewing.messages import Drag, Message, Retime, Seek, Sketch
+from mixseq.viewing.playback import Moment, Playback
+from mixseq.viewing.session import Session
+from mixseq.viewing.signals import signals_of
+
+
+class Charts:
+    """The time curve, coefficients, and keys of a retiming.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Where they are added.
+    session : Session
+        What is edited.
+    playback : Playback
+        What is shown.
+    reach : float
+        Seconds to both sides over which the curve follows the mouse.
+    seconds : float
+        Duration of what is drawn.
+    """
+
+    def __init__(
+        self, server: Any, session: Session, playback: Playback, reach: float, seconds: float
+    ) -> None:
+        gui = server.gui
+        self._session = session
+        self._playback = playback
+        self._lock = Lock()
+        self._planes: dict[int, Plane] = {}
+        self._version = 0
+        self._pen = False
+        self._reach = reach
+        self._seconds = seconds
+        gui.add_html('<div id="mixseq-charts" style="height: calc(100vh - 88px); min-height: 420px"></div>')
+        self._signals = gui.add_html("")
+        self._now = gui.add_html("")
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw the model that is edited."""
+        with self._lock:  # the newest model is drawn last, whoever asks
+            self._version += 1
+            signals = signals_of(self._session.model, self._plane) | {"reach": self._reach}
+            self._signals.content = (
+                f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
+                f"{in_script(signals)}</script>"
+            )
+
+    def show(self, moment: Moment) -> None:
+        """Move the point that is now."""
+        model = self._session.model
+        time = min(model.start + moment.shot.elapsed(moment.frame), model.end)
+        pen = "true" if self._pen else "false"
+        self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
+
+    def pen(self, on: bool) -> None:
+        """Let the mouse draw, or drag."""
+        self._pen = on
+        self._playback.refresh()
+
+    def reach(self, seconds: float) -> None:
+        """Choose over how many seconds the curve follows the mouse."""
+        self._reach = seconds
+        self.draw()
+
+    def last(self, seconds: float) -> None:
+        """Choose how long lasts what is drawn."""
+        self._seconds = seconds
+
+    def heard(self, message: Message) -> None:
+        """Do what was done with the mouse."""
+        session, shot = self._session, self._playback.shot
+        match message:
+            case Seek(time):
+                self._playback.seek(shot.frame_at(time - session.model.start))
+            case Drag(time, to, done):
+                if not self._playback.plays:  # what is dragged should be seen
+                    self._playback.seek(shot.frame_at(time - session.model.start))
+                edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
+                (session.edit if done else session.preview)("drag", edit)
+            case Sketch(points):
+                session.edit(
+                    "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
+                )
+            case Retime(keys, done):
+                (session.edit if done else session.preview)("retime", partial(retime, keys=keys))
+
+    @property
+    def _plane(self) -> Plane:
+        """The layout that is drawn: what is dragged should not turn the picture that it is dragged in."""
+        model, index = self._session.model, self._session.index
+        if index not in self._planes or not _fits(model, self._planes[index]):
+            self._planes[index] = model.plane
+        return self._planes[index]
+
+
+def _fits(model: Model, plane: Plane) -> bool:
+    """Whether a plane can be one of a model."""
+    try:
+        model.known(plane)
+    except SettingsError:
+        return False
+    return True
