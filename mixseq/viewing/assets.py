@@ -8,6 +8,7 @@ from importlib.resources import files
 CHART_SCRIPTS = (
     "chart_pane.js",
     "chart_axes.js",
+    "chart_marks.js",
     "chart_layout.js",
     "chart_coefficients.js",
     "chart_retiming.js",

@@ -16,16 +16,18 @@ from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap
-from mixseq.plots.camera import View
 from mixseq.plots.video.timing import model_times, nearest_frames
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray, SequenceHeader
 from mixseq.signals import Model
 from mixseq.stored import Stored, block_size
 from mixseq.version import __version__
-from mixseq.viewing.exporting import Budget, Exported, ExportedItem, gather, pack
+from mixseq.viewing.budget import Budget
+from mixseq.viewing.exporting import Exported, ExportedItem
+from mixseq.viewing.gathering import Gathered, gather
 from mixseq.viewing.packing import Packer
-from mixseq.viewing.template import page_around_data
+from mixseq.viewing.streaming import pack
+from mixseq.viewing.template import page_around_data, tags_around
 
 __all__ = ["ExportReport", "ExportSettings", "Exported", "ExportedItem", "export_page", "poses_of"]
 
@@ -46,7 +48,7 @@ class ExportSettings:
     every : int
         Of those, only every so many are stored. The page moves points along straight lines between them.
     largest : float
-        The file may have so many megabytes (:math:`10^6` bytes).
+        The file may have so many megabytes (:math:`10^6` bytes), the page itself among them.
     overlaid : bool
         Whether the meshes stand in one place at first, rather than side by side.
     title : str, optional
@@ -149,23 +151,23 @@ def export_page(
     if not items:
         raise SettingsError("there is nothing to show; give a sequence or a model")
     times = [_times(item, chosen) for item in items]
-    budget = Budget(sum(len(elapsed) for elapsed in times), chosen.largest, progress)
-    tops = _tops(items)
-    first: tuple[SequenceHeader, View] | None = None
-    parts = []
-    for item, elapsed in zip(items, times, strict=True):
-        gathered = gather(item, elapsed, first, budget)
-        first = first or (item.header, gathered.views[0])
-        parts.append(pack(item, elapsed, gathered, tops, budget))
-    title = chosen.title or ", ".join(item.name for item in items)
     description = {
-        "title": title,
+        "title": chosen.title or ", ".join(item.name for item in items),
         "version": __version__,
         "overlaid": chosen.overlaid,
         "period": _period(items, times),
-        "items": [part.description for part in parts],
     }
-    size = _write(target, title, description, [stream for part in parts for stream in part.streams])
+    empty = sum(len(text.encode()) for text in page_around_data({**description, "items": []}))
+    budget = Budget(sum(len(elapsed) for elapsed in times), chosen.largest, empty, progress)
+    tops = _tops(items)
+    first: tuple[SequenceHeader, Gathered] | None = None
+    parts = []
+    for item, elapsed in zip(items, times, strict=True):
+        gathered = gather(item, elapsed, first, budget)
+        first = first or (item.header, gathered)
+        parts.append(pack(item, elapsed, gathered, tops, budget))
+    described = {**description, "items": [part.description for part in parts]}
+    size = _write(target, described, [stream for part in parts for stream in part.streams])
     return ExportReport(size, tuple(part.report for part in parts))
 
 
@@ -212,17 +214,14 @@ def _tops(items: Sequence[Exported]) -> dict[str, float]:
     return tops
 
 
-def _write(target: Path, title: str, description: Mapping[str, Any], streams: Sequence[Packer]) -> int:
-    before, after = page_around_data(title, description)
+def _write(target: Path, description: Mapping[str, Any], streams: Sequence[Packer]) -> int:
+    before, after = page_around_data(description)
     with target.open("wb") as file:
         file.write(before.encode())
-        for packer in streams:
-            file.write(
-                f'<script type="application/octet-stream" data-rows="{packer.rows}" '
-                f'data-width="{packer.width}" data-bytes="{packer.dtype.itemsize}">\n'.encode()
-            )
-            for line in packer.lines():
-                file.write(line)
-            file.write(b"</script>\n")
+        for stream in streams:
+            opening, closing = tags_around(stream)
+            file.write(opening)
+            file.writelines(stream.lines())
+            file.write(closing)
         file.write(after.encode())
         return file.tell()

@@ -11,9 +11,9 @@ are stored in 8 bits, as places in a palette (`mixseq.viewing.colouring`). `pack
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,10 @@ from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported, ExportedItem
 from mixseq.viewing.gathering import Gathered
 from mixseq.viewing.packing import Packer, Unsigned
-from mixseq.viewing.template import script_json
+from mixseq.viewing.template import script_json, tags_around
+
+if TYPE_CHECKING:
+    from mixseq.viewing.colouring import Colouring
 
 Float = NDArray[np.float64]
 
@@ -66,21 +69,23 @@ def pack(
     SettingsError
         If the page becomes too large.
     """
-    header, poses, extent, views = item.header, gathered.poses, gathered.extent, gathered.views
+    header, extent = item.header, gathered.extent
     step = (extent.side or 1.0) / (2 * FARTHEST)
-    count = header.vertex_count
     colourings = [
         colouring if colouring.constant else colouring.scaled(tops[name])
         for name, colouring in item.colourings.items()
     ]
-    faces, positions = Packer(3 * len(header.faces), np.uint32), Packer(3 * count, np.uint16)
-    colours = [Packer(count, np.uint8) for _ in colourings]
+    description = _description(item, elapsed, gathered, step, colourings)
+    faces, positions = Packer(3 * len(header.faces), np.uint32), Packer(3 * header.vertex_count, np.uint16)
+    colours = [Packer(header.vertex_count, np.uint8) for _ in colourings]
+    packers = [faces, positions, *colours]
+    budget.described(len(script_json(description).encode()) + len(", "))
     faces.add(header.faces.reshape(1, -1).astype(np.uint32))
     for colouring, packer in zip(colourings, colours, strict=True):
         if colouring.constant:
-            packer.add(colouring.indices(poses[0:1][0], 0.0)[None])
-    packers, size, done = [faces, positions, *colours], 0, 0
-    for block in blocks_of(poses):
+            packer.add(colouring.indices(gathered.poses[0:1][0], 0.0)[None])
+    size = done = 0
+    for block in blocks_of(gathered.poses):
         positions.add(integers(y_up(block, header.up_axis), extent.centre, step))
         at = elapsed[done : done + len(block)].tolist()
         for colouring, packer in zip(colourings, colours, strict=True):
@@ -95,10 +100,19 @@ def pack(
     for packer in packers:
         packer.finish()
     budget.packed(0, sum(packer.size for packer in packers) - size)
-    description = {
+    budget.described(sum(len(text) for packer in packers for text in tags_around(packer)))
+    report = ExportedItem(item.name, done, step / 2, positions.size, sum(packer.size for packer in colours))
+    return Packed(description, packers, report)
+
+
+def _description(
+    item: Exported, elapsed: Float, gathered: Gathered, step: float, colourings: Sequence[Colouring]
+) -> dict[str, Any]:
+    extent, views = gathered.extent, gathered.views
+    return {
         "name": item.name,
-        "vertices": count,
-        "triangles": len(header.faces),
+        "vertices": item.header.vertex_count,
+        "triangles": len(item.header.faces),
         "times": np.round(elapsed, 9).tolist(),
         "centre": extent.centre.tolist(),
         "step": step,
@@ -120,8 +134,6 @@ def pack(
         ],
         "signals": item.signals,
     }
-    report = ExportedItem(item.name, done, step / 2, positions.size, sum(packer.size for packer in colours))
-    return Packed(description, packers, report)
 
 
 def integers(world: FloatArray, centre: Float, step: float) -> Unsigned:

@@ -10,23 +10,24 @@ from html import escape
 from typing import Any
 
 from mixseq.viewing.assets import script
+from mixseq.viewing.packing import Packer
 
 _STYLE = re.compile(r'<link rel="stylesheet" href="([\w.-]+)" ?/?>')
 _SCRIPT = re.compile(r'<script src="([\w.-]+)"></script>')
 _DATA = "<!-- data -->"
 
 
-def page_around_data(title: str, description: Mapping[str, Any]) -> tuple[str, str]:
+def page_around_data(description: Mapping[str, Any]) -> tuple[str, str]:
     """Return what stands in the page before and after its streams.
 
     Parameters
     ----------
-    title : str
-        Of the page.
     description : mapping
-        What is in the streams, as JSON takes it.
+        The ``title`` of the page, and what is in the streams, as JSON takes it.
     """
-    page = script("player.html").replace("<title>mixseq</title>", f"<title>{escape(title)}</title>")
+    page = script("player.html").replace(
+        "<title>mixseq</title>", f"<title>{escape(description['title'])}</title>"
+    )
     page = _STYLE.sub(partial(_inlined, "<style>\n{}</style>".format), page)
     page = _SCRIPT.sub(partial(_inlined, "<script>\n{}</script>".format), page)
     before, after = page.split(_DATA)
@@ -34,6 +35,15 @@ def page_around_data(title: str, description: Mapping[str, Any]) -> tuple[str, s
         f'{before}<script type="application/json" id="description">{script_json(description)}</script>\n',
         after,
     )
+
+
+def tags_around(stream: Packer) -> tuple[bytes, bytes]:
+    """Return what stands before and after the text of a stream, when all its rows are there."""
+    before = (
+        f'<script type="application/octet-stream" data-rows="{stream.rows}" data-width="{stream.width}" '
+        f'data-bytes="{stream.dtype.itemsize}">\n'
+    )
+    return before.encode(), b"</script>\n"
 
 
 def script_json(value: Any) -> str:

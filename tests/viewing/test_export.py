@@ -222,6 +222,20 @@ def test_meshes_with_the_triangles_of_the_first_are_seen_as_it_is(tmp_path: Path
     assert second["azimuth"] == first["azimuth"]
 
 
+@pytest.mark.parametrize(
+    ("scale", "shift", "like"), [(1.0, 0.0, True), (1.5, 0.0, True), (100.0, 0.0, False), (1.0, 50.0, False)]
+)
+def test_meshes_of_another_size_or_place_have_their_own_picture(
+    tmp_path: Path, scale: float, shift: float, like: bool
+) -> None:
+    """At one scale, the mesh in metres would be a dot beside that in centimetres."""
+    sequence = bar()
+    other = sequence.with_points(scale * sequence.points + shift)
+    export_page(tmp_path / "a.html", [exported(sequence), exported(other)])
+    first, second = Opened(tmp_path / "a.html").items
+    assert (first["likeFirst"], second["likeFirst"]) == (True, like)
+
+
 def test_equal_input_makes_equal_bytes(tmp_path: Path, bar_model: Model) -> None:
     for name in ("a", "b"):
         export_page(tmp_path / f"{name}.html", [exported(bar()), exported_model(bar_model)])
@@ -310,9 +324,23 @@ def test_nothing_to_show_is_refused(tmp_path: Path) -> None:
 
 def test_pages_that_are_too_large_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        SettingsError, match=r"about 0\.0\d+ MB, more than 0\.01 MB; take fewer frames \(--every 2"
+        SettingsError, match=r"about 0\.\d+ MB, more than 0\.15 MB; take fewer frames \(--every 2"
     ):
-        export_page(tmp_path / "a.html", [exported(bar(frames=40))], ExportSettings(largest=0.01))
+        export_page(tmp_path / "a.html", [exported(bar(frames=400))], ExportSettings(largest=0.15))
+
+
+def test_the_whole_page_counts(tmp_path: Path, bar_model: Model) -> None:
+    items = [exported(bar(frames=9)), exported_model(bar_model)]
+    size = export_page(tmp_path / "a.html", items).size
+    export_page(tmp_path / "a.html", items, ExportSettings(largest=(size + 4) / 1e6))
+    with pytest.raises(SettingsError, match="the page would have about"):
+        export_page(tmp_path / "a.html", items, ExportSettings(largest=(size - 4) / 1e6))
+
+
+def test_limits_below_an_empty_page_are_refused(tmp_path: Path) -> None:
+    words = r"a page has 0\.\d+ MB even without a mesh, more than 0\.05 MB; allow more with --largest"
+    with pytest.raises(SettingsError, match=words):
+        export_page(tmp_path / "a.html", [exported(bar())], ExportSettings(largest=0.05))
 
 
 def test_too_many_frames_are_refused(tmp_path: Path) -> None:

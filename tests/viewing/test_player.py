@@ -19,8 +19,9 @@ from mixseq.signals import Model, fit
 from mixseq.stored import stored
 from mixseq.viewing.colouring import colourings_of
 from mixseq.viewing.export import ExportSettings, export_page, poses_of
-from mixseq.viewing.exporting import Exported, integers
+from mixseq.viewing.exporting import Exported
 from mixseq.viewing.signals import signals_of
+from mixseq.viewing.streaming import integers
 from tests.meshes import bar
 from tests.viewing.conftest import SCREENSHOTS, Keep, NewPage, Watched
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from mixseq.errors import SettingsError
@@ -14,6 +15,9 @@ from mixseq.viewing.painting import Paint
 from mixseq.viewing.playback import Moment, Playback
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+HAND = 0.5
+"""Seconds for which a slider that was moved stays where the hand has it: what is shown comes a little later."""
+
 ROW, PLACE = "side by side", "in one place"
 
 
@@ -24,6 +28,7 @@ class PlayControls:
         gui = server.gui
         self._playback = playback
         self._icons = _icons()
+        self._hand = -HAND
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
         self._slider = gui.add_slider("Frame", 0, playback.shot.count - 1, 1, 0)
         self._text = gui.add_html("")
@@ -58,7 +63,8 @@ class PlayControls:
         last = moment.shot.count - 1
         if self._slider.max != last:
             self._slider.max = last
-        self._slider.value = moment.frame
+        if monotonic() > self._hand + HAND:
+            self._slider.value = moment.frame
         begin = moment.shot.items[0].header.times[0]
         now, end = begin + moment.shot.elapsed(moment.frame), begin + moment.shot.elapsed(last)
         self._text.content = _line(f"{now:.3f} s of {end:.3f} s", "mixseq-time")
@@ -70,6 +76,7 @@ class PlayControls:
 
     def _scrub(self, event: Any) -> None:
         if event.client is not None:  # a hand, and not `show`
+            self._hand = monotonic()
             self._playback.seek(self._slider.value)
 
     def _set_rate(self, event: Any) -> None:

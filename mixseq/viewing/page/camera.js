@@ -1,6 +1,12 @@
 // The camera: an orthographic view that is turned, moved and zoomed by mouse, fingers and keys.
 "use strict";
 
+/** The rotation to the screen (right, up, towards the camera) of an orthographic view, as mixseq/plots/camera.py has it; degrees. */
+var mixseqRotation = function (azimuth, elevation) {
+  const [ca, sa, ce, se] = [azimuth, elevation].map((d) => (d * Math.PI) / 180).flatMap((a) => [Math.cos(a), Math.sin(a)]);
+  return [[ca, 0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]];
+};
+
 /**
  * Make a camera that listens to an element. `changed()` is told when it moved; `middleOf(event)` is the middle of the
  * picture that an event is in, in pixels of the window.
@@ -14,12 +20,10 @@ var mixseqCamera = function (element, changed, middleOf) {
   const fingers = new Map();
   let lowest = -90, highest = 90;
 
-  /** The rotation to the screen (right, up, towards the camera) for what is first seen from somewhere. */
+  /** The rotation to the screen for what is first seen from somewhere. */
   function rows(azimuth, elevation) {
     [lowest, highest] = [-90 - elevation, 90 - elevation];
-    const a = ((azimuth + camera.yaw) * Math.PI) / 180, e = ((elevation + camera.pitch) * Math.PI) / 180;
-    const [ca, sa, ce, se] = [Math.cos(a), Math.sin(a), Math.cos(e), Math.sin(e)];
-    return [[ca, 0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]];
+    return mixseqRotation(azimuth + camera.yaw, elevation + camera.pitch);
   }
 
   function reset() {

@@ -3,7 +3,6 @@
 
 (function (parts) {
   const MARGIN = 24;     // pixels around the curve, for labels
-  const MOVED = 3;       // pixels that a hand may tremble without meaning it
 
   /** From 0 until start to 1 from end on, as `smoothstep` of mixseq.operations.sculpt. */
   function smoothstep(time, start, end) {
@@ -11,7 +10,7 @@
     return (x ** 3 - 3 * Math.max(x - 1, 0) ** 3 + 3 * Math.max(x - 2, 0) ** 3) / 6;
   }
 
-  const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+  const { distance, dot, TREMBLE } = parts;
 
   function boundsOf(points) {
     const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
@@ -66,57 +65,10 @@
     function bent({ time, to }) {
       const { times, path, reach } = shared.signals;
       const from = parts.pointAt(times, path, time), change = to.map((value, axis) => value - from[axis]);
-      if (Math.hypot(...change) * map.scale < MOVED) return [];
+      if (Math.hypot(...change) * map.scale < TREMBLE) return [];
       const weight = (at) => smoothstep(at, time - reach, time) * (1 - smoothstep(at, time, time + reach));
       const near = times.map((at, k) => k).filter((k) => Math.abs(times[k] - time) < reach);
       return near.map((k) => map.to(path[k].map((value, axis) => value + weight(times[k]) * change[axis])));
-    }
-
-    /** Write a label around a place where it is farthest from others; returns places that it takes. */
-    function label(context, text, at, avoid) {
-      const half = context.measureText(text).width / 2;
-      let best = null;
-      for (let k = 0; k < 12; k++) {
-        const angle = (2 * Math.PI * k) / 12;
-        const place = [at[0] + (16 + half) * Math.cos(angle), at[1] - 19 * Math.sin(angle)];
-        if (place[0] < half + 2 || place[0] > pane.width - half - 2 || place[1] < 8 || place[1] > pane.height - 30) continue;
-        const away = avoid.map((p) => Math.hypot(Math.max(Math.abs(p[0] - place[0]) - half, 0), p[1] - place[1]));
-        const room = Math.min(...away, 40);
-        if (!best || room > best.room + 1) best = { place, room };
-      }
-      const place = best ? best.place : at;
-      parts.words(context, look, text, ...place);
-      return [-1, -0.5, 0, 0.5, 1].flatMap((part) => [-8, 8].map((up) => [place[0] + part * half, place[1] + up]));
-    }
-
-    function drawScale(context) {
-      const length = parts.roundBelow(Math.min(90, pane.width / 4) / map.scale), y = pane.height - 9, left = 1;
-      const right = left + length * map.scale;
-      Object.assign(context, { strokeStyle: look.quiet, lineWidth: 1.5 });
-      parts.trace(context, [[left, y - 4], [left, y], [right, y], [right, y - 4]]);
-      context.stroke();
-      const text = `${Number(length.toPrecision(1))} diagonal${length === 1 ? "" : "s"}`;
-      parts.words(context, look, text, right + 7, y - 2, { align: "left", colour: look.quiet });
-      return right + 7 + context.measureText(text).width;
-    }
-
-    function drawTimeBar(context, taken) {
-      const { start, end } = shared.signals, y = pane.height - 14, width = 56;
-      if (!(end > start)) return;
-      const late = parts.brief(end, end - start), early = parts.brief(start, end - start);
-      const right = pane.width - 2 - context.measureText(late).width - 5, left = right - width;
-      if (left - context.measureText(early).width - 12 < taken) return;
-      const fill = context.createLinearGradient(left, 0, right, 0);
-      for (let k = 0; k <= 9; k++) fill.addColorStop(k / 9, parts.viridis(k / 9));
-      context.fillStyle = fill;
-      context.fillRect(left, y, width, 6);
-      parts.words(context, look, early, left - 5, y + 3, { align: "right", colour: look.quiet });
-      parts.words(context, look, late, right + 5, y + 3, { align: "left", colour: look.quiet });
-    }
-
-    function dot(context, [x, y], radius) {
-      context.beginPath();
-      context.arc(x, y, radius, 0, 2 * Math.PI);
     }
 
     function draw() {
@@ -125,7 +77,7 @@
       const { path, times, frames, frameTimes } = shared.signals;
       map = mapping();
       const places = path.map(map.to), dots = frames.map(map.to), radius = dots.length > 120 ? 2.5 : 3.5;
-      drawTimeBar(context, drawScale(context));
+      parts.timeBar(context, pane, shared.signals, parts.scaleBar(context, pane, map.scale));
 
       Object.assign(context, { strokeStyle: look.curve, lineWidth: 1.5 });
       parts.trace(context, places);
@@ -174,8 +126,8 @@
       context.stroke();
 
       const avoid = [...places.filter((_, k) => k % 2 === 0), ...handles().map((h) => map.to(h.at)), now];
-      if (times.length > 1 && distance(first, last) < 12) label(context, "start, end", first, avoid);
-      else if (times.length > 1) label(context, "end", last, [...avoid, ...label(context, "start", first, avoid)]);
+      if (times.length > 1 && distance(first, last) < 12) parts.label(context, pane, "start, end", first, avoid);
+      else if (times.length > 1) parts.label(context, pane, "end", last, [...avoid, ...parts.label(context, pane, "start", first, avoid)]);
     }
 
     function nowPlace() {
@@ -237,7 +189,7 @@
         } else if (hand.kind === "seek") {
           const time = timeNear(place, Infinity);
           if (time !== null) shared.seek(time);
-        } else if (hand.moved || distance(place, hand.down) > MOVED) {
+        } else if (hand.moved || distance(place, hand.down) > TREMBLE) {
           hand.moved = true;
           hand.to = map.from([place[0] + hand.grip[0], place[1] + hand.grip[1]]);
           handlers.onDrag?.({ time: hand.time, to: hand.to, done: false });
@@ -249,7 +201,7 @@
         hand = null;
         shared.seeking = false;
         pane.canvas.style.cursor = "";
-        if (done.kind === "stroke" && lengthOf(done.points) * map.scale > 4 * MOVED) {
+        if (done.kind === "stroke" && lengthOf(done.points) * map.scale > 4 * TREMBLE) {
           kept = done;
           handlers.onSketch?.(done.points);
         } else if (done.kind === "handle" && done.moved) {

@@ -28,6 +28,11 @@ var mixseqChartParts = {};
     return `rgb(${mixed.join(",")})`;
   };
 
+  /** So many pixels a hand may move without meaning it. */
+  parts.TREMBLE = 3;
+
+  parts.distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
   parts.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   /** The last place in increasing times that is not after a time, such that there is a next one if there are two. */
@@ -155,10 +160,10 @@ var mixseqChartParts = {};
   };
 
   /** The number of the place that is nearest to another and within reach, or -1. */
-  parts.nearest = function (places, [x, y], reach) {
+  parts.nearest = function (places, from, reach) {
     let best = -1, least = reach;
     places.forEach((place, k) => {
-      const distance = Math.hypot(place[0] - x, place[1] - y);
+      const distance = parts.distance(place, from);
       if (distance <= least) [best, least] = [k, distance];
     });
     return best;

@@ -3,7 +3,6 @@
 
 (function (parts) {
   const HINT = "drag a key · double-click adds or removes";
-  const MOVED = 3;
   const GAP = 1e-3;      // of the source's duration, between the outputs of neighbours
 
   /**
@@ -132,7 +131,7 @@
         return true;
       },
       move(place) {
-        if (!hand.moved && Math.hypot(place[0] - hand.down[0], place[1] - hand.down[1]) <= MOVED) return;
+        if (!hand.moved && parts.distance(place, hand.down) <= parts.TREMBLE) return;
         hand.moved = true;
         put(hand.number, [place[0] + hand.grip[0], place[1] + hand.grip[1]]);
         tell(false);

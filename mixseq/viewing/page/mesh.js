@@ -5,10 +5,10 @@
  * Make a renderer of a canvas, or null where there is no WebGL 2.
  *
  * `meshOf(item)` makes a mesh of {vertices, faces, positions, centre, step, colourings: [{palette, indices, constant}]};
- * `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
- * page, shown: [{mesh, pose, share, colouring, tint}], rows: rotation to the screen, target: what is looked at,
- * scale: pixels per unit, shift: pixels from the middle, ground: its height, reach: half the side of the ground that has
- * shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
+ * `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is
+ * {box: [left, top, width, height] in pixels of the page, shown: [{mesh, pose, share, colouring, tint}], rows: rotation
+ * to the screen, target: what is looked at, scale: pixels per unit, shift: pixels from the middle, ground: its height,
+ * reach: half the side of the ground that has shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
  */
 var mixseqRenderer = function (canvas) {
   const ATTRIBUTES = ["x0", "y0", "z0", "x1", "y1", "z1", "n0", "n1", "c0", "c1"];
@@ -16,47 +16,10 @@ var mixseqRenderer = function (canvas) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
   if (!gl) return null;
 
-  const programs = Object.fromEntries(Object.entries(mixseqShaders).map(([name, texts]) => [name, newProgram(...texts)]));
-  const poses = gl.createVertexArray();
+  const use = mixseqPrograms(gl, mixseqShaders, ATTRIBUTES);
+  const arrays = gl.createVertexArray();
   const shadows = [newPicture(), newPicture()];
   let ratio = 1;
-
-  // Programs ------------------------------------------------------------------------------------------------------
-
-  function newProgram(vertex, fragment) {
-    const program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
-    }
-    ATTRIBUTES.forEach((name, place) => gl.bindAttribLocation(program, place, name));
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(program));
-    const setters = {};
-    for (let k = 0; k < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); k++) {
-      const { name, type } = gl.getActiveUniform(program, k), place = gl.getUniformLocation(program, name);
-      setters[name] = setter(type, place);
-    }
-    return { program, setters };
-  }
-
-  function setter(type, place) {
-    if (type === gl.FLOAT_MAT3) return (value) => gl.uniformMatrix3fv(place, true, value.flat()); // given by rows
-    if (type === gl.FLOAT_VEC4) return (value) => gl.uniform4fv(place, value);
-    if (type === gl.FLOAT_VEC3) return (value) => gl.uniform3fv(place, value);
-    if (type === gl.FLOAT_VEC2) return (value) => gl.uniform2fv(place, value);
-    if (type === gl.SAMPLER_2D) return (value) => gl.uniform1i(place, value);
-    return (value) => gl.uniform1f(place, value);
-  }
-
-  function use(name, values) {
-    const { program, setters } = programs[name];
-    gl.useProgram(program);
-    for (const key in values) setters[key]?.(values[key]);
-  }
 
   // Meshes --------------------------------------------------------------------------------------------------------
 
@@ -97,7 +60,7 @@ var mixseqRenderer = function (canvas) {
     if (slot.pose !== pose) {
       const places = mesh.positions.subarray(3 * pose * mesh.vertices, 3 * (pose + 1) * mesh.vertices);
       fill(slot.positions, places);
-      fill(slot.normals, normalsOf(mesh, places));
+      fill(slot.normals, mixseqGeometry.normals(mesh, places));
     }
     if (slot.pose !== pose || slot.colouring !== colouring) {
       const { indices, constant } = mesh.colourings[colouring], start = constant ? 0 : pose * mesh.vertices;
@@ -111,45 +74,19 @@ var mixseqRenderer = function (canvas) {
     gl.bufferSubData(gl.ARRAY_BUFFER, 0, data);
   }
 
-  let sums = new Float32Array(0);
-
-  /** Normals of the vertices, not of unit length: the sum of those of the triangles around them, by area. */
-  function normalsOf({ faces, vertices }, places) {
-    if (sums.length < 3 * vertices) sums = new Float32Array(3 * vertices);
-    const normals = sums.subarray(0, 3 * vertices).fill(0), y = vertices, z = 2 * vertices;
-    for (let k = 0; k < faces.length; k += 3) {
-      const a = faces[k], b = faces[k + 1], c = faces[k + 2];
-      const ax = places[a], ay = places[y + a], az = places[z + a];
-      const ux = places[b] - ax, uy = places[y + b] - ay, uz = places[z + b] - az;
-      const vx = places[c] - ax, vy = places[y + c] - ay, vz = places[z + c] - az;
-      const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
-      for (const corner of [3 * a, 3 * b, 3 * c]) {
-        normals[corner] += nx;
-        normals[corner + 1] += ny;
-        normals[corner + 2] += nz;
-      }
-    }
-    return normals;
-  }
-
-  /** Every edge of the triangles once, as a buffer of pairs; made when it is first wanted. */
+  /** The edges of a mesh as a buffer of pairs; made when it is first wanted. */
   function edgesOf(mesh) {
-    if (mesh.edges) return mesh.edges;
-    const { faces, vertices } = mesh, keys = new Float64Array(faces.length);
-    for (let k = 0; k < faces.length; k++) {
-      const a = faces[k], b = faces[k % 3 === 2 ? k - 2 : k + 1];
-      keys[k] = Math.min(a, b) * vertices + Math.max(a, b);
+    if (!mesh.edges) {
+      const pairs = mixseqGeometry.edges(mesh);
+      mesh.edges = { buffer: newBuffer(gl.ELEMENT_ARRAY_BUFFER, pairs), count: pairs.length };
     }
-    const pairs = [];
-    keys.sort().forEach((key, k) => key !== keys[k - 1] && pairs.push(Math.floor(key / vertices), key % vertices));
-    mesh.edges = { buffer: newBuffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(pairs)), count: pairs.length };
     return mesh.edges;
   }
 
   /** Prepare what is shown for drawing; returns the uniforms that place it. */
   function bindPose({ mesh, pose, share, colouring }, target) {
     const now = slotOf(mesh, pose, colouring), next = share > 0 ? slotOf(mesh, pose + 1, colouring) : now;
-    gl.bindVertexArray(poses);
+    gl.bindVertexArray(arrays);
     [now, next].forEach((slot, k) => {
       for (let axis = 0; axis < 3; axis++) attribute("xyz"[axis] + k, slot.positions, 1, gl.SHORT, 2 * axis * mesh.vertices);
       attribute("n" + k, slot.normals, 3, gl.FLOAT, 0);
@@ -269,7 +206,7 @@ var mixseqRenderer = function (canvas) {
     const edges = edgesOf(mesh);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-    gl.bindVertexArray(poses);
+    gl.bindVertexArray(arrays);
     use("wire", { ...screen, ...place, ink: look.ink });
     drawElements(gl.LINES, edges.buffer, edges.count);
     gl.disable(gl.BLEND);

@@ -1,4 +1,4 @@
-// The page: unpacks what it holds, keeps the clock, and connects the controls with what is drawn.
+// The page: unpacks what it holds, and connects the controls with the clock and with what is drawn.
 "use strict";
 
 (async function () {
@@ -6,8 +6,8 @@
   const description = JSON.parse(element("description").textContent);
   const canvas = element("view");
   const SLOW = 90; // milliseconds between frames
-  const LIGHT = { background: [1, 1, 1], line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
-  const DARK = { background: [0.1216, 0.1255, 0.1373], line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
+  const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
+  const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
 
   document.title = description.title;
 
@@ -54,11 +54,10 @@
 
   // State ---------------------------------------------------------------------------------------------------------
 
-  const period = description.period;
-  const moments = [...new Set(items.flatMap((item) => item.times))].sort((a, b) => a - b).filter((time, k, all) => !k || time - all[k - 1] > 1e-6);
+  const period = description.period, clock = mixseqClock(items, period, redraw);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
-  const state = { time: 0, playing: period > 0 && !still, speed: 1, loop: true, smooth: true, wires: false, grid: true, overlaid: description.overlaid && items.length > 1, colour: "" };
+  const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, colour: "" };
   let panels = [], drawn = 0, asked = false, last = null, pace = 0;
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
@@ -72,63 +71,6 @@
     return [corner.left + left + width / 2, corner.top + top + height / 2];
   }
 
-  // Time ----------------------------------------------------------------------------------------------------------
-
-  /** The last of increasing times that is not after a time. */
-  function lastBefore(times, time) {
-    let low = 0, high = times.length - 1;
-    while (low < high) {
-      const middle = (low + high + 1) >> 1;
-      if (times[middle] <= time + 1e-6) low = middle;
-      else high = middle - 1;
-    }
-    return low;
-  }
-
-  function nearest(times, time) {
-    const before = lastBefore(times, time), after = Math.min(before + 1, times.length - 1);
-    return times[after] - time < time - times[before] ? after : before;
-  }
-
-  /** The pose of an item at a time, and how far it is on its way to the next one; after its end it waits. */
-  function poseAt({ times }, time) {
-    if (!state.smooth) return { pose: nearest(times, time), share: 0 };
-    const pose = lastBefore(times, time);
-    if (pose === times.length - 1) return { pose, share: 0 };
-    const share = (time - times[pose]) / (times[pose + 1] - times[pose]);
-    return { pose, share: share > 1e-4 ? share : 0 };
-  }
-
-  function seek(time) {
-    state.time = Math.min(Math.max(time, 0), moments[moments.length - 1]);
-    redraw();
-  }
-
-  function step(by) {
-    play(false);
-    const here = nearest(moments, state.time), count = moments.length;
-    seek(moments[state.loop ? (here + by + count) % count : Math.min(Math.max(here + by, 0), count - 1)]);
-  }
-
-  function play(on) {
-    if (on && !state.loop && state.time >= moments[moments.length - 1] - 1e-6) state.time = 0;
-    if (!on && state.playing) state.time = moments[nearest(moments, state.time)];
-    state.playing = on && period > 0;
-    element("play").classList.toggle("playing", state.playing);
-    element("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
-    redraw();
-  }
-
-  function advance(seconds) {
-    state.time += seconds * state.speed;
-    if (state.time < period) return;
-    if (state.loop) state.time %= period;
-    else {
-      state.time = moments[moments.length - 1];
-      play(false);
-    }
-  }
-
   // Drawing -------------------------------------------------------------------------------------------------------
 
   function redraw() {
@@ -138,21 +80,25 @@
 
   function draw(now) {
     asked = false;
-    // after a pause of the whole page it goes on where it was
-    if (state.playing && last !== null) advance(Math.min((now - last) / 1000, 0.25));
-    pace = state.playing && last !== null ? 0.8 * pace + 0.2 * (now - last) : pace;
-    last = state.playing ? now : null;
+    if (clock.playing && last !== null) {
+      clock.advance((now - last) / 1000);
+      pace = 0.8 * pace + 0.2 * (now - last);
+    }
+    last = clock.playing ? now : null;
     panels = stage.panels(items, camera, state.overlaid, element("legend").dataset.wanted === "true");
-    const shown = items.map((item, k) => ({ mesh: meshes[k], ...poseAt(item, state.time), colouring: colouringOf(item), tint: stage.tint(k, tinted()) }));
+    const shown = items.map((item, k) => ({ mesh: meshes[k], ...clock.poseAt(item), colouring: colouringOf(item), tint: stage.tint(k, tinted()) }));
     panels.forEach((panel, k) => (panel.shown = state.overlaid ? shown : [shown[k]]));
-    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), wires: state.wires, grid: state.grid }, quality());
+    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), background: background(), wires: state.wires, grid: state.grid }, quality());
     tellTime();
     drawn++;
-    if (state.playing) redraw();
+    if (clock.playing) redraw();
   }
 
   /** Where there is no graphics card, half the pixels each way have to do while it moves. */
-  const quality = () => (state.playing && pace > SLOW ? 0.5 : 1);
+  const quality = () => (clock.playing && pace > SLOW ? 0.5 : 1);
+
+  /** The colour of the page, of which the canvas is a part. */
+  const background = () => getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
 
   const tinted = () => state.overlaid && state.colour === "clay";
 
@@ -160,12 +106,14 @@
   const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
 
   function tellTime() {
-    const number = nearest(moments, state.time) + 1;
-    if (document.activeElement !== element("time") || state.playing) element("time").value = state.time;
-    const digits = `${moments.length}`.length;
-    element("now").textContent = `${`${number}`.padStart(digits, "\u2007")} / ${moments.length} · ${state.time.toFixed(2)} s`;
-    element("time").setAttribute("aria-valuetext", `frame ${number} of ${moments.length}, ${state.time.toFixed(2)} seconds`);
-    charts?.at(chosenSignals.start + Math.min(state.time, chosenSignals.end - chosenSignals.start));
+    const number = clock.number() + 1, count = clock.moments.length, seconds = clock.time.toFixed(2), slider = element("time");
+    // a hand on the slider is ahead of the picture
+    if (document.activeElement !== slider || clock.playing) slider.value = clock.time;
+    slider.setAttribute("aria-valuetext", `frame ${number} of ${count}, ${seconds} seconds`);
+    element("now").textContent = `${`${number}`.padStart(`${count}`.length, "\u2007")} / ${count} · ${seconds} s`;
+    element("play").classList.toggle("playing", clock.playing);
+    element("play").setAttribute("aria-label", clock.playing ? "Pause" : "Play");
+    charts?.at(chosenSignals.start + Math.min(clock.time, chosenSignals.end - chosenSignals.start));
   }
 
   function arrange() {
@@ -182,13 +130,13 @@
   function makeCharts() {
     if (!withSignals.length) return;
     charts?.remove();
-    charts = mixseqCharts(element("charts"), { onSeek: (seconds) => seekInSignals(seconds) }, { editable: false, dark: darkness.matches });
+    charts = mixseqCharts(element("charts"), { onSeek: seekInSignals }, { editable: false, dark: darkness.matches });
     charts.show(chosenSignals);
   }
 
   function seekInSignals(seconds) {
-    play(false);
-    seek(seconds - chosenSignals.start);
+    clock.play(false);
+    clock.seek(seconds - chosenSignals.start);
   }
 
   function fold(open) {
@@ -201,10 +149,10 @@
 
   const press = (id, on) => element(id).setAttribute("aria-pressed", `${on}`);
 
-  function toggle(id, key) {
+  function toggle(id, of, key) {
     element(id).onclick = () => {
-      state[key] = !state[key];
-      press(id, state[key]);
+      of[key] = !of[key];
+      press(id, of[key]);
       redraw();
     };
   }
@@ -241,8 +189,8 @@
   }
 
   const KEYS = {
-    " ": () => play(!state.playing), ArrowLeft: () => step(-1), ArrowRight: () => step(1),
-    Home: () => (play(false), seek(0)), End: () => (play(false), seek(period)),
+    " ": () => clock.play(!clock.playing), ArrowLeft: () => clock.step(-1), ArrowRight: () => clock.step(1),
+    Home: () => clock.scrub(0), End: () => clock.scrub(period),
     "+": () => camera.zoomBy(1.2), "=": () => camera.zoomBy(1.2), "-": () => camera.zoomBy(1 / 1.2), 0: () => camera.reset(), c: nextColour,
   };
   const TURNS = { ArrowLeft: [-20, 0], ArrowRight: [20, 0], ArrowUp: [0, -20], ArrowDown: [0, 20] };
@@ -258,25 +206,21 @@
   }
 
   function connect() {
-    element("play").onclick = () => play(!state.playing);
-    element("back").onclick = () => step(-1);
-    element("forward").onclick = () => step(1);
-    element("time").max = moments[moments.length - 1];
-    element("time").oninput = (event) => {
-      play(false);
-      const time = +event.target.value;
-      seek(state.smooth ? time : moments[nearest(moments, time)]);
-    };
-    element("speed").onchange = (event) => (state.speed = +event.target.value);
+    element("play").onclick = () => clock.play(!clock.playing);
+    element("back").onclick = () => clock.step(-1);
+    element("forward").onclick = () => clock.step(1);
+    element("time").max = clock.moments[clock.moments.length - 1];
+    element("time").oninput = (event) => clock.scrub(+event.target.value);
+    element("speed").onchange = (event) => (clock.speed = +event.target.value);
     element("layout").value = state.overlaid ? "over" : "side";
     element("layout").onchange = (event) => {
       state.overlaid = event.target.value === "over";
       arrange();
     };
-    toggle("loop", "loop");
-    toggle("smooth", "smooth");
-    toggle("wires", "wires");
-    toggle("ground", "grid");
+    toggle("loop", clock, "loop");
+    toggle("smooth", clock, "smooth");
+    toggle("wires", state, "wires");
+    toggle("ground", state, "grid");
     element("reset").onclick = camera.reset;
     element("about").onclick = () => element("help").showModal();
     element("fold").onclick = () => fold(element("side").hidden);
@@ -313,12 +257,15 @@
   makeCharts();
   if (withSignals.length) fold(window.innerWidth > 860);
   arrange();
-  play(state.playing);
+  clock.play(!still);
 
   // For tests: what is shown, and where.
   window.mixseqPlayer = {
-    seek, play, items, unpackedIn,
-    state: () => ({ ...state, drawn, period, moments: moments.length, frame: nearest(moments, state.time), yaw: camera.yaw, pitch: camera.pitch, zoom: camera.zoom, pan: camera.pan }),
+    seek: clock.seek, play: clock.play, items, unpackedIn,
+    state: () => {
+      const { time, playing, speed, loop, smooth, moments } = clock, { yaw, pitch, zoom, pan } = camera;
+      return { ...state, time, playing, speed, loop, smooth, drawn, period, moments: moments.length, frame: clock.number(), yaw, pitch, zoom, pan };
+    },
     /** Wait until all is drawn that was asked for. */
     settled: async () => {
       while (asked) await new Promise(requestAnimationFrame);

@@ -61,7 +61,7 @@ var mixseqStage = function (stage, names, legendElement) {
     const [, , width, height] = room, middle = (at) => at[1] + at[3] / 2;
     const fit = (1 - 2 * MARGIN) * Math.min(width / size[0], Math.max(height, 1) / size[1]);
     // what is first seen is in the middle of the room under the name
-    const first = firstRows(azimuth, elevation).map((row) => row[0] * target[0] + row[1] * target[1] + row[2] * target[2]);
+    const first = mixseqRotation(azimuth, elevation).map((row) => row[0] * target[0] + row[1] * target[1] + row[2] * target[2]);
     const scale = fit * camera.zoom, aside = (seen[0] + seen[1]) / 2 - first[0], above = (seen[2] + seen[3]) / 2 - first[1];
     const shift = [camera.pan[0] - aside * scale, camera.pan[1] + above * scale + (middle(room) - middle(box)) * camera.zoom];
     const rows = camera.rows(azimuth, elevation), sides = high.map((value, k) => value - low[k]);
@@ -69,13 +69,9 @@ var mixseqStage = function (stage, names, legendElement) {
     return { box, rows, target, scale, shift, ground: low[1], size: largest, reach: 0.6 * Math.max(sides[0], sides[2]) + 0.08 * largest };
   }
 
-  function firstRows(azimuth, elevation) {
-    const [ca, sa, ce, se] = [azimuth, elevation].flatMap((d) => [Math.cos((d * Math.PI) / 180), Math.sin((d * Math.PI) / 180)]);
-    return [[ca, 0, -sa], [-se * sa, ce, -se * ca]];
-  }
-
-  function placeNames(items, panelsNow, overlaid, tinted, dark) {
-    names.replaceChildren(...panelsNow.map(({ box }, k) => {
+  /** Write the names above the panels; overlaid meshes share one. */
+  function placeNames(items, panels, overlaid, tinted) {
+    names.replaceChildren(...panels.map(({ box }, k) => {
       const name = document.createElement("div");
       name.className = "name";
       Object.assign(name.style, { left: `${box[0]}px`, top: `${box[1] + 10}px`, width: `${box[2]}px` });
