@@ -48,8 +48,9 @@ def main() -> None:
         browser.close()
 
 
-def save_model(path: Path, model: Model, replace: bool) -> None:
-    """Nothing is saved here."""
+def save_model(path: Path, model: Model, replace: bool) -> str:
+    """Save nothing."""
+    return ""
 
 
 def take_viewer(page: Page, address: str) -> None:

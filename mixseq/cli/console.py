@@ -50,10 +50,10 @@ def print_json(data: dict[str, Any]) -> None:
 def announce(path: Path) -> None:
     """Tell that a file is finished, and which others it needs, if there are some."""
     size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    click.echo(f"wrote {click.format_filename(path)}{size}{_needed(path)}")
+    click.echo(f"wrote {click.format_filename(path)}{size}{needed(path)}")
 
 
-def _needed(path: Path) -> str:
+def needed(path: Path) -> str:
     """Return what a USD file is not complete without, "" if it is."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc"):
         return ""

@@ -5,6 +5,7 @@
 1     the reader of a pipe went away; an asset of a batch failed; or a bound does not hold
 2     an error that the user can do something about
 130   interrupted by Ctrl-C
+129   its terminal was closed
 143   terminated by a signal
 ====  ======================================================================
 
@@ -27,6 +28,7 @@ import click
 from mixseq.errors import MixseqError, MixseqWarning
 
 _LATER = 0.2  # seconds
+_ENDING = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]  # which Windows has not
 
 
 def exit_code(run: Callable[[], object]) -> int:
@@ -86,7 +88,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
 @contextmanager
 def _unwinding_when_terminated() -> Iterator[None]:
-    """Let SIGTERM end the process as Ctrl-C does, by an exception, so that no half-written file stays behind."""
+    """Let signals end the process as Ctrl-C does, by an exception, so that no half-written file stays behind."""
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are the main thread's
         return
@@ -107,7 +109,7 @@ def _unwinding_when_terminated() -> Iterator[None]:
         again[-1].daemon = True
         again[-1].start()
 
-    before, usual = signal.signal(signal.SIGTERM, leave), sys.unraisablehook
+    before, usual = {number: signal.signal(number, leave) for number in _ENDING}, sys.unraisablehook
     sys.unraisablehook = swallowed
     try:
         yield
@@ -115,4 +117,5 @@ def _unwinding_when_terminated() -> Iterator[None]:
         for timer in again:
             timer.cancel()
         sys.unraisablehook = usual
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -167,8 +167,11 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
         ("source", _span(planned.sources)),
     ]
     rest = 1e-3 / header.fps  # less is a matter of rounding
+    why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > rest:
-        rows.append(("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s"))
+        rows.append(
+            ("left over", f"{first - retiming.start:.3g} s before the first frame, at {first:g} s{why}")
+        )
     if retiming.end - last > rest:
-        rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s"))
+        rows.append(("left over", f"{retiming.end - last:.3g} s after the last frame, at {last:g} s{why}"))
     return rows

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import announce, progress_bar
+from mixseq.cli.console import announce, needed, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, options_of, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     "--port",
     type=click.IntRange(1, 65535),
     metavar="N",
-    help="Listen at this port, or the next one that is free.  [default: 8080]",
+    help="Listen at this port.  [default: 8080, or the next one that is free]",
 )
 @click.option(
     "--overlaid", is_flag=True, help="Meshes stand in one place at first, not side by side; on pages, too."
@@ -209,8 +209,18 @@ def _run(
         except KeyboardInterrupt:
             click.echo()
         finally:
-            for name in running.session.unsaved:
-                warnings.warn(f"what was edited of {name} was not saved", MixseqWarning, stacklevel=1)
+            for name, model in running.session.unsaved.items():
+                kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
+                mixseq.save(kept, model)
+                warnings.warn(
+                    f"what was edited of {name} was not saved; it is in {kept}", MixseqWarning, stacklevel=1
+                )
+
+
+def _free_name(path: Path) -> Path:
+    """Return the path, with a number if there is such a file."""
+    tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
+    return next(each for each in tries if not each.exists())
 
 
 def _has_screen() -> bool:
@@ -220,8 +230,8 @@ def _has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> None:
-    """Write an edited model, as a model or as a sequence."""
+def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> str:
+    """Write an edited model, as a model or as a sequence, and tell which file it is and which others it needs."""
     from mixseq.mapping import on_threads
     from mixseq_io.numbered.names import files_of_pattern
 
@@ -236,6 +246,7 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> N
             write_frames(path, model, model.header, False, {}, silent, on_threads())
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror or error}") from None
+    return f"{path.name} in {path.parent}{needed(path)}"
 
 
 # Pages that play on their own -----------------------------------------------------------------------------

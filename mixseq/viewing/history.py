@@ -17,10 +17,13 @@ class Step:
         What was done, such as ``repeat``; that of the first step is empty.
     model : Model
         What came of it.
+    keys : tuple of (float, float)
+        Of a retiming, its keys: times of the output and of the source, in seconds.
     """
 
     name: str
     model: Model
+    keys: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,16 @@ class History:
     def done(self, name: str, model: Model) -> History:
         """Return the history after an edit; what had been undone is gone."""
         return History((*self.steps[: self.now + 1], Step(name, model)), self.now + 1)
+
+    @property
+    def before_retiming(self) -> History:
+        """The history without its last step if that is a retiming, so that keys can be moved again."""
+        return self.undone() if self.steps[self.now].keys else self
+
+    def retimed(self, model: Model, keys: tuple[tuple[float, float], ...]) -> History:
+        """Return the history with a retiming of `before_retiming` as its last step."""
+        before = self.before_retiming
+        return History((*before.steps[: before.now + 1], Step("retime", model, keys)), before.now + 1)
 
     @property
     def undoes(self) -> str | None:

@@ -15,8 +15,10 @@ from traceback import print_exception
 from typing import Protocol, Self
 
 from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.operations import retime
 from mixseq.signals import Model
 from mixseq.viewing.history import History
+from mixseq.viewing.messages import Float
 from mixseq.viewing.playback import Playback
 from mixseq.viewing.shown import Shot
 
@@ -26,8 +28,14 @@ Edit = Callable[[Model], Model]
 class Save(Protocol):
     """Writes a model to a file, as a model or as a sequence."""
 
-    def __call__(self, path: Path, model: Model, replace: bool) -> None:
-        """Write it; raise `MixseqError` if that cannot be, or there is such a file and it shall not be replaced."""
+    def __call__(self, path: Path, model: Model, replace: bool) -> str:
+        """Write it, and return a sentence about the file.
+
+        Raises
+        ------
+        MixseqError
+            If it cannot be written, or there is such a file and it shall not be replaced.
+        """
 
 
 PATIENCE = 1.0
@@ -46,8 +54,8 @@ class Told(Protocol):
     def failed(self, what: str, error: Exception) -> None:
         """Something could not be done."""
 
-    def saved(self, path: Path) -> None:
-        """A file was written."""
+    def saved(self, what: str) -> None:
+        """A file was written; `what` tells which, and what it needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +133,13 @@ class Session:
         return self.history.model
 
     @property
-    def unsaved(self) -> list[str]:
-        """Names of the models that were edited and are in no file."""
-        return [
-            self._playback.shot.items[index].name
+    def unsaved(self) -> dict[str, Model]:
+        """The models that were edited and are in no file, by name."""
+        return {
+            self._playback.shot.items[index].name: history.model
             for index, history in self._histories.items()
             if history.changed and self._saved.get(index) is not history.model
-        ]
+        }
 
     def choose(self, index: int) -> None:
         """Edit another item."""
@@ -146,6 +154,23 @@ class Session:
     def preview(self, name: str, edit: Edit) -> None:
         """Show what an edit of the model would make of it, unless another one is asked for first."""
         self._add(_Job(name, self._index, _step(name, edit), preview=True))
+
+    def retime(self, keys: Float, preview: bool = False) -> None:
+        """Retime the model; if that was the last step, it is done anew.
+
+        Parameters
+        ----------
+        keys : (n, 2) float64
+            Times of the output, and of the model before that, in seconds.
+        preview : bool
+            Whether it is only shown, as by `preview`.
+        """
+
+        def change(history: History) -> History:
+            model = retime(history.before_retiming.model, keys)
+            return history.retimed(model, tuple((float(output), float(source)) for output, source in keys))
+
+        self._add(_Job("retime", self._index, change, preview))
 
     def undo(self) -> None:
         """Take back the last step, after the edits that were asked for before."""
@@ -176,12 +201,12 @@ class Session:
 
     def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:
-            self._save(path, model, replace)
+            what = self._save(path, model, replace)
         except Exception as error:
             self._fail("save", error)
         else:
             self._saved[index] = model
-            self._told.saved(path)
+            self._told.saved(what)
 
     def _add(self, job: _Job) -> None:
         with self._changed:

@@ -76,7 +76,7 @@ PATIENCE = 60.0
         ("view none.npz --export new", "new: pages end in .html"),
         ("view bar.npz --export nowhere/new.html", "nowhere does not exist; make it first"),
         ("view bar.npz --export new.html --every 0", "--every.*0 is not in the range"),
-        ("view bar.npz --export new.html --largest 0.001", "more than 0.001 MB; take fewer frames"),
+        ("view bar.npz --export new.html --largest 0.001", "more than 0.001 MB; allow more with --largest"),
         ("view bar.npz --export new.html --largest -1", "-1"),
         ("view none.npz --export new.html", "none.npz.* does not exist"),
         ("view bar.npz --export new.html --against other.npz", "errors need one mesh"),
@@ -158,7 +158,7 @@ class Room:
     """A viewer that remembers what it was given, and ends at once, as by Ctrl-C."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.unsaved: list[str] = []
+        self.unsaved: dict[str, Model] = {}
         self.opened: list[str] = []
         self.ended = False
         self.paint: Paint
@@ -216,7 +216,7 @@ def test_what_is_shown(run: Run, room: Room) -> None:
 def test_defaults(run: Run, room: Room, folder: Path) -> None:
     run("view", "bar.npz", "model.h5", "--no-browser")
     settings = room.settings
-    assert (settings.host, settings.port, settings.material) == ("127.0.0.1", 8080, "standard")
+    assert (settings.host, settings.port, settings.material) == ("127.0.0.1", None, "standard")
     assert (settings.folder, settings.threads) == (folder, thread_count())
     assert not settings.overlaid
 
@@ -273,14 +273,18 @@ def test_a_browser_where_there_is_a_screen(
     assert room.opened == (["http://127.0.0.1:8080"] if opens else [])
 
 
-def test_edits_that_were_not_saved_are_warned_about(run: Run, room: Room) -> None:
-    room.unsaved.extend(["walk.h5", "run.h5"])
+def test_edits_that_were_not_saved_are_kept(run: Run, room: Room, bar_model: Model, folder: Path) -> None:
+    (folder / "run-unsaved.h5").write_text("of yesterday")
+    room.unsaved.update({"walk.h5": bar_model, "old/run.h5": bar_model})
     result = run("view", "model.h5", "--no-browser")
     assert result.exit_code == 0
     assert result.stderr == (
-        "mixseq: warning: what was edited of walk.h5 was not saved\n"
-        "mixseq: warning: what was edited of run.h5 was not saved\n"
+        "mixseq: warning: what was edited of walk.h5 was not saved; it is in walk-unsaved.h5\n"
+        "mixseq: warning: what was edited of old/run.h5 was not saved; it is in run-unsaved-2.h5\n"
     )
+    for name in ("walk-unsaved.h5", "run-unsaved-2.h5"):
+        np.testing.assert_allclose(mixseq.load(folder / name)(0.1), bar_model(0.1), atol=1e-12)
+    assert (folder / "run-unsaved.h5").read_text() == "of yesterday"
 
 
 def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder: Path) -> None:
@@ -294,7 +298,8 @@ def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder
     np.testing.assert_allclose(decoded.points[2], edited(edited.times[2]), atol=1e-5)
     with pytest.raises(OutputError, match=r"edited\.usdc exists; give another name, or tick Replace"):
         room.save(folder / "edited.usdc", edited, replace=False)
-    room.save(folder / "edited.usdc", edited, replace=True)
+    told = room.save(folder / "edited.usdc", edited, replace=True)
+    assert told == f"edited.usdc in {folder}"
     for source in ("model.h5", "bar.npz"):
         before = (folder / source).read_bytes()
         with pytest.raises(OutputError, match="is the source itself"):
@@ -327,8 +332,30 @@ def first_line(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline()
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--host 192.0.2.7",
+            "cannot listen at 192.0.2.7:8080: .*; give another --host",
+        ),  # of RFC 5737, nobody's
+        ("--host nohost.invalid", "cannot listen at nohost.invalid:8080: .*; give another --host"),
+        ("--port {taken}", "cannot listen at 127.0.0.1:.*in use; give another --port"),
+    ],
+)
+def test_addresses_that_cannot_be(run: Run, folder: Path, options: str, message: str) -> None:
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        line = options.format(taken=other.getsockname()[1])
+        result = run("view", "bar.npz", "--no-browser", *line.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert re.fullmatch(f"mixseq: error: {message}\n", result.stderr), result.stderr
+
+
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
 def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: int) -> None:
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     before = sorted(folder.iterdir())

@@ -516,11 +516,11 @@ def test_an_origin_that_is_gone_is_told_once(
 @pytest.mark.parametrize(
     ("below", "fps", "expected"),
     [
-        ((1, 48), 30, (1, 58)),
+        ((1, 48), 30, (2, 57)),
         ((1, 48), 50, (2, 96)),
         ((1, 48), 25, (1, 48)),
-        ((1.25, 48), 30, (1.5, 58)),
-        ((0, 3), 29.97 * 25, (0, 90)),
+        ((1.25, 48), 30, (1.5, 57)),
+        ((0, 3), 29.97 * 25, (0, 89)),
     ],
 )
 def test_a_range_at_another_rate_stays_whole(

@@ -44,11 +44,16 @@ def model() -> Model:
     return mixseq.fit(walk_cycle(16), rank=6)
 
 
+def save(path: Path, model: Model, replace: bool) -> str:
+    mixseq.save(path, model)
+    return path.name
+
+
 @pytest.fixture
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     shot = Shot((Item("fox.h5", model),))
     settings = ViewSettings(port=8300, folder=tmp_path, threads=1, material="toon5")
-    with viewer(Paint(shot), settings, lambda path, model, replace: mixseq.save(path, model)) as started:
+    with viewer(Paint(shot), settings, save) as started:
         yield started
 
 

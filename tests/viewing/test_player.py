@@ -260,6 +260,9 @@ def test_scrubbing_moves_the_mesh(one: Player) -> None:
     one.page.mouse.click(*one.at("#time", 0.75))
     assert one.state()["time"] == pytest.approx(0.6, abs=0.1)
     assert changed(before, one.picture()) > 0.01
+    one.page.keyboard.press("ArrowRight")  # the slider still has the focus
+    time = one.state()["time"]  # after which all is drawn
+    assert one.run("+document.getElementById('time').value") == pytest.approx(time, abs=1e-3)
 
 
 def test_between_frames_it_moves_smoothly_unless_told_otherwise(one: Player) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event
 from threading import enumerate as all_threads
 
+import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
@@ -26,7 +27,7 @@ class Told:
     def __init__(self) -> None:
         self.seen: list[Model] = []
         self.failures: list[tuple[str, str]] = []
-        self.files: list[Path] = []
+        self.files: list[str] = []
 
     def edited(self, session: Session) -> None:
         """Remember the model."""
@@ -40,9 +41,9 @@ class Told:
         """Remember the error."""
         self.failures.append((what, str(error)))
 
-    def saved(self, path: Path) -> None:
+    def saved(self, what: str) -> None:
         """Remember the file."""
-        self.files.append(path)
+        self.files.append(what)
 
 
 class Room:
@@ -62,12 +63,13 @@ class Room:
     def _failed(self, error: Exception) -> None:
         self.told.failures.append(("show", str(error)))
 
-    def _save(self, path: Path, model: Model, replace: bool) -> None:
+    def _save(self, path: Path, model: Model, replace: bool) -> str:
         if path.name == "bad.h5":
             raise OutputError("no room")
         if path.name == "worse.h5":
             raise ZeroDivisionError("a bug")
         self.written.append((path, model))
+        return path.name
 
     def shown(self, index: int = 1) -> object:
         """The motion of a mesh that is shown."""
@@ -110,12 +112,12 @@ class Held:
 def test_what_was_opened(room: Room, bar_model: Model) -> None:
     session = room.session
     assert (session.editable, session.index, session.model) == ([1], 1, bar_model)
-    assert session.unsaved == []
+    assert list(session.unsaved) == []
 
 
 def test_without_a_model() -> None:
     room = Room()
-    assert (room.session.editable, room.session.index, room.session.unsaved) == ([], -1, [])
+    assert (room.session.editable, room.session.index, list(room.session.unsaved)) == ([], -1, [])
     room.close()
 
 
@@ -307,17 +309,34 @@ def test_settling_shows_the_model_again(room: Room, bar_model: Model) -> None:
     assert not room.session.history.changed
 
 
+def test_keys_of_a_retiming_can_be_moved_on(room: Room, bar_model: Model) -> None:
+    session, end = room.session, bar_model.end
+    session.retime(np.array([[0.0, 0.0], [2.0 * end, end]]))
+    session.retime(np.array([[0.0, 0.0], [3.0 * end, end]]))
+    eventually(lambda: session.model.end == pytest.approx(3.0 * end))
+    assert session.history.steps[session.history.now].keys == ((0.0, 0.0), (3.0 * end, end))
+    assert (session.history.now, session.history.before_retiming.model) == (1, bar_model)
+    session.edit("loop", same)
+    session.retime(np.array([[0.0, 0.0], [end, 3.0 * end]]))  # of what came after an edit
+    eventually(lambda: session.history.now == 3)
+    assert session.model.end == pytest.approx(end)
+    session.undo()
+    session.undo()
+    eventually(lambda: session.history.now == 1)
+    assert session.model.end == pytest.approx(3.0 * end)
+
+
 def test_save(room: Room, bar_model: Model, tmp_path: Path) -> None:
     session = room.session
     session.save(tmp_path / "opened.h5")
-    eventually(lambda: room.told.files == [tmp_path / "opened.h5"])
+    eventually(lambda: room.told.files == ["opened.h5"])
     session.edit("loop", same)
     room.done(1)
-    assert session.unsaved == ["0.h5"]
+    assert list(session.unsaved) == ["0.h5"]
     session.save(tmp_path / "edited.h5")
     eventually(lambda: len(room.told.files) == 2)
     assert room.written == [(tmp_path / "opened.h5", bar_model), (tmp_path / "edited.h5", session.model)]
-    assert session.unsaved == []
+    assert list(session.unsaved) == []
 
 
 def test_what_counts_as_saved(room: Room, tmp_path: Path) -> None:
@@ -328,13 +347,13 @@ def test_what_counts_as_saved(room: Room, tmp_path: Path) -> None:
     eventually(lambda: not session.unsaved)
     session.edit("loop", same)
     room.done(2)
-    assert session.unsaved == ["0.h5"]
+    assert list(session.unsaved) == ["0.h5"]
     session.undo()
     room.done(3)
-    assert session.unsaved == []
+    assert list(session.unsaved) == []
     session.undo()
     room.done(4)
-    assert session.unsaved == []  # it is the model that was opened
+    assert list(session.unsaved) == []  # it is the model that was opened
 
 
 @pytest.mark.parametrize(("name", "message"), [("bad.h5", "no room"), ("worse.h5", "a bug")])
@@ -345,7 +364,7 @@ def test_a_file_that_cannot_be_written(
     room.done(1)
     room.session.save(tmp_path / name)
     eventually(lambda: room.told.failures == [("save", message)])
-    assert (room.told.files, room.session.unsaved) == ([], ["0.h5"])
+    assert (room.told.files, list(room.session.unsaved)) == ([], ["0.h5"])
     assert ("Traceback" in capfd.readouterr().err) == (name == "worse.h5")
 
 
@@ -363,7 +382,7 @@ def test_another_model_is_chosen(bar_model: Model) -> None:
     session.choose(7)
     assert session.index == 2
     session.choose(1)
-    assert (session.model, session.history.changed, session.unsaved) == (bar_model, False, ["1.h5"])
+    assert (session.model, session.history.changed, list(session.unsaved)) == (bar_model, False, ["1.h5"])
     room.close()
 
 

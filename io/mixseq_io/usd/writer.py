@@ -213,22 +213,22 @@ def _author_times(
         if scale == 1.0:
             layer.framesPerSecond = below.GetFramesPerSecond()
         if below.HasAuthoredTimeCodeRange():
-            start = min(start, _scaled(below.GetStartTimeCode(), scale, np.floor))
-            end = max(end, _scaled(below.GetEndTimeCode(), scale, np.ceil))
+            start = min(start, _scaled(below.GetStartTimeCode(), scale, np.ceil))
+            end = max(end, _scaled(below.GetEndTimeCode(), scale, np.floor))
     layer.startTimeCode, layer.endTimeCode = start, end
     layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
     layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)
 
 
-def _scaled(code: float, scale: float, outwards: Callable[[float], float]) -> float:
-    """Return an end of a range at another rate; whole if it was whole, so that players show whole frames.
+def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
+    """Return an end of a range at another rate; whole if it was, so that players show whole frames, all of the range.
 
     Examples
     --------
-    >>> _scaled(1, 30 / 24, np.floor), _scaled(0.5, 30 / 24, np.floor), _scaled(1001, 29.97 / 999, np.ceil)
-    (1.0, 0.625, 31.0)
+    >>> _scaled(1, 30 / 24, np.ceil), _scaled(0.5, 30 / 24, np.ceil), _scaled(1001, 29.97 / 999, np.floor)
+    (2.0, 0.625, 30.0)
     """
     scaled, nearest = scale * code, np.rint(scale * code)
     if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
         return float(nearest)
-    return float(outwards(scaled)) if float(code).is_integer() else scaled
+    return float(inwards(scaled)) if float(code).is_integer() else scaled

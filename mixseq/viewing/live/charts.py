@@ -7,7 +7,7 @@ from threading import Lock
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.operations import drag, retime, sketch
+from mixseq.operations import drag, sketch
 from mixseq.signals import Model
 from mixseq.signals.layout import Plane
 from mixseq.viewing.live.bridge import in_script
@@ -55,7 +55,11 @@ class Charts:
         """Draw the model that is edited."""
         with self._lock:  # the newest model is drawn last, whoever asks
             self._version += 1
-            signals = signals_of(self._session.model, self._plane) | {"reach": self._reach}
+            history = self._session.history
+            signals = signals_of(history.model, self._plane) | {"reach": self._reach}
+            if keys := history.steps[history.now].keys:  # which can be moved on
+                before = history.before_retiming.model
+                signals |= {"keys": keys, "source": [before.start, before.end]}
             self._signals.content = (
                 f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
                 f"{in_script(signals)}</script>"
@@ -98,7 +102,7 @@ class Charts:
                     "sketch", partial(sketch, curve=points, duration=self._seconds, plane=self._plane)
                 )
             case Retime(keys, done):
-                (session.edit if done else session.preview)("retime", partial(retime, keys=keys))
+                session.retime(keys, preview=not done)
 
     @property
     def _plane(self) -> Plane:

@@ -32,13 +32,13 @@ class PlayControls:
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
         self._slider = gui.add_slider("Frame", 0, playback.shot.count - 1, 1, 0)
         self._text = gui.add_html("")
-        speed = gui.add_button_group("Speed", tuple(SPEEDS))
+        speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self._rate = gui.add_number(
             "Frames/s", playback.shot.fps, min=1e-3, max=1e4, hint="Models are decoded at any rate"
         )
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
-        speed.on_click(lambda _: playback.pace(SPEEDS[speed.value]))
+        speed.on_update(lambda _: playback.pace(SPEEDS[speed.value]))
         self._rate.on_update(self._set_rate)
         for label, key, step in (("Next frame", "]", 1), ("Previous frame", "[", -1)):
             gui.add_command(label, hotkey=key).on_trigger(lambda _, by=step: self._step(by))
@@ -101,8 +101,10 @@ class ShowControls:
             self._legend = gui.add_html("")
             wire = gui.add_checkbox("Wireframe", False)
             if len(names) > 1:
-                places = gui.add_button_group("Meshes", (ROW, PLACE))
-                places.on_click(lambda _: self._arrange(playback, places.value == ROW))
+                places = gui.add_dropdown(
+                    "Meshes", (ROW, PLACE), initial_value=PLACE if stage.overlaid else ROW
+                )
+                places.on_update(lambda _: self._arrange(playback, places.value == ROW))
                 for index, name in enumerate(names):
                     self._add_switch(gui, index, name)
             self._picked = gui.add_html(_line("Click a mesh for its vertex and part", "mixseq-picked"))
@@ -152,7 +154,11 @@ class SaveControls:
         path = self._folder / name
         # whoever can reach the page should not write anywhere
         if not name or Path(name).name != name:
-            notify(event.client, "Not saved", f"{name!r} is no name of a file; it goes to {self._folder}")
+            notify(
+                event.client,
+                "Not saved",
+                f"{name!r}: only the name of a file is expected, which goes to {self._folder}",
+            )
         else:
             self._save(path, bool(self._replace.value))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, retime, reverse
 from mixseq.operations.dragging import default_reach
+from mixseq.operations.limbs import parents
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from mixseq.viewing.live.charts import Charts
@@ -57,6 +58,7 @@ class EditControls:
             )
             self._gain = gui.add_number("Gain", 1.5, min=-10.0, max=10.0, step=0.1)
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
+        self.edited()  # a line that came later would push all else down
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
         pen.on_update(lambda _: charts.pen(pen.value))
         self._seconds.on_update(lambda _: charts.last(float(self._seconds.value)))
@@ -99,8 +101,8 @@ class EditControls:
         if isinstance(motion, Model) and isinstance(motion.space, MixedSpace):
             cut_up = motion.decomposition
             part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
-            if index == self._session.index:
-                self._part.value = str(part)
+            if index == self._session.index:  # the root has nothing that it could move against
+                self._part.value = str(part) if str(part) in self._part.options else WHOLE
             text += f", part {part}" if joint < 0 else f", joint {joint} of part {part}"
         return text
 
@@ -166,7 +168,7 @@ def reach_of(model: Model) -> float:
 
 
 def _parts(model: Model) -> tuple[str, ...]:
-    """Return the numbers of the parts that can be chosen."""
+    """Return the numbers of the parts that can be chosen: those that hang on another one."""
     if not isinstance(model.space, MixedSpace):
         return ()
-    return tuple(str(part) for part in range(int(model.decomposition.part_of_face.max()) + 1))
+    return tuple(str(part) for part in np.flatnonzero(parents(model.space) >= 0))

@@ -45,6 +45,7 @@ class LiveStage:
         self._server = server
         self._paint = paint
         self._told = told
+        self.overlaid = overlaid
         self._lock = Lock()
         self._drawing = False
         self._moment: Moment | None = None

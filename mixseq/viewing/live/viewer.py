@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import socket
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
@@ -10,7 +12,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
 
-from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning
+from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning, SettingsError
 from mixseq.viewing.live.bridge import add_bridge
 from mixseq.viewing.live.charts import Charts
 from mixseq.viewing.live.controls import PlayControls, SaveControls, ShowControls, notify
@@ -22,6 +24,9 @@ from mixseq.viewing.picking import Picked
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Save, Session
 
+FIRST_PORT, PORTS = 8080, 100
+"""Where a free port is looked for."""
+
 
 @dataclass(frozen=True)
 class ViewSettings:
@@ -31,8 +36,8 @@ class ViewSettings:
     ----------
     host : str
         Address that it listens at; ``127.0.0.1`` is this machine and nobody else.
-    port : int
-        Port, or the next one that is free.
+    port : int, optional
+        Port; by default 8080, or the next one that is free.
     folder : Path
         Where edited motions are saved.
     threads : int
@@ -44,7 +49,7 @@ class ViewSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: int | None = None
     folder: Path = Path()
     threads: int = 2
     material: str = "standard"
@@ -120,9 +125,9 @@ class Viewer:
         if self._charts is not None:
             self._charts.draw()
 
-    def saved(self, path: Path) -> None:
+    def saved(self, what: str) -> None:
         """Tell on all pages that a file was written."""
-        self.tell("Saved", path.name, good=True)
+        self.tell("Saved", what, good=True)
 
     # What the playback tells ----------------------------------------------------------------------------
 
@@ -207,17 +212,50 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
     ------
     MissingExtraError
         If viser is not installed.
+    SettingsError
+        If it cannot listen at the address.
     """
     check_viser()
     import viser
 
+    port = _free_port(settings.host, settings.port)
+
     with ExitStack() as stack:
         with redirect_stdout(StringIO()):  # a greeting of viser
-            server = viser.ViserServer(settings.host, settings.port, label="mixseq", verbose=False)
+            server = viser.ViserServer(settings.host, port, label="mixseq", verbose=False)
         stack.callback(_stop, server)
         running = Viewer(server, paint, settings, save, stack)
         stack.enter_context(_told_warnings(running))
         yield running
+
+
+def _free_port(host: str, wanted: int | None) -> int:
+    """Return a port at which one may listen: the one that is wanted, or else the first that is free.
+
+    Raises
+    ------
+    SettingsError
+        If there is none; viser would go on to look for others, for minutes and whatever the reason is.
+    """
+    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
+        try:
+            with socket.create_server((host, port), family=_family(host)):
+                return port
+        except OSError as error:
+            if wanted is None and error.errno == errno.EADDRINUSE:
+                continue
+            why = str(error.strerror or error).partition(" (")[0]
+            cure = (
+                "give another --port"
+                if error.errno in (errno.EADDRINUSE, errno.EACCES)
+                else "give another --host"
+            )
+            raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
+    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 @contextmanager

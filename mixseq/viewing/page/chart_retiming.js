@@ -174,7 +174,7 @@
         if (hand) return;
         const signals = shared.signals;
         keys = signals.keys.map((key) => key.slice());
-        source = [signals.start, signals.end];
+        source = signals.source ?? [signals.start, signals.end]; // before the retiming that is drawn, if it was done
         if (keys.length > 1) fit();
         pane.hint(keys.length > 1 ? HINT : "");
       },

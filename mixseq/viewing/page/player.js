@@ -107,8 +107,7 @@
 
   function tellTime() {
     const number = clock.number() + 1, count = clock.moments.length, seconds = clock.time.toFixed(2), slider = element("time");
-    // a hand on the slider is ahead of the picture
-    if (document.activeElement !== slider || clock.playing) slider.value = clock.time;
+    slider.value = clock.time;
     slider.setAttribute("aria-valuetext", `frame ${number} of ${count}, ${seconds} seconds`);
     element("now").textContent = `${`${number}`.padStart(`${count}`.length, "\u2007")} / ${count} · ${seconds} s`;
     element("play").classList.toggle("playing", clock.playing);
