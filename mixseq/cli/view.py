@@ -160,8 +160,7 @@ def _opened(
         Item(name, mixseq.load(file) if is_model(file) else read(file))
         for name, file in zip(_names(files), files, strict=True)
     )
-    shot = Shot(items, fps)
-    shot.count  # noqa: B018  # refuses a rate that gives too few frames or too many
+    shot = Shot(items, fps).checked()
     return shot, None if against is None else read(against)
 
 

@@ -224,8 +224,7 @@ class Session:
                 job = self._jobs.popleft()
             try:
                 history = job.change(self._histories[job.index])
-                shot = self._playback.shot.with_item(job.index, history.model)
-                shot.count  # noqa: B018  # too many frames at this rate, or too few, are no edit either
+                shot = self._playback.shot.with_item(job.index, history.model).checked()
             except Exception as error:
                 model = self._histories[job.index].model
                 self._playback.change(self._playback.shot.with_item(job.index, model))

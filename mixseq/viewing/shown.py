@@ -76,6 +76,17 @@ class Shot:
         """Frames."""
         return len(self._times[0])
 
+    def checked(self) -> Shot:
+        """Return the shot as it is, if there are neither too few frames at its rate nor too many.
+
+        Raises
+        ------
+        SettingsError
+            If there are.
+        """
+        film_times([item.header for item in self.items], self.rate)
+        return self
+
     def elapsed(self, frame: int) -> float:
         """Return the time of a frame in seconds since the meshes' first ones."""
         return float(self._times[0][frame])

@@ -92,13 +92,13 @@ def test_the_table_tells_of_every_end(run: Run) -> None:
         "frames     3",
         "time       0 to 0.25 s at 8 frames per second",
         "source     0 to 0.25 s",
-        "left over  0.05 s after the last frame, at 0.25 s",
+        "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
     assert table.splitlines()[1:4] == [
         "time       0.1 to 0.3 s at 10 frames per second",
         "source     0.25 to 0.05 s",
-        "left over  0.05 s before the first frame, at 0.1 s",
+        "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
     ]
     assert "left over" not in succeed(run("resample", "model.h5", "new.npz", "--fps", "30"))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import socket
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
@@ -12,20 +10,17 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
 
-from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning, SettingsError
+from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning
+from mixseq.viewing.live.address import address, free_port
 from mixseq.viewing.live.bridge import add_bridge
-from mixseq.viewing.live.charts import Charts
-from mixseq.viewing.live.controls import PlayControls, SaveControls, ShowControls, notify
-from mixseq.viewing.live.editing import EditControls, duration, reach_of
+from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
+from mixseq.viewing.live.editor import Editor
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.messages import Drawn, Message
 from mixseq.viewing.painting import Paint
 from mixseq.viewing.picking import Picked
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Save, Session
-
-FIRST_PORT, PORTS = 8080, 100
-"""Where a free port is looked for."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +69,7 @@ class Viewer:
     ) -> None:
         self._server = server
         self._play: PlayControls | None = None  # the first frame may be there before they are
-        self._charts: Charts | None = None
-        self._edit: EditControls | None = None
+        self._editor: Editor | None = None
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         gui.set_panel_label("mixseq")
@@ -90,40 +84,29 @@ class Viewer:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(300)
         if self.session.editable:
-            panel = gui.add_panel()
-            model = self.session.model
-            with panel.add_tab("Curves"):
-                self._charts = Charts(server, self.session, self.playback, reach_of(model), duration(model))
-            panel.dock_left()
-            panel.set_width(360)
-            self._edit = EditControls(server, self.session, self.playback, self._charts)
-            self._save = SaveControls(server, settings.folder, self._target, self.session.save)
+            self._editor = Editor(server, self.session, self.playback, settings.folder)
         self._stage.on_click(self._clicked)
         server.on_client_connect(self._connected)
         server.on_client_disconnect(self._disconnected)
-        self.address = f"http://{_reachable(settings.host)}:{server.get_port()}"
+        self.address = address(settings.host, server.get_port())
 
     # What the session tells -----------------------------------------------------------------------------
 
     def edited(self, session: Session) -> None:
         """Another model is seen."""
-        if self._charts is not None and self._edit is not None:
-            self._charts.draw()
-            self._edit.edited()
+        if self._editor is not None:
+            self._editor.edited()
 
     def chosen(self, session: Session) -> None:
         """Another model is edited."""
-        if self._charts is not None and self._edit is not None:
-            self._edit.chosen()
-            self._charts.draw()
-            self._save.name(self._target)
-            self.playback.refresh()
+        if self._editor is not None:
+            self._editor.chosen()
 
     def failed(self, what: str, error: Exception) -> None:
         """Tell on all pages what could not be done, and draw what there is instead."""
         self.tell(f"{what}: not done", str(error))
-        if self._charts is not None:
-            self._charts.draw()
+        if self._editor is not None:
+            self._editor.undone()
 
     def saved(self, what: str) -> None:
         """Tell on all pages that a file was written."""
@@ -134,8 +117,8 @@ class Viewer:
     def _show(self, moment: Moment) -> None:
         if self._play is not None:
             self._play.show(moment)
-        if self._charts is not None:
-            self._charts.show(moment)
+        if self._editor is not None:
+            self._editor.show(moment)
 
     def _failed(self, error: MixseqError) -> None:
         if self._play is not None:
@@ -156,22 +139,15 @@ class Viewer:
         if isinstance(message, Drawn):
             self._stage.drawn()
             self.playback.drawn()
-        elif self._charts is not None and self._edit is not None:
-            self._charts.heard(message)
+        elif self._editor is not None:
+            self._editor.heard(message)
 
     def _clicked(self, index: int, picked: Picked) -> None:
         name = self.playback.shot.items[index].name
-        what = (
-            self._edit.picked(index, picked)
-            if self._edit is not None
-            else f"vertex {picked.vertex}, triangle {picked.face}"
-        )
+        what = f"vertex {picked.vertex}, triangle {picked.face}"
+        if self._editor is not None:
+            what = self._editor.picked(index, picked)
         self._shown.picked(f"{name}: {what}" if len(self.playback.shot.items) > 1 else what)
-
-    @property
-    def _target(self) -> str:
-        """Under which name the model that is edited is saved, if no other is typed."""
-        return f"{Path(self.playback.shot.items[self.session.index].name).stem}-edited.h5"
 
     def tell(self, title: str, text: str, good: bool = False) -> None:
         """Tell something on all pages."""
@@ -218,7 +194,7 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
     check_viser()
     import viser
 
-    port = _free_port(settings.host, settings.port)
+    port = free_port(settings.host, settings.port)
 
     with ExitStack() as stack:
         with redirect_stdout(StringIO()):  # a greeting of viser
@@ -227,35 +203,6 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
         running = Viewer(server, paint, settings, save, stack)
         stack.enter_context(_told_warnings(running))
         yield running
-
-
-def _free_port(host: str, wanted: int | None) -> int:
-    """Return a port at which one may listen: the one that is wanted, or else the first that is free.
-
-    Raises
-    ------
-    SettingsError
-        If there is none; viser would go on to look for others, for minutes and whatever the reason is.
-    """
-    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
-        try:
-            with socket.create_server((host, port), family=_family(host)):
-                return port
-        except OSError as error:
-            if wanted is None and error.errno == errno.EADDRINUSE:
-                continue
-            why = str(error.strerror or error).partition(" (")[0]
-            cure = (
-                "give another --port"
-                if error.errno in (errno.EADDRINUSE, errno.EACCES)
-                else "give another --host"
-            )
-            raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
-    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 @contextmanager
@@ -283,7 +230,3 @@ def _told_warnings(running: Viewer) -> Iterator[None]:
 def _stop(server: Any) -> None:
     with redirect_stdout(StringIO()):
         server.stop()
-
-
-def _reachable(host: str) -> str:
-    return "127.0.0.1" if host in ("0.0.0.0", "::") else host
