@@ -66,6 +66,17 @@ def eventually(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
     return found
 
 
+MIDDLE = """() => {
+  let mesh = null;
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  mesh.geometry.computeBoundingSphere();
+  const place = mesh.localToWorld(mesh.geometry.boundingSphere.center.clone()).project(camera);
+  const { x, y, width, height } = canvas.getBoundingClientRect();
+  return [x + (1 + place.x) / 2 * width, y + (1 - place.y) / 2 * height];
+}"""
+
+
 class Window:
     """A page with the viewer, and a hand."""
 
@@ -103,6 +114,11 @@ class Window:
         self.changes("position", lambda: self.page.mouse.move(x + by[0], y + by[1], steps=5))
         self.page.mouse.up()
 
+    def middle(self) -> tuple[float, float]:
+        """Where the middle of the mesh is on the page."""
+        x, y = self.page.evaluate(MIDDLE)
+        return x, y
+
     def click(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
 
@@ -129,6 +145,9 @@ def test_a_session(
     window.changes("position", lambda: list(map(slider.press, 3 * ["ArrowRight"])))
     eventually(lambda: playback.frame == 3)
     assert window.camera() == camera, "keys for the slider turned the camera"
+
+    page.mouse.click(*window.middle())
+    eventually(lambda: page.locator("#mixseq-picked").inner_text().startswith("vertex "))
 
     for now, colour in (("clay", "parts"), ("parts", "strain")):
         window.changes("color", partial(window.choose, now, colour))

@@ -17,6 +17,7 @@ from mixseq.viewing.shown import Shot
 
 GROUND = (243, 243, 240)
 LINES = (222, 222, 218)
+MARK = (20, 20, 20)
 
 WIDER = 0.02
 """Windows of pages that changed their shape by less need no other camera."""
@@ -55,6 +56,15 @@ class LiveStage:
         self._arrangement = arranged(paint.shot, side_by_side=not overlaid)
         self._furnish()
         self._meshes, self._clouds, self._labels = [], [], []
+        self._marked: tuple[int, int] | None = None  # a mesh and its vertex
+        self._mark = server.scene.add_icosphere(
+            "/picked",
+            radius=0.012 * HEIGHT,
+            color=MARK,
+            visible=False,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
         for index, item in enumerate(paint.shot.items):
             points = self._arrangement.placed(index, item.pose(0.0))
             nothing = np.zeros_like(points)
@@ -102,7 +112,10 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.shot.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                self._meshes[index].vertices = self._arrangement.placed(index, points)
+                placed = self._arrangement.placed(index, points)
+                self._meshes[index].vertices = placed
+                if self._marked is not None and self._marked[0] == index:
+                    self._mark.position = placed[self._marked[1]]
                 if not colours.constant or self._painted[index] is not colours:
                     self._clouds[index].colors = linear(colours.palette)[colours.indices(points, elapsed)]
                     self._painted[index] = colours
@@ -147,6 +160,10 @@ class LiveStage:
                     points, moment.shot.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if found is not None:
+                    with self._lock:
+                        self._marked = index, found.vertex
+                        self._mark.position = points[found.vertex]
+                        self._mark.visible = True
                     told(index, found)
 
     def _furnish(self) -> None:

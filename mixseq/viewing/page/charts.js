@@ -23,12 +23,15 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
   const retiming = shared.editable ? parts.retimingChart(parts.pane(root, look, "Retiming"), shared, handlers) : null;
   const charts = [layout, coefficients, ...(retiming ? [retiming] : [])];
 
+  function draw() {
+    cancelAnimationFrame(asked);
+    asked = 0;
+    arrange();
+    charts.forEach((chart) => chart.draw());
+  }
+
   shared.redraw = function () {
-    asked ||= requestAnimationFrame(() => {
-      asked = 0;
-      arrange();
-      charts.forEach((chart) => chart.draw());
-    });
+    asked ||= requestAnimationFrame(draw);
   };
   shared.seek = function (seconds) {
     present(seconds);
@@ -42,7 +45,9 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
   }
 
   function at(seconds) {
-    if (!shared.seeking) present(seconds);  // what comes from outside is late while a hand moves the time
+    if (shared.seeking || seconds === shared.now) return;  // what comes from outside is late while a hand moves the time
+    shared.now = seconds;
+    draw();  // at once, with the mesh that is drawn in this very frame
   }
 
   function show(signals) {
