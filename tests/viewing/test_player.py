@@ -426,20 +426,27 @@ def test_all_controls_have_names(two: Player) -> None:
     assert all(name.strip() for name in names)
 
 
-@pytest.mark.skipif(SCREENSHOTS not in os.environ, reason=f"pictures to be looked at: set {SCREENSHOTS}")
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080), (390, 844)])
-def test_pictures(new_page: NewPage, keep: Keep, tmp_path: Path, width: int, height: int) -> None:
+@pytest.fixture(scope="module")
+def fox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The fox, and a model of it that keeps two modes."""
     walk = walk_cycle(frames=12)
     items = [exported("original", walk), exported("two modes", fit(walk, rank=2), walk)]
-    export_page(tmp_path / "fox.html", items, ExportSettings(title="Fox"))
+    path = tmp_path_factory.mktemp("pictures") / "fox.html"
+    export_page(path, items, ExportSettings(title="Fox"))
+    return path
+
+
+@pytest.mark.skipif(SCREENSHOTS not in os.environ, reason=f"pictures to be looked at: set {SCREENSHOTS}")
+@pytest.mark.parametrize(
+    ("width", "height", "colour"), [(1280, 800, "parts"), (1920, 1080, "error"), (390, 844, "clay")]
+)
+def test_pictures(new_page: NewPage, keep: Keep, fox: Path, width: int, height: int, colour: str) -> None:
     page = new_page(width, height)
-    player = Player(page, tmp_path / "fox.html")
+    player = Player(page, fox)
     player.resize(width, height)
     if width > WIDE[0]:
         page.click("#fold")
-    for colour in ("clay", "error", "parts"):
-        page.emulate_media(color_scheme="dark" if colour == "parts" else "light")
-        page.select_option("#colour", colour)
-        player.seek(0.25)
-        keep(page, f"page-{width}x{height}-{colour}")
+    page.emulate_media(color_scheme="dark" if colour == "parts" else "light")
+    page.select_option("#colour", colour)
+    player.seek(0.25)
+    keep(page, f"page-{width}x{height}-{colour}")
