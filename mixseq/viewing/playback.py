@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from threading import Condition, Thread
 from time import monotonic
+from traceback import print_exception
 from typing import Protocol, Self
 
 from mixseq.errors import MixseqError
@@ -75,7 +76,7 @@ class Playback:
         self,
         shot: Shot,
         stage: Stage,
-        failed: Callable[[MixseqError], None],
+        failed: Callable[[Exception], None],
         threads: int = 2,
         memory: int = MEMORY,
     ) -> None:
@@ -228,7 +229,11 @@ class Playback:
             self._sent = monotonic()
             try:
                 self._stage.show(Moment(shot, frame, poses))
-            except MixseqError as error:  # scales of colours look at frames of their own
+            except (
+                Exception
+            ) as error:  # scales of colours look at frames of their own; or a bug, but playing goes on
+                if not isinstance(error, MixseqError):
+                    print_exception(error)
                 self.pause()
                 self._failed(error)
             with self._changed:

@@ -9,7 +9,7 @@ from time import monotonic
 
 import pytest
 
-from mixseq.errors import MixseqError, ReconstructionError, SettingsError
+from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.viewing import playback as module
 from mixseq.viewing.playback import PATIENCE, Moment, Playback
 from mixseq.viewing.shown import Shot
@@ -32,12 +32,12 @@ def stage() -> Stage:
 
 
 @pytest.fixture
-def failures() -> list[MixseqError]:
+def failures() -> list[Exception]:
     return []
 
 
 @pytest.fixture
-def make(stage: Stage, failures: list[MixseqError]) -> Iterator[Make]:
+def make(stage: Stage, failures: list[Exception]) -> Iterator[Make]:
     """Makes a playback on the stage, which shows the first frame, and closes it."""
     made: list[Playback] = []
 
@@ -238,7 +238,7 @@ def test_not_caught_up_in_time(make: Make) -> None:
     assert caught_up(playback)
 
 
-def test_a_frame_that_cannot_be_decoded(make: Make, stage: Stage, failures: list[MixseqError]) -> None:
+def test_a_frame_that_cannot_be_decoded(make: Make, stage: Stage, failures: list[Exception]) -> None:
     item = watched()
     item.broken.add(3)
     playback = make(shot_of(item))
@@ -251,7 +251,7 @@ def test_a_frame_that_cannot_be_decoded(make: Make, stage: Stage, failures: list
 
 
 def test_it_stops_at_a_frame_that_cannot_be_decoded(
-    make: Make, stage: Stage, failures: list[MixseqError], now: Standing
+    make: Make, stage: Stage, failures: list[Exception], now: Standing
 ) -> None:
     item = watched()
     item.broken.add(2)
@@ -265,12 +265,13 @@ def test_it_stops_at_a_frame_that_cannot_be_decoded(
     assert (stage.frames, len(failures), playback.frame) == ([0, 1], 1, 2)
 
 
-def test_a_stage_that_fails(make: Make, stage: Stage, failures: list[MixseqError]) -> None:
+@pytest.mark.parametrize("error", [ReconstructionError("no colours"), ZeroDivisionError("no colours")])
+def test_a_stage_that_fails(make: Make, stage: Stage, failures: list[Exception], error: Exception) -> None:
     playback = make(shot_of(watched()))
 
     def fail(moment: Moment) -> None:
         stage.on_show = lambda moment: None
-        raise ReconstructionError("no colours")
+        raise error
 
     stage.on_show = fail
     playback.seek(2)

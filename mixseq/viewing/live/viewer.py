@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
 
-from mixseq.errors import MissingExtraError, MixseqError, MixseqWarning
+from mixseq.errors import MissingExtraError, MixseqWarning
 from mixseq.viewing.live.address import address, free_port
 from mixseq.viewing.live.bridge import add_bridge
 from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
@@ -120,7 +120,7 @@ class Viewer:
         if self._editor is not None:
             self._editor.show(moment)
 
-    def _failed(self, error: MixseqError) -> None:
+    def _failed(self, error: Exception) -> None:
         if self._play is not None:
             self._play.refresh()
         self.tell("This frame cannot be shown", str(error))
