@@ -17,7 +17,7 @@ LAYERS = (
     ("surface",),
     ("sequence",),
     ("topology", "geometry", "stored"),
-    ("segmentation",),
+    ("prediction", "segmentation"),
     ("reconstruction",),
     ("spaces",),
     ("signals",),

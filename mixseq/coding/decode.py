@@ -17,6 +17,7 @@ from mixseq.coding.graph import SignalGraph, mesh_graph
 from mixseq.coding.streams import basis_of, read_fields, read_tracks
 from mixseq.errors import FormatError
 from mixseq.pickling import Remade
+from mixseq.prediction.operator import chosen, with_middles
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import NEGLIGIBLE, straight_modes
@@ -63,8 +64,10 @@ def to_model(coded: Coded) -> Model:
         corrections = CodedCorrections(
             header.times, coded.chunks, header.faces, header.vertex_count, parameters.correction
         )
-    placement = Curve(header.times, np.zeros((header.frame_count, 0)))
-    return Model(header, space, Curve(header.times, scores), pose, shapes, placement, corrections)
+    times = with_middles(header.times)
+    time = Curve(times, chosen(header.times, scores).at(times).of(scores))
+    placement = Curve(times, np.zeros((len(times), 0)))
+    return Model(header, space, time, pose, shapes, placement, corrections)
 
 
 def decode_basis(coded: Coded, graph: SignalGraph) -> Basis:

@@ -24,13 +24,12 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.limbs import Limb, limb_of
-from mixseq.operations.passes import continued, placement_of, snapped
+from mixseq.operations.passes import continued, snapped
 from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, sites_of
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.operations.sculpt import smoothstep
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import stated_placement
 from mixseq.signals.pose import PoseMap
 
 Float = NDArray[np.float64]
@@ -69,10 +68,9 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """
     limb = limb_of(model, part)
     check_gain(gain)
-    mean = limb.stance(placement_of(model), model.times).mean(axis=0)
+    mean = limb.stance(model.placement, model.times).mean(axis=0)
     sites = _sites(model, model.start, model.end)
-    whole = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
-    placement = stated_placement(model.space, whole)
+    placement = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
     return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
 
 
@@ -116,7 +114,7 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
     sites = _sites(model, first, last, knots)
-    still = limb.stance(placement_of(model), np.array([time]))
+    still = limb.stance(model.placement, np.array([time]))
     placement = _moved(model, limb, sites, lambda times, stance: stance + rest(times) * (still - stance))
     wider, resting = _with_rest(model, limb)
     here = model.time([time])
@@ -130,13 +128,13 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
     return replace(
         wider,
         time=_spliced(wider, wider.time, signal),
-        placement=stated_placement(model.space, _spliced(wider, placement_of(model), placement, True)),
+        placement=_spliced(wider, model.placement, placement, True),
     )
 
 
 def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
     """Return the whole placement with another stance of a limb, between the first of the sites and the last."""
-    whole = placement_of(model)
+    whole = model.placement
 
     def moved(times: Float) -> Float:
         return limb.moved(whole, times, change(times, limb.stance(whole, times)))
@@ -168,7 +166,7 @@ def _spliced(model: Model, curve: Curve, inside: Curve, placement: bool = False)
         fades.append(Fade(inside.times[2] - first, share=0.0))
     if last < model.end:
         rest = Piece(curve, last, model.end)
-        after = continued(model.space, rest, inside([last])[0], model.times) if placement else curve
+        after = continued(model.space, rest, inside([last])[0]) if placement else curve
         pieces.append(Piece(after, last, model.end))
         fades.append(Fade(last - inside.times[-3], share=1.0))
     return join(pieces, fades)

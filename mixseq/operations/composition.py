@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.operations.passes import SLACK, placement_of
+from mixseq.operations.passes import SLACK
 from mixseq.operations.pieces import between, breakpoints, sites_of
 from mixseq.operations.retime import Retiming
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.pickling import Remade
 from mixseq.signals.curve import Curve, Measure
 from mixseq.signals.model import MOST_FRAMES, Corrections, Model
-from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 
@@ -75,13 +74,13 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
 
     dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
     time = _composed(model, model.time, retiming, dense, shape_measure(model))
-    placement = _composed(model, placement_of(model), retiming, dense, placement_measure(model))
+    placement = _composed(model, model.placement, retiming, dense, placement_measure(model))
     corrections = model.corrections
     return replace(
         model,
         header=model.header.with_times(frames),
         time=time,
-        placement=stated_placement(model.space, placement),
+        placement=placement,
         corrections=None if corrections is None else RetimedCorrections(corrections, retiming),
     )
 

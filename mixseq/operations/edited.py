@@ -19,7 +19,7 @@ MOVED, MOST = 1e-3, 0.9
 
 
 def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
-    """Return what the edit of a frame adds to key shapes and their offsets ``(S + O,)``; zeros if nothing was moved.
+    """Return what the edit of a frame adds to key shapes ``(S,)``; zeros if nothing was moved.
 
     Parameters
     ----------
@@ -45,9 +45,7 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     edited = checked_points(points, model.header)
     space, vector, before = model.space, model.curve([time]), model(time)
     _doubt(before, edited, time)
-    shape = space.shape_difference(vector[0], before, edited)
-    offsets = space.offsets(np.stack([before, edited]), np.repeat(vector, 2, axis=0))
-    return np.concatenate([shape, offsets[1] - offsets[0]])
+    return space.shape_difference(vector[0], before, edited)
 
 
 def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:

@@ -3,9 +3,9 @@ r"""Blends of any number of poses: the operator A of the paper, then the project
 .. math:: x(w) = P\Bigl(\sum_i w_i\, s_i\Bigr), \qquad \sum_i w_i = 1
 
 In the mixed space (paper, Section 2.2) rigid parts are registered to each other over all poses first (Williams and
-Bennamoun), so that their vertices blend linearly; lengths and angles of joints blend linearly; rotations by their
-logarithms. Every other space of `mixseq.spaces` blends the same way: what a rigid motion does not change, linearly,
-and poses by the logarithms of rotations.
+Bennamoun), so that their vertices blend linearly; lengths and angles of joints blend linearly; rotations as
+quaternions. Every other space of `mixseq.spaces` blends the same way: what a rigid motion does not change, linearly,
+and poses as quaternions and centres.
 
 Whole turns of angles and rotations are counted along the poses that are blended, as in a sequence. Poses between them
 that have no weight do not count: where a list is in no order, following turns through all of it finds turns that are
@@ -31,7 +31,7 @@ from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
-from mixseq.spaces.mixed import MixedSpace, PlacementName
+from mixseq.spaces.mixed import FreeSpace, PlacementName
 from mixseq.stored import Stored, stored
 from mixseq.threads import one_blas_thread
 
@@ -56,14 +56,11 @@ class Blend(Remade):
         The space, made of the poses.
     vectors : (n, D) float64
         The poses.
-    offsets : (n, O) float64
-        What the space wants to know beside them, see `ShapeSpace.offsets`.
     """
 
     header: SequenceHeader
     space: ShapeSpace
     vectors: Float
-    offsets: Float
 
     @classmethod
     def of(
@@ -108,9 +105,8 @@ class Blend(Remade):
             some = Stored(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
             made = make_space(some, space, settings, work, stages.at(1, MAKING))
             encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
-            shapes, offsets = np.split(encoded.shapes[:], [made.dim - made.placement_dim], axis=1)
-            placements = made.complete_placement(encoded.placement)
-        return cls(frames.header, made, np.concatenate([shapes, placements], axis=1), offsets)
+            vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
+        return cls(frames.header, made, vectors)
 
     @property
     def dim(self) -> int:
@@ -131,14 +127,11 @@ class Blend(Remade):
 
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
         """Blend as `at` does, and tell how every fit to lengths and angles went, in spaces that fit."""
-        vector, offsets = self._blended(checked_weights(weights, len(self.vectors)))
-        if isinstance(self.space, MixedSpace):
-            points, (reports,) = self.space.decode_with_reports(vector, offsets=offsets)
-            return points[0], reports
-        if isinstance(self.space, EdgeSpace):
+        vector = self._blended(checked_weights(weights, len(self.vectors)))
+        if isinstance(self.space, FreeSpace | EdgeSpace):
             points, (reports,) = self.space.decode_with_reports(vector)
             return points[0], reports
-        return self.space.decode(vector, offsets=offsets)[0], []
+        return self.space.decode(vector)[0], []
 
     def along(
         self, weights: ArrayLike, progress: Progress = silent, workers: OrderedMap | None = None
@@ -155,9 +148,9 @@ class Blend(Remade):
             yield points
             progress(done, len(rows), "blending poses")
 
-    def _blended(self, weights: Float) -> tuple[Float, Float]:
+    def _blended(self, weights: Float) -> Float:
         with one_blas_thread():
-            return (weights @ self.vectors)[None], (weights @ self.offsets)[None]
+            return np.asarray((weights @ self.vectors)[None])
 
 
 def interpolate(

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.rotations import continuous_vectors, matrices
-from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, moved, refined, sites_of
+from mixseq.operations.pieces import Fade, Piece, between, join, moved
+from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import stated_placement, whole_placement
 from mixseq.spaces.base import ShapeSpace
 
 Float = NDArray[np.float64]
@@ -38,11 +37,6 @@ class Pass(NamedTuple):
     end: float
 
 
-def placement_of(model: Model) -> Curve:
-    """Return the curve of all numbers of the placement, dependent ones too: those that blend and add up exactly."""
-    return whole_placement(model.space, model.placement)
-
-
 def shifted(model: Model, seconds: float) -> Model:
     """Return the model with everything later by so many seconds."""
     return affine(model, 1.0, seconds)
@@ -55,7 +49,7 @@ def affine(model: Model, scale: float, offset: float) -> Model:
         model,
         header=model.header.with_times(times if scale > 0 else times[::-1]),
         time=moved(model.time, scale, offset),
-        placement=stated_placement(model.space, moved(placement_of(model), scale, offset)),
+        placement=moved(model.placement, scale, offset),
         corrections=None,  # they are of the old times
     )
 
@@ -63,21 +57,21 @@ def affine(model: Model, scale: float, offset: float) -> Model:
 def concatenated(passes: Sequence[Pass], fades: Sequence[Fade]) -> Model:
     """Make one model of passes that follow each other, through models that share space, pose and shapes.
 
-    Rotation vectors go on from pass to pass on the nearest branch. The frames are those of the passes; where one
+    Quaternions go on from pass to pass with the nearest sign. The frames are those of the passes; where one
     passes into the next it is the frame of the next, if there is any.
     """
     first = passes[0].model
-    placements = [Piece(placement_of(first), passes[0].start, passes[0].end)]
+    placements = [Piece(first.placement, passes[0].start, passes[0].end)]
     for model, start, end in passes[1:]:
         before = placements[-1]
         reference = before.curve([before.end])[0]
-        curve = continued(model.space, Piece(placement_of(model), start, end), reference, model.times)
+        curve = continued(model.space, Piece(model.placement, start, end), reference)
         placements.append(Piece(curve, start, end))
     return replace(
         first,
         header=first.header.with_times(frames_of(passes)),
         time=join([Piece(model.time, start, end) for model, start, end in passes], fades),
-        placement=stated_placement(first.space, join(placements, fades)),
+        placement=join(placements, fades),
         corrections=None,  # they are of the old times
     )
 
@@ -95,55 +89,33 @@ def frames_of(passes: Sequence[Pass]) -> Float:
     return frames if len(frames) else np.array([start, end])
 
 
-# Rotation vectors -----------------------------------------------------------------------------------------
+# Placements -----------------------------------------------------------------------------------------------
 
 
-def rotation_columns(space: ShapeSpace) -> Index:
-    """Return which numbers ``(m, 3)`` of a whole placement are rotation vectors.
-
-    Numbers of a placement are rotation vectors, then others: the independent ones, and again the dependent.
-    """
-    own, whole = space.stored_placement_dim, space.placement_dim
-    first = np.concatenate([np.arange(space.placement_rotations), np.arange(own, own + (whole - own) // 2)])
-    return first.reshape(-1, 3)
+def centre_columns(space: ShapeSpace) -> Index:
+    """Return which numbers ``(g, 3)`` of a placement are centres."""
+    return np.arange(4 * space.rotation_count, space.placement_dim).reshape(-1, 3)
 
 
-def translation_columns(space: ShapeSpace) -> Index:
-    """Return which numbers ``(g, 3)`` of a placement are the translations of parts."""
-    return np.arange(space.placement_rotations, space.stored_placement_dim).reshape(-1, 3)
-
-
-def continued(space: ShapeSpace, piece: Piece, reference: Float, frames: Float) -> Curve:
-    r"""Return a piece of a placement whose rotation vectors begin near given ones.
-
-    The rotation by t about u is the one by :math:`t + 2 \pi k`. Where the nearest k is not zero the curve is made
-    anew, through many points; about an axis that stays it is the same motion, else so up to interpolation between
-    the points, of which the frames are some.
+def continued(space: ShapeSpace, piece: Piece, reference: Float) -> Curve:
+    """Return a piece of a placement whose quaternions begin with the signs nearest to given ones: the same motion.
 
     Parameters
     ----------
     space : ShapeSpace
         The space.
     piece : Piece
-        A whole placement.
+        A placement.
     reference : (P,) float64
         Where the placement is before the piece.
-    frames : (T,) float64
-        Times of the frames.
     """
-    columns = rotation_columns(space)
-    curve, start, end = piece
-    vectors = curve([start])[:, columns]
-    nearest = continuous_vectors(matrices(vectors), reference[columns])
-    turning = np.linalg.norm(nearest - vectors, axis=2)[0] > 1.0
-    if not turning.any():
+    curve, start, _ = piece
+    here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
+    signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
+    if (signs > 0).all():
         return curve
-    knots = between(np.concatenate([breakpoints(curve), frames]), start, end)
-    sites = refined(sites_of(np.array([start, end]), knots), DENSE)
-    values = curve(sites)
-    columns = columns[turning]
-    values[:, columns] = continuous_vectors(matrices(values[:, columns]), reference[columns])
-    return Curve(sites, values)
+    turns, centres = space.poses(curve.values)
+    return Curve(curve.times, space.placements(Poses(turns * signs[:, None], centres)))
 
 
 # Times ----------------------------------------------------------------------------------------------------

@@ -52,9 +52,6 @@ def shape_measure(model: Model) -> Measure:
 
 
 def placement_measure(model: Model) -> Measure:
-    """Return how large changes ``(N, P)`` of a placement are ``(N,)``: the largest number, in diagonals.
-
-    Of the whole placement, or of its independent numbers.
-    """
-    metric = model.space.weights[model.shape_dim :]
-    return lambda changes: np.abs(changes * metric[: changes.shape[1]]).max(axis=1, initial=0.0)
+    """Return how large changes ``(N, P)`` of a placement are ``(N,)``: the largest number, in diagonals."""
+    metric = model.space.weights[model.space.shape_dim :]
+    return lambda changes: np.abs(changes * metric).max(axis=1, initial=0.0)

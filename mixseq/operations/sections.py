@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.operations.passes import (
     Pass,
+    centre_columns,
     concatenated,
     fade_of,
-    placement_of,
     section_of,
     shifted,
-    translation_columns,
 )
 from mixseq.operations.pieces import Fade
 from mixseq.operations.timing import shift
 from mixseq.sequence import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 
@@ -138,7 +136,7 @@ def loop(model: Model, fade: float | None = None) -> Model:
 
 def _travelled(model: Model, start: float, end: float) -> Float:
     """Return the mean of what the parts moved by along the ground ``(3,)``, in the space's unit."""
-    columns = translation_columns(model.space)
+    columns = centre_columns(model.space)
     if not len(columns):
         raise SettingsError(
             f"the {model.space.name} space does not say where parts are, so nothing can travel; leave out travel"
@@ -150,7 +148,7 @@ def _travelled(model: Model, start: float, end: float) -> Float:
 
 def _translated(model: Model, offset: Float) -> Model:
     """Return the model with all parts moved by an offset ``(3,)`` in the space's unit."""
-    placement = placement_of(model)
+    placement = model.placement
     values = placement.values.copy()
-    values[:, translation_columns(model.space)] += offset
-    return replace(model, placement=stated_placement(model.space, Curve(placement.times, values)))
+    values[:, centre_columns(model.space)] += offset
+    return replace(model, placement=Curve(placement.times, values))

@@ -27,12 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.operations.passes import placement_of
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
 from mixseq.signals.model import MOST_FRAMES, Model
-from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -101,12 +99,10 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
     def blended(values: Float) -> Callable[[Float], Float]:
         return lambda at: weights(drawn(at)) @ values
 
-    whole = placement_of(model)
     time = sampled(blended(model.time(times)), drawn.times, ACCURACY, shape_measure(model))
-    placement = sampled(blended(whole(times)), drawn.times, ACCURACY, placement_measure(model))
+    placement = sampled(blended(model.placement(times)), drawn.times, ACCURACY, placement_measure(model))
     fps = model.header.fps
     header = model.header.with_times(np.arange(int(np.floor(duration * fps + 1e-6)) + 1) / fps)
-    placement = stated_placement(model.space, placement)
     return replace(model, header=header, time=time, placement=placement, corrections=None)
 
 

@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 
 from mixseq.errors import SettingsError
-from mixseq.operations.passes import placement_of
 from mixseq.operations.pieces import between, sites_of
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 
@@ -54,11 +52,10 @@ def smooth(model: Model, seconds: float) -> Model:
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise SettingsError(f"seconds is {seconds}; a positive period is expected")
-    placement = smoothed(placement_of(model), model.times, seconds)
     return replace(
         model,
         time=smoothed(model.time, model.times, seconds),
-        placement=stated_placement(model.space, placement),
+        placement=smoothed(model.placement, model.times, seconds),
         corrections=None,  # they would bring back some of what is smoothed
     )
 

@@ -24,7 +24,6 @@ from mixseq.operations.passes import (
     continued,
     fade_of,
     frames_of,
-    placement_of,
     section_of,
     shifted,
     snapped,
@@ -33,7 +32,6 @@ from mixseq.operations.pieces import Fade, Piece, between, breakpoints, refined,
 from mixseq.operations.sharing import together
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import stated_placement
 
 Float = NDArray[np.float64]
 Weight = Callable[[Float], Float]
@@ -191,8 +189,7 @@ def _mix(
         Into how many parts knot intervals are cut; 1 is exact for a constant weight.
     """
     start, end = ends
-    placement = placement_of(a)
-    goes_on = continued(a.space, Piece(placement_of(b), start, end), placement([start])[0], b.times)
+    goes_on = continued(a.space, Piece(b.placement, start, end), a.placement([start])[0])
 
     def mixed(one: Curve, other: Curve) -> Curve:
         inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
@@ -204,6 +201,6 @@ def _mix(
         a,
         header=a.header.with_times(frames_of([Pass(a, start, end)])),
         time=mixed(a.time, b.time),
-        placement=stated_placement(a.space, mixed(placement, goes_on)),
+        placement=mixed(a.placement, goes_on),
         corrections=None,
     )

@@ -14,7 +14,6 @@ from mixseq.reconstruction.joint import rebuild
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.placement import JointRows, MixedFrame, concatenate
 from mixseq.reconstruction.shells import NO_PULL, Pull, ShellReport, ShellSettings
-from mixseq.reconstruction.velocity import JointRates, joint_velocity
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.topology import Topology
 
@@ -136,51 +135,6 @@ class AnchoredPlacement:
             away = points[self.rows.free[free]] - blend.place(moves, shifts)
             offsets[free] = _turned(np.swapaxes(rotations[blend.nearest], 1, 2), away)
         return offsets
-
-    def velocities(
-        self, frame: MixedFrame, rates: MixedFrame, points: Float, settings: ShellSettings
-    ) -> Float:
-        """Return the velocities ``(V, 3)`` of an assembled frame.
-
-        Parameters
-        ----------
-        frame : MixedFrame
-            What `assemble` was given.
-        rates : MixedFrame
-            Its derivative by time; weights and holds are not looked at.
-        points : (V, 3) float64
-            What it returned.
-        settings : ShellSettings
-            Settings of the joint solves.
-        """
-        turning = self._turned(rates.rotations, frame.parts) + self._turned(frame.rotations, rates.parts)
-        velocities = self._on_average(turning, rates.translations)
-        moves, shifts = self._moves(frame.rotations, frame.translations)
-        move_rates, shift_rates = self._moves(rates.rotations, rates.translations)
-        for joint, patch, edges, hinges, free, blend in self._solved:
-            _, pull = _expected(blend, moves, shifts, frame, free)
-            places = np.zeros((0, 3))
-            if frame.holds.size:
-                places = (
-                    blend.place(move_rates, shift_rates)
-                    + _turned(rates.rotations[blend.nearest], frame.offsets[free])
-                    + _turned(frame.rotations[blend.nearest], rates.offsets[free])
-                )
-            moving = JointRates(
-                rates.lengths[edges], rates.angles[hinges], velocities[joint.vertices], places
-            )
-            found, _ = joint_velocity(
-                patch,
-                frame.lengths[edges],
-                frame.angles[hinges],
-                frame.weights[edges],
-                points[joint.vertices],
-                moving,
-                settings,
-                pull=pull,
-            )
-            velocities[joint.vertices[patch.free]] = found[patch.free]
-        return velocities
 
     def _turned(self, rotations: Float, parts: Float) -> Float:
         """Part vertices ``(N, 3)``, each multiplied by the matrix of its part."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.reconstruction.links import Boundaries
 from mixseq.retargeting.bridges import Bridges
 from mixseq.retargeting.carried import vertex_parts
 from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
 
 Float = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Meetings:
 
     def sizes(self, x: Float) -> tuple[Float, Float]:
         """Lengths ``(n,)`` of boundaries, and root mean square distances ``(n,)`` from their middles; 0 of bridges."""
-        ends, link, middles = x[self.boundaries.edges], self.boundaries.link, self.points(x)
+        ends, link, middles = x[self.boundaries.edges], self.boundaries.pair, self.points(x)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         away = np.square(ends.mean(axis=1) - middles[link]).sum(axis=1)
         whole, squares = (np.bincount(link, each, len(middles)) for each in (lengths, lengths * away))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, serially
+from mixseq.prediction.operator import chosen, with_middles
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
@@ -21,7 +22,30 @@ from mixseq.stored import Stored, blocks_of
 from mixseq.table import Table, new_table
 
 Float = NDArray[np.float64]
+Index = NDArray[np.int64]
 PoseForm = Literal["modes", "keys"]
+
+
+SAMPLED = 256
+"""So many vertices tell which operator in time predicts a sequence best."""
+
+
+class Between(NamedTuple):
+    """Frames and the middles between them, as predicted: cubic splines through both go as the prediction goes.
+
+    Attributes
+    ----------
+    times : (2T - 1,) float64
+        Times in seconds.
+    scores : (2T - 1, r) float64
+        Points of pose space.
+    placement : (2T - 1, P) float64
+        Placements.
+    """
+
+    times: Float
+    scores: Float
+    placement: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +58,12 @@ class Encoded:
         Mesh and times.
     space : ShapeSpace
         The space.
-    shapes : (T, S + O) table of float64
-        The vectors of the frames without their placement, and their offsets (`ShapeSpace.offsets`).
+    shapes : (T, S) table of float64
+        The vectors of the frames without their placement.
     placement : (T, P) float64
-        The independent numbers of the placement.
+        The placement.
+    samples : (T, C) float64
+        Coordinates of some vertices, which tell what operator in time predicts the sequence best.
     pose : {"modes", "keys"}
         What key shapes shall be.
     """
@@ -46,12 +72,21 @@ class Encoded:
     space: ShapeSpace
     shapes: Table
     placement: Float
+    samples: Float
     pose: PoseForm = "modes"
 
     @cached_property
     def modes(self) -> Modes:
-        """All modes of the shapes and their offsets."""
+        """All modes of the shapes."""
         return principal_modes(self.shapes, self.space.shape_weights)
+
+    @cached_property
+    def between(self) -> Between:
+        """What is predicted between the frames."""
+        operator = chosen(self.header.times, self.samples)
+        times = with_middles(self.header.times)
+        placement = self.space.predicted_placements(operator, self.placement, times)
+        return Between(times, operator.at(times).of(self.modes.scores), placement)
 
     @cached_property
     def shape_measure(self) -> Measure:
@@ -62,8 +97,7 @@ class Encoded:
     @cached_property
     def placement_measure(self) -> Measure:
         """How far deviations of the placement are: the largest coordinate, in diagonals."""
-        start = self.space.dim - self.space.placement_dim
-        weights = self.space.weights[start : start + self.space.stored_placement_dim]
+        weights = self.space.weights[self.space.shape_dim :]
         return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
 
 
@@ -94,25 +128,27 @@ def encode(
     OutputError
         If there is no room for the vectors, neither in memory nor in a temporary file.
     """
-    count, start = len(sequence.points), space.dim - space.placement_dim
-    shapes = new_table((count, start + space.offset_dim))
-    placement = np.empty((count, space.stored_placement_dim))
+    count, size = len(sequence.points), space.shape_dim
+    shapes = new_table((count, size))
+    placement = np.empty((count, space.placement_dim))
+    vertices = np.linspace(0, sequence.header.vertex_count - 1, SAMPLED).round()
+    some = np.unique(vertices).astype(np.int64)
+    samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
-    for apart, offsets in workers(_encoded, space, blocks_of(sequence.points)):
+    for apart, seen in workers(_encoded, (space, some), blocks_of(sequence.points)):
         vectors = space.without_jumps(apart, previous)
         rows = slice(done, done + len(vectors))
-        shapes[rows] = np.concatenate([vectors[:, :start], offsets], axis=1)
-        placement[rows] = vectors[:, start : start + placement.shape[1]]
+        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], seen
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
-    return Encoded(sequence.header, space, shapes, placement, pose)
+    return Encoded(sequence.header, space, shapes, placement, samples, pose)
 
 
-def _encoded(space: ShapeSpace, points: FloatArray) -> tuple[Float, Float]:
-    """Vectors and offsets of a block of frames; nothing of them depends on other frames."""
-    vectors = space.encode_apart(points)
-    offsets = [space.offsets(points[t : t + 1], vectors[t : t + 1]) for t in range(len(points))]
-    return vectors, np.concatenate(offsets)
+def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:
+    """Vectors and samples of a block of frames; nothing of them depends on other frames."""
+    space, vertices = shared
+    samples = points[:, vertices].astype(np.float64)
+    return space.encode_apart(points), samples.reshape(len(points), -1)
 
 
 @dataclass(frozen=True)
@@ -156,11 +192,12 @@ def build(encoded: Encoded, detail: Detail) -> Model:
         inner = _inner_knots(detail.knots, times)
         time = least_squares_curve(times, modes.scores, inner)
         placement = least_squares_curve(times, encoded.placement, inner)
-    elif detail.slack > 0:
-        time = fit_curve(times, modes.scores, detail.slack, encoded.shape_measure)
-        placement = fit_curve(times, encoded.placement, detail.slack, encoded.placement_measure)
     else:
-        time, placement = Curve(times, modes.scores), Curve(times, encoded.placement)
+        sites, scores, whole = encoded.between
+        time, placement = Curve(sites, scores[:, :rank]), Curve(sites, whole)
+        if detail.slack > 0:
+            time = fit_curve(sites, time.values, detail.slack, encoded.shape_measure)
+            placement = fit_curve(sites, whole, detail.slack, encoded.placement_measure)
     return Model(encoded.header, encoded.space, time, pose, shapes, placement)
 
 

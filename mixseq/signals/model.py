@@ -28,7 +28,6 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane, plane
-from mixseq.signals.placement import whole_placement
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces import MixedSpace, ShapeSpace
 from mixseq.threads import one_blas_thread
@@ -67,11 +66,10 @@ class Model(Remade):
         The time signal, a curve in pose space ``R^k``.
     pose : PoseMap
         The pose signal, from pose space to the weights of K key shapes.
-    shapes : (K, S + O) float64
-        The shape signal: key shapes without their placement, ``S = space.dim - space.placement_dim``, and their
-        offsets, ``O = space.offset_dim``.
+    shapes : (K, S) float64
+        The shape signal: key shapes without their placement, ``S = space.shape_dim``.
     placement : Curve
-        Where the parts are: a curve of `ShapeSpace.stored_placement_dim` coordinates.
+        Where the parts are: a curve of `ShapeSpace.placement_dim` coordinates.
     corrections : Corrections, optional
         Displacements of vertices that signals alone do not reproduce: a compressed sequence keeps its promise by them.
 
@@ -91,16 +89,16 @@ class Model(Remade):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", frozen(np.asarray(self.shapes, dtype=np.float64)))
-        expected = (len(self.pose.offset), self.shape_dim + self.space.offset_dim)
+        expected = (len(self.pose.offset), self.space.shape_dim)
         if self.shapes.shape != expected:
             raise SettingsError(f"the key shapes have shape {self.shapes.shape}; {expected} is expected")
         if self.time.dim != self.pose.dim:
             raise SettingsError(
                 f"the time signal has {self.time.dim} coordinates, the pose signal {self.pose.dim}"
             )
-        if self.placement.dim != self.space.stored_placement_dim:
+        if self.placement.dim != self.space.placement_dim:
             raise SettingsError(
-                f"the placement has {self.placement.dim} coordinates; {self.space.stored_placement_dim} are expected"
+                f"the placement has {self.placement.dim} coordinates; {self.space.placement_dim} are expected"
             )
         for curve in (self.time, self.placement):
             if curve.start > self.times[0] or curve.end < self.times[-1]:
@@ -108,11 +106,6 @@ class Model(Remade):
                     f"frames are from {self.times[0]:g} to {self.times[-1]:g} s, a signal only from "
                     f"{curve.start:g} to {curve.end:g} s"
                 )
-
-    @property
-    def shape_dim(self) -> int:
-        """Length S of a key shape without offsets."""
-        return self.space.dim - self.space.placement_dim
 
     @property
     def times(self) -> Float:
@@ -174,23 +167,15 @@ class Model(Remade):
 
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
-        return self._at(self.inside(times))[0]
+        inside = self.inside(times)
+        shapes = self._blended(self.pose.weights(self.time(inside)))
+        return np.concatenate([shapes, self.placement(inside)], axis=1)
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
-        return self._rates_at(self.inside(times))[0]
-
-    def _at(self, times: Float) -> tuple[Float, Float]:
-        """Vectors ``(N, D)`` and offsets ``(N, O)``."""
-        blended = self._blended(self.pose.weights(self.time(times)))
-        shapes, offsets = np.split(blended, [self.shape_dim], axis=1)
-        return np.concatenate([shapes, self._whole_placement(times)], axis=1), offsets
-
-    def _rates_at(self, times: Float) -> tuple[Float, Float]:
-        """Derivatives of vectors and offsets by time."""
-        blended = self._blended(self.pose.rates(self.time.derivative(times)))
-        shapes, offsets = np.split(blended, [self.shape_dim], axis=1)
-        return np.concatenate([shapes, self._whole_placement.derivative(times)], axis=1), offsets
+        inside = self.inside(times)
+        shapes = self._blended(self.pose.rates(self.time.derivative(inside)))
+        return np.concatenate([shapes, self.placement.derivative(inside)], axis=1)
 
     def _blended(self, weights: Float) -> Float:
         """Return sums of key shapes ``(N, S)``, one by one: a frame is the same whatever is asked with it."""
@@ -373,10 +358,6 @@ class Model(Remade):
             )
         return plane
 
-    @cached_property
-    def _whole_placement(self) -> Curve:
-        return whole_placement(self.space, self.placement)
-
     def inside(self, times: ArrayLike) -> Float:
         """Return times ``(N,)`` as they are, but for rounding at the ends.
 
@@ -398,14 +379,12 @@ class Model(Remade):
 
 
 def _points(model: Model, times: Float) -> Float:
-    vectors, offsets = model._at(times)
-    points = model.space.decode(vectors, offsets=offsets)
+    points = model.space.decode(model.curve(times))
     return points if model.corrections is None else points + model.corrections.at(times)
 
 
 def _moving_points(model: Model, times: Float) -> tuple[Float, Float]:
-    (vectors, offsets), (rates, offset_rates) = model._at(times), model._rates_at(times)
-    points, speeds = model.space.decode_moving(vectors, rates, offsets, offset_rates)
+    points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
     if model.corrections is None:
         return points, speeds
     return points + model.corrections.at(times), speeds + model.corrections.rates(times)

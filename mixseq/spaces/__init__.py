@@ -5,14 +5,15 @@ from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.making import SPACES, SpaceName, SpaceSettings, make_space
-from mixseq.spaces.mixed import MixedSpace
-from mixseq.spaces.of_sequence import mixed_space
+from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 
 __all__ = [
     "SPACES",
+    "AnchoredSpace",
     "EdgeSettings",
     "EdgeSpace",
+    "FreeSpace",
     "GradientSpace",
     "LRISpace",
     "MixedSpace",

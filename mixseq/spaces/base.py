@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.pickling import Remade
+from mixseq.prediction.operator import Operator
+from mixseq.prediction.poses import Poses, predicted_alone
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray
 
@@ -23,9 +25,9 @@ class ShapeSpace(Remade, ABC):
     For every space and all frames x of the sequence it was made for ``decode(encode(x)) = x``, and an affine
     combination of vectors (weights that add up to one) is a vector of the space.
 
-    A vector may end with a *placement*: numbers that say where the shape, or each of its parts, is. They have no
-    part in distances between shapes, and are combined as accurately as they are known. Some of them may follow
-    from the others (`complete_placement`): stated twice, they make blends of vectors better.
+    A vector may end with a *placement*: numbers that say where the shape, or each of its parts, is. First a quaternion
+    for everything that has a rotation, then a centre for everything that has a place. They have no part in distances
+    between shapes, and are combined as accurately as they are known.
     """
 
     name: str
@@ -48,41 +50,45 @@ class ShapeSpace(Remade, ABC):
         """Weights ``(D,)`` of the coordinates: a change by one moves vertices by so many diagonals."""
 
     @property
+    def shape_dim(self) -> int:
+        """How many numbers S of a vector are its shape: all but the placement."""
+        return self.dim - self.placement_dim
+
+    @property
     def shape_weights(self) -> Float:
-        """Weights ``(S + O,)`` of a vector without its placement, and of its offsets, which are in diagonals."""
-        return np.append(self.weights[: self.dim - self.placement_dim], np.ones(self.offset_dim))
+        """Weights ``(S,)`` of a vector without its placement."""
+        return self.weights[: self.shape_dim]
+
+    @property
+    def rotation_count(self) -> int:
+        """How many quaternions a placement begins with."""
+        return 0
+
+    @property
+    def centre_count(self) -> int:
+        """How many centres a placement ends with."""
+        return 0
 
     @property
     def placement_dim(self) -> int:
         """How many numbers at the end of a vector are its placement."""
-        return 0
+        return 4 * self.rotation_count + 3 * self.centre_count
 
-    @property
-    def stored_placement_dim(self) -> int:
-        """How many of them, the first ones, are independent."""
-        return self.placement_dim
+    def poses(self, placements: Float) -> Poses:
+        """Return quaternions and centres of placements ``(T, placement_dim)``."""
+        turns, centres = np.split(placements, [4 * self.rotation_count], axis=1)
+        return Poses(turns.reshape(len(turns), -1, 4), centres.reshape(len(turns), -1, 3))
 
-    @property
-    def placement_rotations(self) -> int:
-        """How many of those, the first ones, belong to rotation vectors; the others to translations."""
-        return self.stored_placement_dim // 2
+    def placements(self, poses: Poses) -> Float:
+        """Return the placements ``(T, placement_dim)`` of quaternions and centres; the inverse of `poses`."""
+        return np.concatenate([block.reshape(len(block), -1) for block in poses], axis=1)
 
-    def complete_placement(self, own: Float) -> Float:
-        """Return whole placements ``(N, placement_dim)`` of consecutive frames from their independent numbers."""
-        return own
+    def predicted_placements(self, operator: Operator, placements: Float, times: Float) -> Float:
+        """Return placements ``(N, placement_dim)`` at times ``(N,)`` from those ``(T, placement_dim)`` at the frames.
 
-    @property
-    def offset_dim(self) -> int:
-        """How many numbers beside a vector help to decode blends of frames; see `offsets`."""
-        return 0
-
-    def offsets(self, points: FloatArray, vectors: Float) -> Float:
-        """Return what frames ``(T, V, 3)`` with vectors ``(T, D)`` tell beside them ``(T, offset_dim)``.
-
-        Vectors alone are a shape. Where vectors of several frames are blended, offsets of these frames, blended
-        likewise, tell which of the shapes that are nearly as good was meant.
+        Rotations are chained and centres are weighted sums, see `mixseq.prediction`. Spaces that know more say so.
         """
-        return np.zeros((len(vectors), 0))
+        return self.placements(predicted_alone(operator.at(times), self.poses(placements)))
 
     @abstractmethod
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
@@ -114,7 +120,7 @@ class ShapeSpace(Remade, ABC):
         return vectors
 
     @abstractmethod
-    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Turn vectors ``(T, D)`` into vertex positions ``(T, V, 3)`` in the units of the sequence.
 
         Parameters
@@ -123,8 +129,6 @@ class ShapeSpace(Remade, ABC):
             Vectors.
         progress : callable, optional
             Told about every frame.
-        offsets : (T, offset_dim) float64, optional
-            What `offsets` returned, combined like the vectors.
 
         Raises
         ------
@@ -149,28 +153,20 @@ class ShapeSpace(Remade, ABC):
             but for the placement. Zeros if nothing was changed.
         """
         # Rotation vectors with more turns, or fewer, differ by something else: those of the vector count.
-        encoded = self.encode(np.stack([before, after]), vector)[:, : self.dim - self.placement_dim]
+        encoded = self.encode(np.stack([before, after]), vector)[:, : self.shape_dim]
         return np.asarray(encoded[1] - encoded[0])
 
-    def decode_for_differences(self, vectors: Float, offsets: Float | None = None) -> Float:
+    def decode_for_differences(self, vectors: Float) -> Float:
         """Do what `decode` does, so accurately that the points of nearly the same vectors can be subtracted."""
-        return self.decode(vectors, offsets=offsets)
+        return self.decode(vectors)
 
-    def decode_moving(
-        self,
-        vectors: Float,
-        rates: Float,
-        offsets: Float | None = None,
-        offset_rates: Float | None = None,
-    ) -> tuple[Float, Float]:
+    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Turn vectors that change into points that move.
 
         Parameters
         ----------
         vectors, rates : (T, D) float64
             Vectors, and their derivatives by time.
-        offsets, offset_rates : (T, offset_dim) float64, optional
-            Offsets as for `decode`, and their derivatives.
 
         Returns
         -------
@@ -181,13 +177,7 @@ class ShapeSpace(Remade, ABC):
         size = np.abs(rates * self.weights).max(axis=1, initial=0.0)
         step = np.divide(DIFFERENCE, size, out=np.zeros_like(size), where=size > 0)
         change = step[:, None] * rates
-        if offsets is None or offset_rates is None:
-            here = self.decode(vectors)
-            ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
-        else:
-            shift = step[:, None] * offset_rates
-            here = self.decode(vectors, offsets=offsets)
-            ahead = self.decode_for_differences(vectors + change, offsets + shift)
-            behind = self.decode_for_differences(vectors - change, offsets - shift)
+        here = self.decode(vectors)
+        ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return here, (ahead - behind) * inverse[:, None, None]

@@ -64,7 +64,7 @@ class BasisSpace(ShapeSpace):
                 row[:] = (self._inverse @ (self.fields @ frame.astype(np.float64))).reshape(-1)
         return vectors / self.scale
 
-    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
         points = np.empty((len(vectors), self.fields.shape[1], 3))
         with one_blas_thread():
@@ -72,12 +72,6 @@ class BasisSpace(ShapeSpace):
                 frame[:] = self.fields.T @ (self.scale * vector.reshape(-1, 3))
         return points
 
-    def decode_moving(
-        self,
-        vectors: Float,
-        rates: Float,
-        offsets: Float | None = None,
-        offset_rates: Float | None = None,
-    ) -> tuple[Float, Float]:
+    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Implement `ShapeSpace.decode_moving`."""
         return self.decode(vectors), self.decode(rates)

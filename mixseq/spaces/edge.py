@@ -25,7 +25,7 @@ from mixseq.reconstruction.discrete_shell import DiscreteShell, Wanted
 from mixseq.reconstruction.joint import length_weights
 from mixseq.reconstruction.multiscale import MultiScale
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
-from mixseq.spaces.mixed import ANGLE
+from mixseq.spaces.mixed.space import ANGLE
 from mixseq.spaces.posed import PosedSpace
 from mixseq.threads import one_blas_thread
 
@@ -245,7 +245,7 @@ class EdgeSpace(PosedSpace):
             return projection.fit(whole, shell)
         return projection.rebuild(whole.lengths, whole.angles, whole.weights, shell)
 
-    def decode_for_differences(self, vectors: Float, offsets: Float | None = None) -> Float:
+    def decode_for_differences(self, vectors: Float) -> Float:
         """Implement `ShapeSpace.decode_for_differences`."""
         return self.decode_with_reports(vectors, shell=self.shell.for_differences())[0]
 

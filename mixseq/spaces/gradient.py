@@ -140,14 +140,9 @@ class GradientSpace(ShapeSpace):
         return 9 * len(self.topology.faces) + self.placement_dim
 
     @property
-    def placement_dim(self) -> int:
-        """Three numbers for every piece: its centre."""
-        return 3 * len(self.pieces)
-
-    @property
-    def placement_rotations(self) -> int:
-        """None: gradients tell how pieces are turned."""
-        return 0
+    def centre_count(self) -> int:
+        """One for every piece; gradients tell how pieces are turned."""
+        return len(self.pieces)
 
     @property
     def weights(self) -> Float:
@@ -181,7 +176,7 @@ class GradientSpace(ShapeSpace):
         blocks = self.split(vectors)
         return self.join(blocks._replace(turns=without_jumps(blocks.turns, before)))
 
-    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))

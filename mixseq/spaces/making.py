@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, Stages, silent
 from mixseq.reconstruction.shells import ShellSettings
@@ -26,13 +25,13 @@ from mixseq.segmentation import (
     segment_by_labels,
     segment_by_motion,
 )
-from mixseq.sequence import FloatArray, MeshSequence, bounding_diagonal
+from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
-from mixseq.spaces.mixed import MixedSpace, PlacementName
-from mixseq.spaces.of_sequence import mixed_space
+from mixseq.spaces.mean_lengths import mean_lengths
+from mixseq.spaces.mixed import MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
@@ -161,7 +160,7 @@ def make_space(
         raise SettingsError(
             f"coarse is {edge.coarse}; the mesh has {header.vertex_count} vertices, a coarse one has fewer"
         )
-    lengths = _mean_lengths(frames, topology, scale, workers, progress)
+    lengths = mean_lengths(points, topology.edges, scale, workers, progress)
     return EdgeSpace(topology, scale, reference, lengths, shell, edge)
 
 
@@ -207,20 +206,3 @@ def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterat
         yield block
         done += len(block.rotations)
         progress(done, frames, "growing joints")
-
-
-def _mean_lengths(
-    frames: Stored | MeshSequence, topology: Topology, scale: float, workers: OrderedMap, progress: Progress
-) -> Float:
-    """Mean lengths ``(E,)`` of all edges over the frames, in diagonals."""
-    total, done = np.zeros(len(topology.edges)), 0
-    for block in workers(_lengths, topology.edges, blocks_of(frames.points)):
-        for lengths in block:  # one by one: the sum must not depend on the blocks
-            total += lengths
-        done += len(block)
-        progress(done, len(frames.points), "measuring edges")
-    return total / (done * scale)
-
-
-def _lengths(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
-    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]

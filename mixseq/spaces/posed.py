@@ -1,8 +1,8 @@
 r"""Shape spaces that know nothing of where a mesh is: their vectors end with the poses of its pieces.
 
-A vector is ``[shape | rotation vectors | centres]``: numbers that a rigid motion does not change, and six numbers
-for every hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`,
-Section 2.2). The paper orients a mesh by its first face; all vertices of a piece together are less easily misled.
+A vector is ``[shape | quaternions | centres]``: numbers that a rigid motion does not change, and a pose for every
+hinge-connected piece, its rotation from the reference and its centre (the paper's :math:`\mathbb{R}^6`, Section 2.2).
+The paper orients a mesh by its first face; all vertices of a piece together are less easily misled.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.rotations import matrices, vectors, without_jumps
+from mixseq.geometry.quaternions import continued, quaternions, rotations_of
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
@@ -77,15 +77,20 @@ class PosedSpace(ShapeSpace):
         return self.shape_dim + self.placement_dim
 
     @property
-    def placement_dim(self) -> int:
-        """Six numbers for every piece."""
-        return 6 * len(self.pieces)
+    def rotation_count(self) -> int:
+        """One for every piece."""
+        return len(self.pieces)
+
+    @property
+    def centre_count(self) -> int:
+        """One for every piece."""
+        return len(self.pieces)
 
     @property
     def weights(self) -> Float:
-        """The metric ``(D,)``: a rotation vector moves vertices by the radius of gyration of its piece."""
-        rotations = np.repeat(self.pieces.radii, 3)
-        return np.concatenate([self.shape_metric, rotations, np.ones(len(rotations))])
+        """The metric ``(D,)``: a quaternion moves vertices by twice the radius of gyration of its piece."""
+        turns = np.repeat(2.0 * self.pieces.radii, 4)
+        return np.concatenate([self.shape_metric, turns, np.ones(3 * len(self.pieces))])
 
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.encode`."""
@@ -97,7 +102,7 @@ class PosedSpace(ShapeSpace):
         for vector, frame in zip(result, points, strict=True):
             x = frame.astype(np.float64) / self.scale
             rotations, centres = self.pieces.poses(x)
-            blocks = self.shape_of(x), vectors(rotations).reshape(-1), centres.reshape(-1)
+            blocks = self.shape_of(x), quaternions(rotations).reshape(-1), centres.reshape(-1)
             np.concatenate(blocks, out=vector)
         return result
 
@@ -106,11 +111,11 @@ class PosedSpace(ShapeSpace):
         shapes, turns, centres = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         shapes = self.shapes_without_jumps(shapes, None if before is None else before[0][0])
-        turns = without_jumps(turns, None if before is None else before[1][0])
+        turns = continued(turns, None if before is None else before[1][0])
         count = len(vectors)
         return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)
 
-    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
         shapes, turns, centres = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(shapes), self.topology.vertex_count, 3))
@@ -122,10 +127,10 @@ class PosedSpace(ShapeSpace):
 
     def placed(self, rows: Float, turns: Float, centres: Float) -> Float:
         """Put pieces ``(N, 3)`` in diagonals where poses say; the result ``(V, 3)`` is in units of the sequence."""
-        return self.pieces.place(rows, matrices(turns), centres) * self.scale
+        return self.pieces.place(rows, rotations_of(turns), centres) * self.scale
 
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
-        """Return shapes ``(T, S)``, rotation vectors ``(T, p, 3)`` and centres ``(T, p, 3)`` of vectors ``(T, D)``.
+        """Return shapes ``(T, S)``, quaternions ``(T, p, 4)`` and centres ``(T, p, 3)`` of vectors ``(T, D)``.
 
         Raises
         ------
@@ -134,5 +139,4 @@ class PosedSpace(ShapeSpace):
         """
         if vectors.ndim != 2 or vectors.shape[1] != self.dim:
             raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
-        poses = vectors[:, self.shape_dim :].reshape(len(vectors), 2, len(self.pieces), 3)
-        return vectors[:, : self.shape_dim], poses[:, 0], poses[:, 1]
+        return vectors[:, : self.shape_dim], *self.poses(vectors[:, self.shape_dim :])

@@ -44,7 +44,7 @@ class VertexSpace(ShapeSpace):
         """Implement `ShapeSpace.encode`."""
         return points.astype(np.float64).reshape(len(points), -1) / self.scale
 
-    def decode(self, vectors: Float, progress: Progress = silent, offsets: Float | None = None) -> Float:
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
         return vectors.reshape(len(vectors), self.vertex_count, 3) * self.scale
 
@@ -52,12 +52,6 @@ class VertexSpace(ShapeSpace):
         """Implement `ShapeSpace.shape_difference`."""
         return np.asarray((after - before).reshape(-1) / self.scale)
 
-    def decode_moving(
-        self,
-        vectors: Float,
-        rates: Float,
-        offsets: Float | None = None,
-        offset_rates: Float | None = None,
-    ) -> tuple[Float, Float]:
+    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Implement `ShapeSpace.decode_moving`."""
         return self.decode(vectors), self.decode(rates)

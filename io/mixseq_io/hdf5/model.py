@@ -2,15 +2,15 @@
 
 ::
 
-    /                          format = "mixseq-model", version = 2, 3 or 4, created_by, settings (JSON), space,
+    /                          format = "mixseq-model", version = 2, 3, 4 or 5, created_by, settings (JSON), space,
                                name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
     /segmentation/parts/       vertices, sizes                              (mixed space)
     /segmentation/joints/      faces, sizes                                 (mixed space)
-    /space/                    scale; placement, shapes, trust (mixed space); reference (all but vertex, basis);
-                               reference_lengths (mixed and edge space); fields (basis space)
-    /space/links/              parts, pivots, rests, own_weights, weights   (mixed space)
+    /space/                    scale; placement, shapes (mixed space); reference (all but vertex, basis);
+                               reference_lengths (free mixed and edge space); fields (basis space)
+    /space/shares/             sizes, parts, weights                        (anchored mixed space)
     /signals/time/             frames, times, values
     /signals/pose/             offset, matrix
     /signals/shape/            what vectors consist of, see `shape_blocks`
@@ -36,6 +36,7 @@ from mixseq.errors import (
     SettingsError,
 )
 from mixseq.signals.model import Model
+from mixseq.spaces import MixedSpace
 from mixseq.version import __version__
 from mixseq_io.hdf5.arrays import increasing
 from mixseq_io.hdf5.coded import read_coded, write_coded
@@ -48,14 +49,14 @@ from mixseq_io.hdf5.files import (
     reading_h5,
     write_header,
 )
+from mixseq_io.hdf5.mixed import read_placement
+from mixseq_io.hdf5.older import read_anchored, read_v1
 from mixseq_io.hdf5.salvage import check_behind, salvage_coded
 from mixseq_io.hdf5.signals import read_signals, write_signals
-from mixseq_io.hdf5.space import read_space, storable, version_of, write_space
-from mixseq_io.hdf5.streams import CODED_VERSION
-from mixseq_io.hdf5.version1 import read_v1
+from mixseq_io.hdf5.space import FIRST_WITH_QUATERNIONS, read_space, storable, version_of, write_space
 from mixseq_io.registry import PathLike
 
-VERSION = CODED_VERSION
+VERSION = FIRST_WITH_QUATERNIONS
 """Files have the first version that knows their space: older mixseqs read what they can."""
 
 SUFFIXES = (".h5", ".hdf5")
@@ -173,4 +174,12 @@ def decoded(path: Path, coded: Coded) -> Model:
 def _read(path: Path, file: h5py.File) -> Model:
     frames = increasing(path, file, "signals/time/frames")
     header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
+    if _is_old_anchored(path, file):
+        return read_anchored(path, file, header)
     return read_signals(path, file, header, read_space(path, file, header))
+
+
+def _is_old_anchored(path: Path, file: h5py.File) -> bool:
+    mixed = str(file.attrs["space"]) == MixedSpace.name
+    old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
+    return mixed and old and read_placement(path, file) == "anchored"

@@ -8,15 +8,22 @@ import h5py
 import numpy as np
 
 from mixseq.errors import FormatError, SettingsError
+from mixseq.geometry.quaternions import continued, quaternions
+from mixseq.geometry.rotations import matrices
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.placement import StatedPlacement
 from mixseq.signals.pose import PoseMap
 from mixseq_io.hdf5.arrays import Float, floats, increasing, put
-from mixseq_io.hdf5.space import Blocks, StoredSpace, placement_blocks, shape_blocks
+from mixseq_io.hdf5.space import (
+    FIRST_WITH_QUATERNIONS,
+    Blocks,
+    StoredSpace,
+    placement_blocks,
+    shape_blocks,
+)
 
-LINKS = ("turns", "gaps")
+_UNIT = 0.5  # quaternions are far from zero, which is no rotation
 
 
 def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
@@ -29,8 +36,6 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
     _put_blocks(file, "signals/shape", shape_blocks(space), model.shapes)
     put(file, "signals/placement/times", model.placement.times)
     _put_blocks(file, "signals/placement", placement_blocks(space), model.placement.values)
-    if isinstance(model.placement, StatedPlacement):
-        _put_blocks(file, "signals/placement", _link_blocks(space), model.placement.dependent.values)
 
 
 def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: StoredSpace) -> Model:
@@ -41,7 +46,7 @@ def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: Sto
     FormatError
         If a dataset is missing or damaged, or signals contradict each other.
     """
-    pose = _read_pose(path, file)
+    pose = read_pose(path, file)
     knots = increasing(path, file, "signals/time/times")
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     shapes = read_shapes(path, file, shape_blocks(space), len(pose.offset))
@@ -61,22 +66,26 @@ def read_shapes(path: Path, file: h5py.File, blocks: Blocks, count: int) -> Floa
 
 
 def read_placements(path: Path, file: h5py.File, space: StoredSpace, count: int) -> Float:
-    """Read the independent numbers ``(count, P)`` of placements: rotations, then translations."""
-    return _get_blocks(path, file, "signals/placement", placement_blocks(space), count)
+    """Read placements ``(count, P)``: quaternions, then centres. Before version 5 rotations were rotation vectors."""
+    blocks = placement_blocks(space)
+    if space.rotation_count and int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS:
+        blocks["rotations"] = (space.rotation_count, 3)
+        old = _get_blocks(path, file, "signals/placement", blocks, count)
+        turns, centres = np.split(old, [3 * space.rotation_count], axis=1)
+        turned = quaternions(matrices(turns.reshape(count, -1, 3)))
+        return np.concatenate([continued(turned).reshape(count, -1), centres], axis=1)
+    placements = _get_blocks(path, file, "signals/placement", blocks, count)
+    norms = np.linalg.norm(space.poses(placements).rotations, axis=2)
+    if (norms < _UNIT).any():
+        raise FormatError(
+            f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"
+        )
+    return placements
 
 
 def _read_placement(path: Path, file: h5py.File, space: StoredSpace) -> Curve:
     knots = increasing(path, file, "signals/placement/times")
-    own = read_placements(path, file, space, len(knots))
-    if not any(f"signals/placement/{name}" in file for name in LINKS):
-        return Curve(knots, own)
-    dependent = _get_blocks(path, file, "signals/placement", _link_blocks(space), len(knots))
-    return StatedPlacement(knots, own, Curve(knots, dependent))
-
-
-def _link_blocks(space: StoredSpace) -> Blocks:
-    links = (space.placement_dim - space.stored_placement_dim) // 6
-    return dict.fromkeys(LINKS, (links, 3))
+    return Curve(knots, read_placements(path, file, space, len(knots)))
 
 
 def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
@@ -96,7 +105,8 @@ def _get_blocks(path: Path, file: h5py.File, group: str, blocks: Blocks, count: 
     return np.concatenate(columns, axis=1)
 
 
-def _read_pose(path: Path, file: h5py.File) -> PoseMap:
+def read_pose(path: Path, file: h5py.File) -> PoseMap:
+    """Read the pose signal."""
     offset = floats(path, file, "signals/pose/offset", (None,))
     matrix = floats(path, file, "signals/pose/matrix", (None, len(offset)))
     try:

@@ -14,6 +14,7 @@ from mixseq.spaces import (
     SPACES,
     EdgeSettings,
     EdgeSpace,
+    FreeSpace,
     GradientSpace,
     LRISpace,
     MixedSpace,
@@ -29,6 +30,9 @@ from mixseq_io.hdf5.settings import read_scale, read_settings, read_shell, write
 StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
 Blocks = dict[str, tuple[int, ...]]
 """Names of datasets, in the order of the vector, and the shape of each."""
+
+FIRST_WITH_QUATERNIONS = 5
+"""Version from which on rotations in placements are quaternions; before they were rotation vectors."""
 
 KNOWN = (*SPACES, BasisSpace.name)
 """Names of the spaces that files can hold."""
@@ -50,12 +54,14 @@ def storable(space: ShapeSpace) -> StoredSpace:
 def version_of(space: StoredSpace) -> int:
     """Return the first version of the format that knows a space."""
     match space:
-        case MixedSpace() | VertexSpace():
+        case VertexSpace():
             return 2
+        case GradientSpace():
+            return 3
         case BasisSpace():
             return 4
         case _:
-            return 3
+            return FIRST_WITH_QUATERNIONS
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
@@ -72,13 +78,14 @@ def shape_blocks(space: StoredSpace) -> Blocks:
         case EdgeSpace():
             return _edge_blocks(space)
         case MixedSpace():
-            return {**mixed_blocks(space), "offsets": (space.offset_dim // 3, 3)}
+            return mixed_blocks(space)
 
 
 def placement_blocks(space: StoredSpace) -> Blocks:
     """Return what a placement consists of: datasets of `signals/placement`."""
-    turning, whole = space.placement_rotations, space.stored_placement_dim
-    return {"rotations": (turning // 3, 3), "translations": ((whole - turning) // 3, 3)}
+    turning = space.rotation_count
+    # Where nothing turns there are no rotations, as older mixseqs know it.
+    return {"rotations": (turning, 4 if turning else 3), "translations": (space.centre_count, 3)}
 
 
 def _edge_blocks(space: EdgeSpace) -> Blocks:
@@ -91,7 +98,7 @@ def _edge_blocks(space: EdgeSpace) -> Blocks:
 def write_space(file: h5py.File, space: StoredSpace) -> None:
     """Store a shape space."""
     settings = {}
-    if isinstance(space, MixedSpace):
+    if isinstance(space, FreeSpace):
         settings = {"shell": asdict(space.settings)}
     if isinstance(space, EdgeSpace):
         settings = {"shell": asdict(space.shell), "edge": asdict(space.settings)}

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.mapping import on_threads
+from mixseq.reconstruction.shells import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
 from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least
@@ -59,7 +60,7 @@ def _measure(section: Section, rows: list[tuple[str, ...]], name: str, target: i
     ends = sequence.points[[0, 1]].astype(np.float64) / sequence.diagonal
     for threads in THREADS:
         say(f"{name}: an iteration on the full mesh, {threads} threads")
-        mesh = FullMesh(topology, ends, threads, model.mixed.settings)
+        mesh = FullMesh(topology, ends, threads, ShellSettings())
         mesh.prepare()
         theirs[threads], _ = repeated(lambda: iterate(mesh.problem, mesh.ends[0]), 7, 20.0)  # noqa: B023
     best = min(timing.median for timing in theirs.values())

@@ -21,7 +21,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from mixseq.geometry.rigid import mean_shape
-from mixseq.reconstruction.agreement import solve
 from mixseq.reconstruction.discrete_shell import DiscreteShell
 from mixseq.reconstruction.free import FreePlacement
 from mixseq.reconstruction.joint import rebuild
@@ -32,8 +31,7 @@ from mixseq.reconstruction.stitching import stitch
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.softness import Softening
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import MixedSpace
-from mixseq.spaces.of_sequence import mixed_space
+from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
 from scripts.paper_study.common.poses import Float, Index, Poses
@@ -131,10 +129,12 @@ class Mixed:
     decomposition: Decomposition
 
     @cached_property
-    def space(self) -> MixedSpace:
-        return mixed_space(
+    def space(self) -> FreeSpace:
+        space = mixed_space(
             self.poses.points, self.poses.topology, self.decomposition, "free", ShellSettings()
         )
+        assert isinstance(space, FreeSpace)
+        return space
 
     @cached_property
     def vectors(self) -> Float:
@@ -142,7 +142,6 @@ class Mixed:
 
     @property
     def placement(self) -> FreePlacement:
-        assert isinstance(self.space.projection, FreePlacement)
         return self.space.projection
 
     def prepare(self) -> None:
@@ -158,19 +157,7 @@ class Mixed:
 
     def frame(self, weights: Float) -> MixedFrame:
         """Blend parts, lengths and angles."""
-        space = self.space
-        blocks = space.split((weights @ self.vectors)[None])
-        rotations, translations = solve(space.links, blocks.poses)
-        return MixedFrame(
-            lengths=blocks.lengths[0],
-            angles=blocks.angles[0],
-            weights=1.0 / np.maximum(space.reference_lengths, np.finfo(np.float64).tiny),
-            parts=blocks.parts[0],
-            rotations=rotations[0],
-            translations=translations[0],
-            offsets=np.zeros((0, 3)),
-            holds=np.zeros(0),
-        )
+        return self.space.frame(weights @ self.vectors)
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step: seconds of the joints, of registration and stitching, and of settling."""

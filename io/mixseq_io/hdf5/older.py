@@ -1,0 +1,125 @@
+"""Models in the mixed space of versions 1 to 4: lengths, angles and parts, with rotation vectors.
+
+In the anchored placement versions 2 to 4 had links between parts and offsets of free vertices. Their frames are
+decoded as they were, by the fit to lengths and angles that they were made for, and encoded again: at frames and knots
+they are what they were, between them they are predicted as new models are. Version 1 had a vector for every frame,
+and no curves.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mixseq.geometry.rotations import matrices
+from mixseq.reconstruction.anchored import AnchoredPlacement
+from mixseq.reconstruction.joint import length_weights
+from mixseq.reconstruction.placement import MixedFrame
+from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.signals.curve import Curve
+from mixseq.signals.detail import Detail, build, encode
+from mixseq.signals.model import Model
+from mixseq.spaces import mixed_space
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+from mixseq_io.hdf5.arrays import Float, floats, increasing
+from mixseq_io.hdf5.files import read_header
+from mixseq_io.hdf5.mixed import mixed_blocks, read_free, read_placement, read_segmentation
+from mixseq_io.hdf5.settings import read_scale, read_shell
+from mixseq_io.hdf5.signals import read_placements, read_pose, read_shapes
+
+
+def read_v1(path: Path, file: h5py.File) -> Model:
+    """Read a model of version 1, as the exact model of its frames."""
+    times = increasing(path, file, "signals/time/times")
+    header = read_header(path, file, int(file.attrs["vertex_count"]), times)
+    if read_placement(path, file) == "anchored":
+        anchored = _Anchored(path, file, header)
+        shapes = read_shapes(path, file, anchored.blocks(), len(times))
+        return anchored.model(times, shapes, _rotation_vectors(path, file, len(times)))
+    old = read_free(path, file, header)
+    shapes = read_shapes(path, file, mixed_blocks(old), len(times))
+    with one_blas_thread():
+        points = old.decode(np.concatenate([shapes, read_placements(path, file, old, len(times))], axis=1))
+        space = mixed_space(points, old.topology, old.decomposition, "free", old.settings)
+        return build(encode(MeshSequence.from_header(header, points), space), Detail())
+
+
+def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
+    """Read a model in the anchored placement of versions 2 to 4."""
+    anchored = _Anchored(path, file, header)
+    pose = read_pose(path, file)
+    knots, places = (increasing(path, file, f"signals/{name}/times") for name in ("time", "placement"))
+    time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
+    placement = Curve(places, _rotation_vectors(path, file, len(places)))
+    blocks = {**anchored.blocks(), "offsets": (len(anchored.placement.rows.free), 3)}
+    shapes = read_shapes(path, file, blocks, len(pose.offset))
+    inside = np.concatenate([knots, places])
+    inside = inside[(inside > header.times[0]) & (inside < header.times[-1])]
+    # Knots are frames in most models, but for rounding.
+    away = np.abs(inside[:, None] - header.times).min(axis=1, initial=np.inf)
+    times = np.unique(np.concatenate([header.times, inside[away > 1e-6 / header.fps]]))
+    return anchored.model(times, pose.weights(time(times)) @ shapes, placement(times))
+
+
+def _rotation_vectors(path: Path, file: h5py.File, count: int) -> Float:
+    """Rotation vectors and centres ``(count, 6 p)``."""
+    rotations = floats(path, file, "signals/placement/rotations", (count, None, 3))
+    centres = floats(path, file, "signals/placement/translations", (count, rotations.shape[1], 3))
+    return np.concatenate([rotations, centres], axis=1).reshape(count, -1)
+
+
+class _Anchored:
+    """What decodes the frames of an old model."""
+
+    def __init__(self, path: Path, file: h5py.File, header: SequenceHeader) -> None:
+        topology = Topology(header.faces, header.vertex_count)
+        decomposition = read_segmentation(path, file, topology)
+        self.header, self.scale, self.settings = header, read_scale(path, file), read_shell(path, file)
+        self.shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
+        reference = floats(path, file, "space/reference", (header.vertex_count, 3))
+        self.placement = AnchoredPlacement(topology, decomposition, self.shapes, reference)
+        rows = self.placement.rows
+        self.lengths = floats(path, file, "space/reference_lengths", (len(rows.edge_ids),))
+        self.holds = np.zeros(0)
+        if "space/trust" in file:
+            trust = floats(path, file, "space/trust", (len(rows.joints),))
+            spacing = np.maximum(rows.spacing(self.lengths), np.finfo(np.float64).tiny)
+            self.holds = np.repeat(trust, [len(patch.free) for patch in rows.patches]) / spacing
+
+    def blocks(self) -> dict[str, tuple[int, ...]]:
+        """Return what a key shape consists of."""
+        rows = self.placement.rows
+        return {
+            "lengths": (len(rows.edge_ids),),
+            "angles": (len(rows.hinge_ids),),
+            "parts": (len(self.shapes), 3),
+        }
+
+    def model(self, times: Float, shapes: Float, poses: Float) -> Model:
+        """Return the model of frames with shapes ``(N, S)`` and poses ``(N, 6 p)`` at times ``(N,)``."""
+        placement, header = self.placement, self.header.with_times(times)
+        with one_blas_thread():
+            points = np.stack([self._frame(*each) for each in zip(shapes, poses, strict=True)]) * self.scale
+            space = mixed_space(points, placement.topology, placement.decomposition)
+            model = build(encode(MeshSequence.from_header(header, points), space), Detail())
+        return Model(self.header, space, model.time, model.pose, model.shapes, model.placement)
+
+    def _frame(self, shape: Float, poses: Float) -> Float:
+        sizes = [size for size, *_ in self.blocks().values()]
+        lengths, angles, rest = np.split(shape, np.cumsum(sizes[:2]))
+        parts, offsets = np.split(rest.reshape(-1, 3), [len(self.shapes)])
+        vectors, centres = poses.reshape(2, -1, 3)
+        frame = MixedFrame(
+            lengths=lengths,
+            angles=angles,
+            weights=length_weights(self.lengths),
+            parts=parts,
+            rotations=matrices(vectors),
+            translations=centres,
+            offsets=offsets,
+            holds=self.holds,
+        )
+        return self.placement.assemble(frame, self.settings)[0]

@@ -1,0 +1,180 @@
+r"""Weights of frames at any time: one temporal operator, chosen by leaving frames out.
+
+What a quantity y is at a time t is predicted from what it is at the frames, :math:`y(t) = \sum_k w_k(t)\, y_k` with
+:math:`\sum_k w_k = 1`: kriging with a linear trend and the covariance (Matern, smoothness 3/2)
+
+.. math:: k(d) = (1 + \sqrt 3\, d / \ell)\, e^{-\sqrt 3\, d / \ell}
+
+of frames at a distance d, in mean steps between frames. It passes through the frames, and is the cubic spline with
+natural ends in the limit of large lengths :math:`\ell`. Shorter ones keep it from overshooting where frames are sparse.
+Every inner frame is predicted from the others; the length with the smallest sum of squared errors e is taken. Where
+frames are dense the usual cubic spline, which is one cubic at either end, is as good or better. So it has a share in
+the result,
+
+.. math:: \min\bigl(1/2,\; e^4 / (e^4 + e_\text{cubic}^4)\bigr) .
+
+A frame that is far away has next to no weight, so that only the nearest `WINDOW` frames are looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.interpolate import CubicSpline
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
+"""Lengths to choose from, in mean steps between frames."""
+
+WINDOW = 48
+"""Frames that are looked at."""
+
+LEFT_OUT = 96
+"""So many frames, evenly spread, are left out at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Weights of some frames at N times.
+
+    Attributes
+    ----------
+    frames : (N, m) int64
+        Frames that have a weight, in the order of time.
+    weights : (N, m) float64
+        Their weights; rows add up to one.
+    count : int
+        Number T of all frames.
+    """
+
+    frames: Index
+    weights: Float
+    count: int
+
+    def of(self, values: Float) -> Float:
+        """Return values ``(N, ...)`` of a quantity that is ``(T, ...)`` at the frames."""
+        starts = np.arange(0, self.frames.size + 1, self.frames.shape[1])
+        size = (len(self.frames), self.count)
+        matrix = sparse.csr_array((self.weights.reshape(-1), self.frames.reshape(-1), starts), shape=size)
+        return np.asarray(matrix @ values.reshape(self.count, -1)).reshape(
+            len(self.frames), *values.shape[1:]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Operator:
+    """The temporal operator of a sequence; make it with `chosen`.
+
+    Attributes
+    ----------
+    times : (T,) float64
+        Times of the frames, increasing.
+    length : float
+        Length of the covariance in mean steps, infinite for the natural cubic spline.
+    cubic : float
+        Share of the usual cubic spline.
+    """
+
+    times: Float
+    length: float = np.inf
+    cubic: float = 0.5
+
+    def at(self, times: Float) -> Rows:
+        """Return the weights of the frames at times ``(N,)``; at a frame that frame has the weight one."""
+        size = min(WINDOW, len(self.times))
+        nearest = np.searchsorted(self.times, times) - size // 2
+        starts = np.clip(nearest, 0, len(self.times) - size)
+        frames = starts[:, None] + np.arange(size)
+        return Rows(frames, self._weights(times, frames), len(self.times))
+
+    def left_out(self) -> tuple[Index, Rows]:
+        """Return inner frames ``(n,)``, evenly spread, and the weights of the others at their times."""
+        inner = np.arange(1, len(self.times) - 1)
+        left = inner[np.unique(np.linspace(0, len(inner) - 1, min(len(inner), LEFT_OUT)).round().astype(int))]
+        size = min(WINDOW, len(self.times) - 1)
+        starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
+        frames = starts[:, None] + np.arange(size)
+        frames += frames >= left[:, None]
+        return left, Rows(frames, self._weights(self.times[left], frames), len(self.times))
+
+    def _weights(self, times: Float, frames: Index) -> Float:
+        """Weights ``(N, m)`` of frames ``(N, m)`` at times ``(N,)``."""
+        step = (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1) or 1.0
+        weights = np.zeros(frames.shape)
+        hit = self.times[frames] == times[:, None]
+        known = hit.any(axis=1)
+        weights[known] = hit[known]
+        rows = np.flatnonzero(~known)
+        # Frames in the same window share a system.
+        for window in np.split(rows, np.flatnonzero((np.diff(frames[rows], axis=0) != 0).any(axis=1)) + 1):
+            if len(window):
+                at = self.times[frames[window[0]]] / step
+                weights[window] = self._solved(at - at[0], times[window] / step - at[0])
+        return weights
+
+    def _solved(self, knots: Float, times: Float) -> Float:
+        """Weights ``(N, m)`` of knots ``(m,)`` at times ``(N,)``, both in mean steps."""
+        if len(knots) == 1:
+            return np.ones((len(times), 1))
+        kriging = (
+            _kriging(knots, times, self.length)
+            if np.isfinite(self.length)
+            else _spline(knots, times, "natural")
+        )
+        return (1.0 - self.cubic) * kriging + self.cubic * _spline(knots, times, "not-a-knot")
+
+
+def chosen(times: Float, samples: Float) -> Operator:
+    """Choose the operator of a sequence.
+
+    Parameters
+    ----------
+    times : (T,) float64
+        Times of the frames.
+    samples : (T, C) float64
+        What is to be predicted, or enough of it.
+    """
+    if len(times) < 4:
+        return Operator(times)
+
+    def error(length: float, cubic: float) -> float:
+        left, rows = Operator(times, length, cubic).left_out()
+        return float(np.square(rows.of(samples) - samples[left]).sum())
+
+    errors = [error(length, 0.0) for length in LENGTHS]
+    best = int(np.argmin(errors))
+    worse = error(np.inf, 1.0) / errors[best] if errors[best] > 0 else 1.0
+    return Operator(times, LENGTHS[best], min(0.5, 1.0 / (1.0 + worse**4)))
+
+
+def with_middles(times: Float) -> Float:
+    """Return times ``(2T - 1,)`` with the middles between them."""
+    both = np.empty(2 * len(times) - 1)
+    both[::2], both[1::2] = times, (times[:-1] + times[1:]) / 2
+    return both
+
+
+def _spline(knots: Float, times: Float, ends: str) -> Float:
+    return np.asarray(CubicSpline(knots, np.eye(len(knots)), bc_type=ends)(times))
+
+
+def _kriging(knots: Float, times: Float, length: float) -> Float:
+    def covariance(distances: Float) -> Float:
+        scaled = np.sqrt(3.0) * np.abs(distances) / length
+        return np.asarray((1.0 + scaled) * np.exp(-scaled))
+
+    def trend(at: Float) -> Float:
+        return np.stack([np.ones(len(at)), (at - knots.mean()) / len(knots)], axis=1)
+
+    count = len(knots)
+    system = np.zeros((count + 2, count + 2))
+    system[:count, :count] = covariance(knots[:, None] - knots)
+    system[:count, count:] = trend(knots)
+    system[count:, :count] = system[:count, count:].T
+    right = np.concatenate([covariance(times[:, None] - knots), trend(times)], axis=1)
+    return np.asarray(np.linalg.solve(system, right.T).T[:, :count])

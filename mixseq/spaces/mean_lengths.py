@@ -1,0 +1,32 @@
+"""Mean edge lengths of a sequence, by which lengths are weighed against each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.mapping import OrderedMap
+from mixseq.progress import Progress
+from mixseq.sequence import FloatArray
+from mixseq.stored import blocks_of
+from mixseq.table import Table
+
+Float = NDArray[np.float64]
+
+
+def mean_lengths(
+    points: Table, edges: NDArray[np.integer], scale: float, workers: OrderedMap, progress: Progress
+) -> Float:
+    """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
+    total, done = np.zeros(len(edges)), 0
+    for block in workers(_lengths, edges, blocks_of(points)):
+        for lengths in block:  # one by one: the sum must not depend on the blocks
+            total += lengths
+        done += len(block)
+        progress(done, len(points), "measuring edges")
+    return total / (done * scale)
+
+
+def _lengths(edges: NDArray[np.integer], points: FloatArray) -> list[Float]:
+    return [edge_lengths(frame.astype(np.float64), edges) for frame in points]

@@ -1,0 +1,8 @@
+"""The mixed shape space S_m: rigid parts by their vertices, joints by lengths and angles, and poses."""
+
+from mixseq.spaces.mixed.anchored import AnchoredSpace
+from mixseq.spaces.mixed.free import FreeSpace
+from mixseq.spaces.mixed.making import mixed_space
+from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
+
+__all__ = ["PLACEMENTS", "AnchoredSpace", "FreeSpace", "MixedSpace", "PlacementName", "mixed_space"]

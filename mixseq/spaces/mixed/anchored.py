@@ -1,0 +1,271 @@
+r"""The mixed shape space S_m with the poses of all parts: where vertices are, and how their neighbourhood lies.
+
+A vector is ``[joint edge lengths | joint hinge angles | unposed vertices | sides | quaternions | centres]``, in
+diagonals and radians.
+
+- Every part has a pose, a unit quaternion and a centre: that of the best rigid motion from its mean shape (paper,
+  Section 3.4). From them every vertex has a rigid frame (`vertex_frames`).
+- Vertices are stored as seen from their frames: *unposed*. For a vertex inside a part that is the paper's aligned part
+  vertex. Where frames differ from corner to corner sides of faces are stored, too (`sides`).
+- Lengths and angles at free vertices, which no part keeps, are the paper's joints. Where frames of a sequence are
+  near each other posed vertices and sides decide alone; far blends are made to agree with lengths and angles as well.
+
+Decoding is posing, and one back-substitution with a constant matrix. It is linear in all but the poses, smooth in
+these, exact at the frames; so velocities are its closed derivative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.geometry.lengths_angles import unwrap_angles, wrap
+from mixseq.geometry.quaternions import continued, quaternions, rotations_of
+from mixseq.geometry.rigid import turned
+from mixseq.prediction.operator import Operator
+from mixseq.prediction.poses import Neighbours, predicted
+from mixseq.progress import Progress, silent
+from mixseq.segmentation.boundaries import Boundaries
+from mixseq.sequence import FloatArray
+from mixseq.spaces.mixed import vertex_frame_kernels as kernels
+from mixseq.spaces.mixed.sides import Sides
+from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
+from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
+from mixseq.threads import one_blas_thread
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+JOINT = 0.03
+"""What lengths and angles weigh in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
+
+SIDE = 0.1
+"""What sides weigh in the metric."""
+
+
+class AnchoredBlocks(NamedTuple):
+    """The blocks of T vectors of the anchored space, for p parts.
+
+    Attributes
+    ----------
+    lengths : (T, E')
+        Edge lengths of joints.
+    angles : (T, H')
+        Hinge angles of joints in radians, unwrapped.
+    unposed : (T, V, 3)
+        Vertices as seen from their frames.
+    sides : (T, f, 2, 3)
+        Sides 01 and 02 of faces as seen from the faces' frames.
+    rotations : (T, p, 4)
+        Quaternions of the rotations from the mean shapes of the parts to the frame; signs do not jump.
+    centres : (T, p, 3)
+        Where the centres of the mean shapes go.
+    """
+
+    lengths: Float
+    angles: Float
+    unposed: Float
+    sides: Float
+    rotations: Float
+    centres: Float
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredSpace(MixedSpace):
+    """The mixed shape space with poses of all parts; make it with `mixed_space`.
+
+    Attributes
+    ----------
+    shares : (V, p) sparse matrix
+        How much vertices follow parts; rows add up to one.
+    """
+
+    shares: sparse.csr_array
+    placement = "anchored"
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Mark the vertices ``(V,)`` that no part keeps."""
+        kept = np.zeros(self.topology.vertex_count, dtype=bool)
+        kept[np.concatenate(self.decomposition.parts)] = True
+        return ~kept
+
+    @cached_property
+    def edge_ids(self) -> Index:
+        """Edges of joints at free vertices, ascending."""
+        return self._at_free([joint.edge_ids for joint in self.decomposition.joints], self.topology.edges)
+
+    @cached_property
+    def hinge_ids(self) -> Index:
+        """Hinges of joints with a free vertex, ascending."""
+        return self._at_free([joint.hinge_ids for joint in self.decomposition.joints], self.topology.hinges)
+
+    def _at_free(self, numbers: list[Index], corners: Index) -> Index:
+        some = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *numbers]))
+        return some[self.free[corners[some]].any(axis=1)]
+
+    @cached_property
+    def frames(self) -> VertexFrames:
+        """The frames of the vertices."""
+        _, rotations, centres = self.registered(self.reference)
+        rest = rest_poses(rotations, centres)
+        return VertexFrames(self.topology, self.decomposition, rest, self.shares)
+
+    @cached_property
+    def seams(self) -> Sides:
+        """The faces whose sides are known."""
+        return Sides.of(self.topology.faces, self.free, self.reference)
+
+    def prepare(self) -> None:
+        """Implement `ShapeSpace.prepare`."""
+        if len(self.seams.vertices):
+            _ = self.seams.factor
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Lengths of the blocks of a vector, in order."""
+        parts, vertices = len(self.decomposition.parts), self.topology.vertex_count
+        joints = len(self.edge_ids), len(self.hinge_ids)
+        return (*joints, 3 * vertices, 6 * len(self.seams.faces), 4 * parts, 3 * parts)
+
+    @property
+    def dim(self) -> int:
+        """Length D of a vector."""
+        return sum(self.sizes)
+
+    @property
+    def rotation_count(self) -> int:
+        """One for every part."""
+        return len(self.decomposition.parts)
+
+    @property
+    def centre_count(self) -> int:
+        """One for every part."""
+        return len(self.decomposition.parts)
+
+    @cached_property
+    def weights(self) -> Float:
+        """The metric ``(D,)``: by how many diagonals vertices move when a number of a vector changes by one.
+
+        1 for unposed vertices and centres; `SIDE` for sides; `JOINT` for lengths, and for angles times the length of
+        their edges; for a quaternion twice the radius of gyration of its part.
+        """
+        edges, _, vertices, sides, _, centres = self.sizes
+        return np.concatenate(
+            [
+                np.full(edges, JOINT),
+                JOINT * self.angle_weights,
+                np.ones(vertices),
+                np.full(sides, SIDE),
+                np.repeat(2.0 * self.radii, 4),
+                np.ones(centres),
+            ]
+        )
+
+    def split(self, vectors: Float) -> AnchoredBlocks:
+        """Return the blocks of vectors ``(T, D)``, as views where possible; it raises what `checked` does."""
+        lengths, angles, unposed, sides, turns, centres = split_rows(self.checked(vectors), self.sizes)
+        count = len(vectors)
+        return AnchoredBlocks(
+            lengths,
+            angles,
+            unposed.reshape(count, -1, 3),
+            sides.reshape(count, -1, 2, 3),
+            turns.reshape(count, -1, 4),
+            centres.reshape(count, -1, 3),
+        )
+
+    def join(self, blocks: AnchoredBlocks) -> Float:
+        """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
+        return joined_rows(*blocks)
+
+    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
+        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``; see `ShapeSpace.encode`.
+
+        A rigid motion of a frame changes nothing but its poses.
+        """
+        return self.without_jumps(self.encode_apart(points), previous)
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions have w >= 0."""
+        vectors = np.empty((len(points), self.dim))
+        for vector, frame in zip(vectors, points, strict=True):
+            x = frame.astype(np.float64) / self.scale
+            _, rotations, centres = self.registered(x)
+            turns = quaternions(rotations)
+            motions = self.frames.motions(turns, centres)
+            blocks = (*self._seen(motions, x), turns, centres)
+            np.concatenate([block.reshape(-1) for block in blocks], out=vector)
+        return vectors
+
+    def _seen(self, motions: Float, x: Float) -> tuple[Float, Float, Float, Float]:
+        """The shape of a frame ``(V, 3)`` whose vertices have these motions."""
+        return *self.measured(x), kernels.unpose(motions, x), self.seams.seen(motions, x)
+
+    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.without_jumps`."""
+        blocks = self.split(vectors)
+        before = None if previous is None else self.split(previous[None])
+        start = self.reference_angles if before is None else before.angles[0]
+        return self.join(
+            blocks._replace(
+                angles=unwrap_angles(blocks.angles, start),
+                rotations=continued(blocks.rotations, None if before is None else before.rotations[0]),
+            )
+        )
+
+    @cached_property
+    def neighbours(self) -> Neighbours:
+        """Which parts see which, across boundaries of parts: seen in the reference frame, their middles are pivots."""
+        boundaries = Boundaries.of(self.topology, self.decomposition.part_of_face)
+        pairs = np.concatenate([boundaries.parts, boundaries.parts[:, ::-1]])
+        middles = np.tile(boundaries.middles(self.reference), (2, 1))
+        rest = self.frames.rest
+        back = np.swapaxes(rotations_of(rest.rotations[0]), 1, 2)[pairs[:, 1]]
+        return Neighbours(pairs, turned(back, middles - rest.centres[0][pairs[:, 1]]), self.radii)
+
+    def predicted_placements(self, operator: Operator, placements: Float, times: Float) -> Float:
+        """Implement `ShapeSpace.predicted_placements`: poses that agree with what neighbours see of each other."""
+        return self.placements(predicted(operator, self.poses(placements), self.neighbours, times))
+
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+        """Implement `ShapeSpace.decode`."""
+        blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        points = np.empty((len(vectors), self.topology.vertex_count, 3))
+        with one_blas_thread():
+            for number, frame in enumerate(zip(*blocks[2:], strict=True)):
+                unposed, sides, turns, centres = (np.ascontiguousarray(block) for block in frame)
+                motions = self.frames.motions(turns, centres)
+                points[number] = self.seams.settle(motions, sides, kernels.pose(motions, unposed))
+                progress(number + 1, len(vectors), "decoding frames")
+        points *= self.scale
+        return points
+
+    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_moving` by the closed derivative."""
+        blocks, changes = self.split(np.asarray(vectors, dtype=np.float64)), self.split(rates)
+        points, velocities = np.empty((2, len(vectors), self.topology.vertex_count, 3))
+        with one_blas_thread():
+            for number in range(len(vectors)):
+                unposed, sides, turns, centres = (np.ascontiguousarray(block[number]) for block in blocks[2:])
+                rows = [np.ascontiguousarray(block[number]) for block in changes[2:]]
+                motions, moving = self.frames.moving(turns, centres, rows[2], rows[3])
+                x = kernels.pose(motions, unposed)
+                speeds = kernels.pose_moving(motions, moving, x, rows[0])
+                points[number], velocities[number] = self.seams.settle_moving(
+                    motions, moving, sides, rows[1], x, speeds
+                )
+        return points * self.scale, velocities * self.scale
+
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`: vertices that did not move stay where they are."""
+        blocks = self.split(vector[None])
+        motions = self.frames.motions(blocks.rotations[0], blocks.centres[0])
+        first, second = (self._seen(motions, x / self.scale) for x in (before, after))
+        lengths, angles, unposed, sides = (b - a for a, b in zip(first, second, strict=True))
+        return np.concatenate([block.reshape(-1) for block in (lengths, wrap(angles), unposed, sides)])

@@ -1,0 +1,120 @@
+r"""How much every vertex follows the parts around it: shares that are smooth over the mesh and explain the motion.
+
+A vertex may follow the parts of faces near it. With the rigid motions :math:`M_{ti}` of part i from the reference
+frame to frame t, shares w explain frames as far as the following is small,
+
+.. math:: \sum_t \Bigl| \sum_i w_i\, M_{ti}(\bar x_v) - x_{tv} \Bigr|^2 + \mu_v\, |w - \bar w|^2,
+   \qquad w_i \ge 0, \quad \sum_i w_i = 1 .
+
+where :math:`\bar w` is the mean of the neighbours' shares, and :math:`\mu` the weight `SMOOTH` times how far the
+motions of the parts are apart there: only the ratio of the two counts. Vertices are visited in turn, several times;
+which parts a vertex may follow, and its first shares, are those of its faces spread over about `RINGS` rings of
+edges, by two steps of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.geometry.rigid import turned
+from mixseq.reconstruction.solvers import factorise
+from mixseq.segmentation.joints import Decomposition
+from mixseq.sequence import FloatArray
+from mixseq.spaces.mixed import share_kernels as kernels
+from mixseq.spaces.registered import registered
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+RINGS = 6.0
+"""How far parts are followed, in edges. Ours; chosen on half of the animations of the benchmarks, as are the others."""
+
+MOST = 6
+"""A vertex follows so many parts at most."""
+
+LEAST = 0.01
+"""Smaller shares are none."""
+
+SMOOTH = 0.1
+"""Weight of smoothness."""
+
+SWEEPS = 20
+"""So often vertices are visited."""
+
+_AT_ONCE = 16  # parts that are spread at once
+
+
+def fitted_shares(
+    topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
+) -> sparse.csr_array:
+    """Find the shares ``(V, p)`` of a mesh with p parts; rows add up to one.
+
+    Parameters
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    decomposition : Decomposition
+        Its parts.
+    shapes : (N, 3) float64
+        Mean shapes of the parts.
+    frames : (S, V, 3) float
+        Some frames, in the unit of the shapes.
+    reference : (V, 3) float64
+        The reference frame.
+    """
+    parts, shares = _spread(topology, decomposition)
+    some = np.flatnonzero(parts[:, 1] >= 0)
+    if len(some):
+        _, rest, rest_centres = registered(shapes, decomposition.parts, reference)
+        products, apart = np.zeros((len(some), MOST, MOST)), np.zeros(len(some))
+        for frame in frames:
+            x = frame.astype(np.float64)
+            _, rotations, centres = registered(shapes, decomposition.parts, x)
+            turns = rotations @ np.swapaxes(rest, 1, 2)
+            shifts = centres - turned(turns, rest_centres)
+            kernels.compare(some, parts, shares, turns, shifts, reference, x, products, apart)
+        adjacency = topology.vertex_adjacency
+        starts, others = adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64)
+        strengths = SMOOTH * apart + np.finfo(np.float64).tiny
+        kernels.smooth_and_fit(some, parts, shares, products, strengths, starts, others, SWEEPS)
+    shares[shares < LEAST] = 0.0
+    rows, places = np.nonzero(shares)
+    size = (topology.vertex_count, len(decomposition.parts))
+    return _normalised(
+        sparse.coo_array((shares[rows, places], (rows, parts[rows, places])), shape=size).tocsr()
+    )
+
+
+def _spread(topology: Topology, decomposition: Decomposition) -> tuple[Index, Float]:
+    """Parts ``(V, MOST)`` near every vertex, largest shares first and -1 where there are fewer, and their shares."""
+    count, vertices = len(decomposition.parts), topology.vertex_count
+    labels = np.repeat(decomposition.part_of_face, 3)
+    places = topology.faces.astype(np.int64).reshape(-1), labels
+    at_faces = _normalised(sparse.coo_array((np.ones(len(labels)), places), shape=(vertices, count)).tocsr())
+    adjacency = topology.vertex_adjacency
+    degrees = np.asarray(adjacency.sum(axis=1)).reshape(-1)
+    laplacian = sparse.diags_array(degrees) - adjacency
+    factor = factorise(sparse.csr_array(sparse.eye_array(vertices) + RINGS**2 / 4.0 * laplacian))
+    parts, shares = np.full((vertices, MOST), -1, dtype=np.int64), np.zeros((vertices, MOST))
+    for start in range(0, count, _AT_ONCE):
+        columns = at_faces[:, start : start + _AT_ONCE].toarray()
+        spread = factor.solve(factor.solve(columns))
+        both = np.concatenate([shares, np.where(spread >= LEAST, spread, 0.0)], axis=1)
+        which = np.concatenate(
+            [parts, np.broadcast_to(start + np.arange(columns.shape[1]), columns.shape)], axis=1
+        )
+        order = np.argsort(-both, axis=1, kind="stable")[:, :MOST]
+        shares, parts = np.take_along_axis(both, order, axis=1), np.take_along_axis(which, order, axis=1)
+    loose = topology.unused_vertices
+    shares[loose] = 0.0
+    shares[loose, 0], parts[loose, 0] = 1.0, count - 1  # which are a part of their own, the last one
+    parts[shares == 0.0] = -1
+    return parts, shares / shares.sum(axis=1, keepdims=True)
+
+
+def _normalised(matrix: sparse.csr_array) -> sparse.csr_array:
+    sums = np.asarray(matrix.sum(axis=1)).reshape(-1)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)

@@ -1,0 +1,145 @@
+r"""A rigid frame for every vertex, blended from the poses of the parts around it.
+
+A vertex well inside a part moves with that part. Near other parts it has a share in each of their motions (`shares`).
+Motions from the reference frame are blended as dual quaternions (Kavan and others 2008), so that the blend is a rigid
+motion again and changes smoothly from vertex to vertex.
+
+Quaternions have two signs, and blends depend on them. Along a tree of neighbouring parts each has the sign nearest to
+that of the part before it: no neighbours turn against each other by half a turn, while parts that are farther apart
+may.
+
+Seen from its frame a vertex hardly moves. It is *unposed*, :math:`R_v^T (x_v - t_v)`: where it would be in the
+reference frame. Whatever the shares are, posing what was unposed gives the vertex back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.geometry.quaternions import inverse, normalised, product, quaternions, rotations_of
+from mixseq.geometry.rigid import turned
+from mixseq.pickling import Remade
+from mixseq.prediction.poses import Poses
+from mixseq.segmentation.boundaries import Boundaries
+from mixseq.segmentation.joints import Decomposition
+from mixseq.spaces.mixed import vertex_frame_kernels as kernels
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class VertexFrames(Remade):
+    """How vertices follow p parts.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    decomposition : Decomposition
+        Its parts.
+    rest : Poses
+        Poses of the parts in the reference frame, ``(1, p, 4)`` and ``(1, p, 3)``.
+    shares : (V, p) sparse matrix
+        How much vertices follow parts; rows add up to one.
+    """
+
+    topology: Topology
+    decomposition: Decomposition
+    rest: Poses
+    shares: sparse.csr_array
+
+    @cached_property
+    def alone(self) -> Index:
+        """The part ``(V,)`` that each vertex follows alone, -1 where several have a share."""
+        first = self.shares.indices[self.shares.indptr[:-1]]
+        return np.where(np.diff(self.shares.indptr) == 1, first, -1).astype(np.int64)
+
+    def motions(self, rotations: Float, centres: Float) -> Float:
+        """Return the motions ``(V, 7)`` of all vertices from the reference frame: quaternions, then translations.
+
+        Parameters
+        ----------
+        rotations, centres : (p, 4), (p, 3) float64
+            Poses of the parts.
+        """
+        return np.asarray(kernels.blend(*self._shares, self._duals(rotations, centres)))
+
+    def moving(
+        self, rotations: Float, centres: Float, rotation_rates: Float, centre_rates: Float
+    ) -> tuple[Float, Float]:
+        """Return motions ``(V, 7)``, and spins and speeds of translations ``(V, 6)``, of poses that change."""
+        duals = self._duals(rotations, centres)
+        rates = self._dual_rates(rotations, centres, rotation_rates, centre_rates)
+        motions, changes = kernels.blend_moving(*self._shares, duals, rates)
+        return np.asarray(motions), np.asarray(changes)
+
+    @cached_property
+    def _shares(self) -> tuple[Index, Index, Float]:
+        return self.shares.indptr.astype(np.int64), self.shares.indices.astype(np.int64), self.shares.data
+
+    @cached_property
+    def _tree(self) -> list[tuple[int, int]]:
+        """Parts and the neighbours they follow, from the first part of every connected body on."""
+        boundaries = Boundaries.of(self.topology, self.decomposition.part_of_face)
+        count = len(self.decomposition.parts)
+        size = (count, count)
+        graph = sparse.coo_array(
+            (np.ones(len(boundaries.parts)), tuple(boundaries.parts.T)), shape=size
+        ).tocsr()
+        pairs, reached = [], np.zeros(count, dtype=bool)
+        for root in range(count):
+            if not reached[root]:
+                order, before = csgraph.breadth_first_order(graph, root, directed=False)
+                reached[order] = True
+                pairs += [(int(part), int(before[part])) for part in order[1:]]
+        return pairs
+
+    def _signs(self, turns: Float) -> Float:
+        signs = np.ones((len(turns), 1))
+        cosines = turns @ turns.T
+        for part, before in self._tree:
+            signs[part] = signs[before] if cosines[part, before] >= 0 else -signs[before]
+        return signs
+
+    def _duals(self, rotations: Float, centres: Float) -> Float:
+        """Dual quaternions ``(p, 8)`` of the parts' motions from the reference frame: real, then dual part."""
+        turns, shifts = self._motions(normalised(rotations), centres)
+        return np.concatenate([turns, 0.5 * product(_pure(shifts), turns)], axis=1) * self._signs(turns)
+
+    def _motions(self, rotations: Float, centres: Float) -> tuple[Float, Float]:
+        rest = self.rest.rotations[0], self.rest.centres[0]
+        turns = product(rotations, inverse(rest[0]))
+        return turns, centres - turned(rotations_of(turns), rest[1])
+
+    def _dual_rates(
+        self, rotations: Float, centres: Float, rotation_rates: Float, centre_rates: Float
+    ) -> Float:
+        """Derivatives ``(p, 8)`` of `_duals`; those of the length of quaternions do not matter."""
+        norms = np.linalg.norm(rotations, axis=1, keepdims=True)
+        unit = rotations / norms
+        change = rotation_rates / norms
+        change = change - unit * np.einsum("pi,pi->p", unit, change)[:, None]
+        turns, shifts = self._motions(unit, centres)
+        turn_rates = product(change, inverse(self.rest.rotations[0]))
+        spins = 2.0 * product(turn_rates, inverse(turns))[:, 1:]
+        carried = turned(rotations_of(turns), self.rest.centres[0])
+        shift_rates = centre_rates - np.cross(spins, carried)
+        dual = product(_pure(shift_rates), turns) + product(_pure(shifts), turn_rates)
+        return np.concatenate([turn_rates, 0.5 * dual], axis=1) * self._signs(turns)
+
+
+def rest_poses(rotations: Float, centres: Float) -> Poses:
+    """Return poses of one frame, from rotation matrices ``(p, 3, 3)`` and centres ``(p, 3)``."""
+    return Poses(quaternions(rotations)[None], centres[None])
+
+
+def _pure(vectors: Float) -> Float:
+    return np.pad(vectors, ((0, 0), (1, 0)))
