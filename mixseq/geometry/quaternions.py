@@ -73,7 +73,7 @@ def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
     Examples
     --------
     >>> quarter = np.array([0.0, -1.0, 0.0, 0.0])  # half a turn about x
-    >>> powers(quarter, np.array(0.5)).round(3).tolist()
+    >>> (powers(quarter, np.array(0.5)).round(3) + 0.0).tolist()
     [0.707, 0.707, 0.0, 0.0]
     """
     q = np.asarray(quaternions, dtype=np.float64)
@@ -83,6 +83,18 @@ def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
     # sin(c h) / sin h, which is c for small angles h.
     ratio = np.where(sine > 1e-12, np.sin(exponents * half) / np.where(sine > 1e-12, sine, 1.0), exponents)
     return np.concatenate([np.cos(exponents * half)[..., None], ratio[..., None] * q[..., 1:]], axis=-1)
+
+
+def exponentials(vectors: FloatArray) -> Float:
+    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``: a whole turn more changes the sign.
+
+    Examples
+    --------
+    >>> exponentials(np.array([[np.pi / 2, 0, 0], [2 * np.pi, 0, 0]])).round(3).tolist()
+    [[0.707, 0.707, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]]
+    """
+    half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
+    return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * vectors], axis=-1)
 
 
 def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:

@@ -8,9 +8,9 @@ time, :math:`\tau(t)`, turns being unwrapped rotation vectors. An edit changes t
     \tau' = \bar\tau + \text{gain}\, (\tau - \bar\tau), \qquad
     \tau' = \tau + w(t)\, (\tau(t_0) - \tau),
 
-and the part moves so in its joint, with all that hangs on it as one body. Lengths and angles in the joints between
-limb and body are changed by the same formula, so that the skin follows. All else stays as it is. As these are no
-cubic splines, the signals are splines through as many points as it takes.
+and the part moves so in its joint, with all that hangs on it as one body. Between limb and body the skin follows the
+poses of both; what else its shape does in a joint is changed by the same formula. All else stays as it is. As these
+are no cubic splines, the signals are splines through as many points as it takes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.limbs import Limb, limb_of
-from mixseq.operations.passes import continued, snapped
+from mixseq.operations.passes import snapped
 from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, sites_of
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.operations.sculpt import smoothstep
@@ -38,9 +38,6 @@ Change = Callable[[Float, Float], Float]
 
 ACCURACY = 1e-5
 """Largest error of signals between sites, in diagonals."""
-
-SHORTEST = 0.25
-"""An edge keeps this fraction of its length, whatever the gain."""
 
 NEGLIGIBLE = 1e-3
 """Modes of a part and its joints below this fraction of the largest are left out where it is held."""
@@ -64,7 +61,8 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     Raises
     ------
     SettingsError
-        If the model has no linked parts, the part is none of them or hangs on no other, or the gain is not finite.
+        If the parts of the model have no poses of their own, the part is none of them or hangs on no other, or the
+        gain is not finite.
     """
     limb = limb_of(model, part)
     check_gain(gain)
@@ -94,7 +92,8 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
     Raises
     ------
     SettingsError
-        If the model has no linked parts, the part is none of them or hangs on no other, or a time is out of range.
+        If the parts of the model have no poses of their own, the part is none of them or hangs on no other, or a time
+        is out of range.
     """
     limb = limb_of(model, part)
     time, start, end = snapped(model, time), snapped(model, start, "start"), snapped(model, end, "end")
@@ -128,7 +127,7 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
     return replace(
         wider,
         time=_spliced(wider, wider.time, signal),
-        placement=_spliced(wider, model.placement, placement, True),
+        placement=_spliced(wider, model.placement, placement),
     )
 
 
@@ -151,11 +150,10 @@ def _sites(model: Model, start: float, end: float, knots: Float | None = None) -
     return sites_of(np.array([start, end]), between(inner, start, end))
 
 
-def _spliced(model: Model, curve: Curve, inside: Curve, placement: bool = False) -> Curve:
+def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:
     """Return a signal of the model, over its time, with another curve instead while that lasts.
 
-    They meet but for the error of interpolation, which `inside` takes up in its first and last interval, and, in a
-    placement, for whole turns of rotation vectors.
+    They meet but for the error of interpolation, which `inside` takes up in its first and last interval.
     """
     first, last = inside.start, inside.end
     if first == last:
@@ -165,9 +163,7 @@ def _spliced(model: Model, curve: Curve, inside: Curve, placement: bool = False)
         pieces.insert(0, Piece(curve, model.start, first))
         fades.append(Fade(inside.times[2] - first, share=0.0))
     if last < model.end:
-        rest = Piece(curve, last, model.end)
-        after = continued(model.space, rest, inside([last])[0]) if placement else curve
-        pieces.append(Piece(after, last, model.end))
+        pieces.append(Piece(curve, last, model.end))
         fades.append(Fade(last - inside.times[-3], share=1.0))
     return join(pieces, fades)
 
@@ -176,18 +172,12 @@ def _spliced(model: Model, curve: Curve, inside: Curve, placement: bool = False)
 
 
 def _scaled_joint(model: Model, limb: Limb, gain: float) -> Float:
-    """Return the key shapes ``(K, S + O)`` with what joints of the limb are beyond their mean scaled.
-
-    As far as edges keep some of their length, in all frames.
-    """
+    """Return the key shapes ``(K, S)`` with what joints of the limb are beyond their mean scaled."""
     share = limb.joint()
-    joint, edges = np.flatnonzero(share), np.flatnonzero(share[: limb.space.sizes[0]])
-    shapes, change = model.shapes.copy(), (gain - 1.0) * share[joint]
-    frames = model.pose.weights(model.time(model.times)) @ shapes[:, joint]
-    mean, lengths = frames.mean(axis=0), slice(len(edges))
-    shrunk = np.maximum((change * (mean - frames))[:, lengths], np.finfo(np.float64).tiny)
-    change[lengths] *= ((1.0 - SHORTEST) * frames[:, lengths] / shrunk).min(axis=0, initial=1.0)
-    shapes[:, joint] += change * (shapes[:, joint] - mean)
+    joint = np.flatnonzero(share)
+    shapes = model.shapes.copy()
+    mean = (model.pose.weights(model.time(model.times)) @ shapes[:, joint]).mean(axis=0)
+    shapes[:, joint] += (gain - 1.0) * share[joint] * (shapes[:, joint] - mean)
     return shapes
 
 

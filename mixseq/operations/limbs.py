@@ -8,7 +8,8 @@ which is p in either part's coordinates,
 .. math:: R_i^T R_j = \bar Q \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i .
 
 Another stance moves the part, from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
-:math:`x \to R' R^T (x - t) + t'`.
+:math:`x \to R' R^T (x - t) + t'`. Turns are unwrapped along the knots of a placement, so whole turns count; quaternions
+follow from turns, :math:`\exp(\tau') \exp(\tau)^{-1}`, so that their signs do not jump however far apart times are.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import continued, normalised, product, quaternions, rotations_of
-from mixseq.geometry.rotations import continuous_vectors, matrices
+from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
+from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import continuous_vectors
 from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -69,40 +71,39 @@ class Limb:
 
     @cached_property
     def _rest(self) -> Float:
-        """How the part is turned against its parent in the reference frame ``(3, 3)``."""
-        rest = rotations_of(self.space.frames.rest.rotations[0])
-        return np.asarray(rest[self.parent].T @ rest[self.part])
+        """How the part is turned against its parent in the reference frame: a quaternion ``(4,)``."""
+        rest = self.space.frames.rest.rotations[0]
+        return product(inverse(rest[self.parent]), rest[self.part])
 
     def stance(self, placement: Curve, times: Float) -> Float:
-        """Return turns and gaps ``(N, 6)`` of the limb in a placement at times ``(N,)``, turns unwrapped."""
-        rotations, centres = self._poses(placement, times)
+        """Return turns and gaps ``(N, 6)`` of the limb in a placement at times ``(N,)``, turns unwrapped.
+
+        The first knot of the placement has the shortest turn, whatever the times.
+        """
+        known, asked = np.unique(np.concatenate([placement.times, times]), return_inverse=True)
+        poses = self.space.poses(placement(known))
         near, far = self._pivots
-        back = _transposed(rotations[:, self.parent])
-        turns = continuous_vectors(self._rest.T @ back @ rotations[:, self.part])
-        pivots = rotations[:, self.part] @ far + centres[:, self.part]
-        gaps = _applied(back, pivots - centres[:, self.parent]) - near
-        return np.concatenate([turns, gaps], axis=1)
+        rotations = rotations_of(poses.rotations)
+        back = np.swapaxes(rotations[:, self.parent], -1, -2)
+        turns = continuous_vectors(rotations_of(self._rest).T @ back @ rotations[:, self.part])
+        pivots = rotations[:, self.part] @ far + poses.centres[:, self.part]
+        gaps = turned(back, pivots - poses.centres[:, self.parent]) - near
+        return np.concatenate([turns, gaps], axis=1)[asked[len(placement.times) :]]
 
     def moved(self, placement: Curve, times: Float, stance: Float) -> Float:
-        """Return placements ``(N, P)`` at increasing times with another stance ``(N, 6)`` of the limb."""
-        rotations, centres = self._poses(placement, times)
-        (near, far), base = self._pivots, rotations[:, self.parent]
-        turned = base @ self._rest @ matrices(stance[:, :3])
-        place = _applied(base, near + stance[:, 3:]) + centres[:, self.parent] - turned @ far
-        turn = turned @ _transposed(rotations[:, self.part])
+        """Return placements ``(N, P)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb."""
+        before, poses = self.stance(placement, times), self.space.poses(placement(times))
+        near, far = self._pivots
+        base = product(normalised(poses.rotations[:, self.parent]), self._rest)
+        change = product(exponentials(stance[:, :3]), inverse(exponentials(before[:, :3])))
+        turn = product(product(base, change), inverse(base))
+        rotations, centres = poses.rotations.copy(), poses.centres.copy()
+        rotations[:, self.parts] = product(turn[:, None], rotations[:, self.parts])
+        parent, part = (rotations_of(rotations[:, which]) for which in (self.parent, self.part))
+        place = turned(parent, near + stance[:, 3:]) + centres[:, self.parent] - part @ far
         away = centres[:, self.parts] - centres[:, [self.part]]
-        poses = self.space.poses(placement(times))
-        turns = poses.rotations.copy()
-        turns[:, self.parts] = continued(
-            product(quaternions(turn)[:, None], normalised(turns[:, self.parts])), turns[0, self.parts]
-        )
-        centres[:, self.parts] = _applied(turn[:, None], away) + place[:, None]
-        return self.space.placements(Poses(turns, centres))
-
-    def _poses(self, placement: Curve, times: Float) -> tuple[Float, Float]:
-        """Rotations ``(N, p, 3, 3)`` and centres ``(N, p, 3)``."""
-        poses = self.space.poses(placement(times))
-        return rotations_of(poses.rotations), poses.centres.copy()
+        centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
+        return self.space.placements(Poses(rotations, centres))
 
     def joint(self) -> Float:
         """Return how much ``(S,)`` coordinates of key shapes belong to the joints between limb and body.
@@ -147,7 +148,7 @@ def limb_of(model: Model, part: int) -> Limb:
     Raises
     ------
     SettingsError
-        If the model has no linked parts, the part is none of them, or hangs on no other.
+        If the parts of the model have no poses of their own, the part is none of them, or hangs on no other.
     """
     space, count = model.space, len(model.decomposition.parts)
     if not isinstance(space, AnchoredSpace):
@@ -185,11 +186,3 @@ def parents(space: AnchoredSpace) -> Index:
             result[order[1:]] = above[order[1:]]
             reached[order] = True
     return result
-
-
-def _transposed(rotations: Float) -> Float:
-    return np.swapaxes(rotations, -1, -2)
-
-
-def _applied(rotations: Float, vectors: Float) -> Float:
-    return np.asarray(np.einsum("...ij,...j->...i", rotations, vectors))

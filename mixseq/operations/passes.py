@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.quaternions import normalised
 from mixseq.operations.pieces import Fade, Piece, between, join, moved
 from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.mixed import AnchoredSpace
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -57,7 +59,7 @@ def affine(model: Model, scale: float, offset: float) -> Model:
 def concatenated(passes: Sequence[Pass], fades: Sequence[Fade]) -> Model:
     """Make one model of passes that follow each other, through models that share space, pose and shapes.
 
-    Quaternions go on from pass to pass with the nearest sign. The frames are those of the passes; where one
+    Quaternions go on from pass to pass with the signs nearest for a body. The frames are those of the passes; where one
     passes into the next it is the frame of the next, if there is any.
     """
     first = passes[0].model
@@ -100,6 +102,9 @@ def centre_columns(space: ShapeSpace) -> Index:
 def continued(space: ShapeSpace, piece: Piece, reference: Float) -> Curve:
     """Return a piece of a placement whose quaternions begin with the signs nearest to given ones: the same motion.
 
+    Parts of a body get one sign, so that they all go the same way round from one motion into the other, but for parts
+    that would go by more than two thirds of a turn.
+
     Parameters
     ----------
     space : ShapeSpace
@@ -111,7 +116,10 @@ def continued(space: ShapeSpace, piece: Piece, reference: Float) -> Curve:
     """
     curve, start, _ = piece
     here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
-    signs = np.where(np.einsum("gi,gi->g", here, before) < 0, -1.0, 1.0)
+    bodies = space.frames.bodies if isinstance(space, AnchoredSpace) else np.arange(space.rotation_count)
+    cosines = np.einsum("gi,gi->g", normalised(here), normalised(before))
+    together = np.bincount(bodies, cosines)[bodies]
+    signs = np.where(np.where(np.abs(cosines) > 0.5, cosines, together) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return curve
     turns, centres = space.poses(curve.values)

@@ -43,9 +43,13 @@ def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, 
     return Curve(sites, function(sites))
 
 
-def shape_measure(model: Model) -> Measure:
-    """Return how long steps ``(N, k)`` in pose space are ``(N,)``: root mean square over the vertices, in diagonals."""
-    shapes, metric = model.shapes, model.space.shape_weights
+def shape_measure(model: Model, metric: Float | None = None) -> Measure:
+    """Return how long steps ``(N, k)`` in pose space are ``(N,)``: root mean square over the vertices, in diagonals.
+
+    With the weights of the space, or with others ``(S,)``.
+    """
+    shapes = model.shapes
+    metric = model.space.shape_weights if metric is None else metric
     steps = model.pose.matrix @ (shapes - shapes[0]) * metric
     gram = steps @ steps.T / model.header.vertex_count
     return lambda changes: np.sqrt(np.maximum(np.einsum("na,ab,nb->n", changes, gram, changes), 0.0))

@@ -107,7 +107,7 @@ def _check(where: Where, start: float | None, end: float | None, radius: float |
 
 
 def _added(model: Model, difference: Float, weight: Curve) -> Model:
-    """Add so much of a difference ``(S + O,)`` as the weight says, whose sites hold those of the time signal."""
+    """Add so much of a difference ``(S,)`` as the weight says, whose sites hold those of the time signal."""
     row = np.zeros((1, len(model.shapes) + 1))
     row[0, 0], row[0, -1] = -1.0, 1.0
     sites = weight.times
@@ -147,7 +147,8 @@ def _window(model: Model, time: float, start: float | None, end: float | None) -
 
 
 def _similar(model: Model, time: float, radius: float) -> Curve:
-    length, here = shape_measure(model), model.time([time])
+    length = shape_measure(model, model.space.layout_weights)
+    here = model.time([time])
     sites = _sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
     scale = radius * float(length(model.time(refined(sites, 4)) - here).max(initial=0.0))
     if scale == 0:

@@ -107,7 +107,7 @@ def repeat(
 def loop(model: Model, fade: float | None = None) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
-    The last frame is the first one again. A part that turned by whole turns ends as many turns further on.
+    The last frame is the first one again. A part that turned by whole turns turns on.
 
     Parameters
     ----------

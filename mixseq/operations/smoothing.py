@@ -8,20 +8,27 @@ and answers a sine of angular frequency :math:`\omega` with the gain :math:`1 / 
 halved at the period P for
 
 .. math:: \lambda = (\sqrt 2 - 1)\, (P / 2 \pi)^4 .
+
+Lines stay as they are. What a line is for other numbers a steady turn is for rotations, :math:`\exp(\omega t)\, R`,
+with the mean :math:`\omega` of angular velocities: quaternions are smoothed as seen from it.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
+from mixseq.geometry.rotations import vectors
 from mixseq.operations.pieces import between, sites_of
+from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
+from mixseq.spaces.base import ShapeSpace
 
 Float = NDArray[np.float64]
 
@@ -55,13 +62,52 @@ def smooth(model: Model, seconds: float) -> Model:
     return replace(
         model,
         time=smoothed(model.time, model.times, seconds),
-        placement=smoothed(model.placement, model.times, seconds),
+        placement=smoothed(
+            model.placement, model.times, seconds, SteadyTurn.of(model.space, model.placement)
+        ),
         corrections=None,  # they would bring back some of what is smoothed
     )
 
 
-def smoothed(curve: Curve, frames: Float, seconds: float) -> Curve:
-    """Smooth a curve by what it is at its knots and at the frames ``(T,)``."""
+@dataclass(frozen=True, eq=False)
+class SteadyTurn:
+    """How the r rotations of placements turn on the whole.
+
+    Attributes
+    ----------
+    space : ShapeSpace
+        The space of the placements.
+    rates : (r, 3) float64
+        Mean angular velocities, in radians per second.
+    """
+
+    space: ShapeSpace
+    rates: Float
+
+    @classmethod
+    def of(cls, space: ShapeSpace, placement: Curve) -> SteadyTurn:
+        """Find how a placement turns, by what it does from knot to knot."""
+        turns = normalised(space.poses(placement.values).rotations)
+        steps = vectors(rotations_of(product(turns[1:], inverse(turns[:-1]))))
+        lasting = placement.end - placement.start
+        return cls(space, steps.sum(axis=0) / (lasting if lasting > 0 else 1.0))
+
+    def without(self, times: Float, placements: Float) -> Float:
+        """Return placements ``(N, P)`` at times ``(N,)`` as they are without it."""
+        return self._turned(times, placements, -1.0)
+
+    def again(self, times: Float, placements: Float) -> Float:
+        """Return placements ``(N, P)`` at times ``(N,)`` with it; the inverse of `without`."""
+        return self._turned(times, placements, 1.0)
+
+    def _turned(self, times: Float, placements: Float, sign: float) -> Float:
+        turns, centres = self.space.poses(placements)
+        steady = exponentials(sign * times[:, None, None] * self.rates)
+        return self.space.placements(Poses(product(steady, turns), centres))
+
+
+def smoothed(curve: Curve, frames: Float, seconds: float, steady: SteadyTurn | None = None) -> Curve:
+    """Smooth a curve by what it is at its knots and at the frames ``(T,)``; a placement but for a steady turn."""
     ends = np.array([curve.start, curve.end])
     inner = np.concatenate([curve.times, frames])
     times = np.union1d(ends, between(inner, *ends))
@@ -76,10 +122,12 @@ def smoothed(curve: Curve, frames: Float, seconds: float) -> Curve:
     # The unit of time is the mean step, for the sake of the digits.
     unit = float(steps.mean())
     strength = (np.sqrt(2.0) - 1.0) * min(seconds / unit / (2.0 * np.pi), LONGEST) ** 4
-    line, values = _line(times, curve(times), lasting), curve(times)
+    values = curve(times) if steady is None else steady.without(times, curve(times))
+    line = _line(times, values, lasting)
     spline = make_smoothing_spline(times / unit, values - line(times), lasting / unit, strength)
     sites = sites_of(ends, times[1:-1])
-    return Curve(sites, line(sites) + np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim))
+    result = line(sites) + np.asarray(spline(sites / unit)).reshape(len(sites), curve.dim)
+    return Curve(sites, result if steady is None else steady.again(sites, result))
 
 
 def _line(times: Float, values: Float, weights: Float) -> Curve:

@@ -2,20 +2,23 @@ r"""From one motion into another: concatenation, transitions, blends.
 
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
-for all signals, placements too. In a transition the weight is the step :math:`w = 6x^5 - 15x^4 + 10x^3`, which is
-two times continuously differentiable. Weight times signal is no cubic spline; there, and only there, the result is
-the spline through many points.
+for all signals but rotations, which go along the turn from one to the other, parts in their joints
+(`mixseq.operations.means`). In a transition the weight is the step
+:math:`w = 6x^5 - 15x^4 + 10x^3`, which is two times continuously differentiable. Weight times signal is no cubic
+spline; there, and only there, the result is the spline through many points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.operations.means import mean, mean_placements
 from mixseq.operations.passes import (
     DENSE,
     SLACK,
@@ -191,16 +194,15 @@ def _mix(
     start, end = ends
     goes_on = continued(a.space, Piece(b.placement, start, end), a.placement([start])[0])
 
-    def mixed(one: Curve, other: Curve) -> Curve:
+    def mixed(one: Curve, other: Curve, means: Callable[[Float, Float, Float], Float]) -> Curve:
         inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
         sites = refined(sites_of(np.array(ends), between(np.concatenate(inner), start, end)), parts)
-        share = weight(sites)
-        return Curve(sites, (1.0 - share) * one(sites) + share * other(sites))
+        return Curve(sites, means(one(sites), other(sites), weight(sites)))
 
     return replace(
         a,
         header=a.header.with_times(frames_of([Pass(a, start, end)])),
-        time=mixed(a.time, b.time),
-        placement=mixed(a.placement, goes_on),
+        time=mixed(a.time, b.time, mean),
+        placement=mixed(a.placement, goes_on, partial(mean_placements, a.space)),
         corrections=None,
     )

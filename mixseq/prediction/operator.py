@@ -7,11 +7,15 @@ What a quantity y is at a time t is predicted from what it is at the frames, :ma
 
 of frames at a distance d, in mean steps between frames. It passes through the frames, and is the cubic spline with
 natural ends in the limit of large lengths :math:`\ell`. Shorter ones keep it from overshooting where frames are sparse.
-Every inner frame is predicted from the others; the length with the smallest sum of squared errors e is taken. Where
-frames are dense the usual cubic spline, which is one cubic at either end, is as good or better. So it has a share in
-the result,
+Every inner frame is predicted from the others; the length with the smallest sum of squared errors is taken.
 
-.. math:: \min\bigl(1/2,\; e^4 / (e^4 + e_\text{cubic}^4)\bigr) .
+What happens at the ends nobody knows. Natural ends are straight, which is right for a motion that goes on and wrong
+for one that starts from rest. So in the first and the last interval the usual cubic spline, which is one cubic there,
+has a share,
+
+.. math:: \frac{e^4}{e^4 + e_\text{cubic}^4},
+
+by the errors e with which kriging, and it, predict the frame next to that end when that is left out.
 
 A frame that is far away has next to no weight, so that only the nearest `WINDOW` frames are looked at.
 """
@@ -19,6 +23,7 @@ A frame that is far away has next to no weight, so that only the nearest `WINDOW
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +32,7 @@ from scipy.interpolate import CubicSpline
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Ends = Literal["natural", "not-a-knot"]
 
 LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
 """Lengths to choose from, in mean steps between frames."""
@@ -76,13 +82,13 @@ class Operator:
         Times of the frames, increasing.
     length : float
         Length of the covariance in mean steps, infinite for the natural cubic spline.
-    cubic : float
-        Share of the usual cubic spline.
+    cubic : (float, float)
+        Shares of the usual cubic spline in the first and in the last interval.
     """
 
     times: Float
     length: float = np.inf
-    cubic: float = 0.5
+    cubic: tuple[float, float] = (0.5, 0.5)
 
     def at(self, times: Float) -> Rows:
         """Return the weights of the frames at times ``(N,)``; at a frame that frame has the weight one."""
@@ -92,41 +98,51 @@ class Operator:
         frames = starts[:, None] + np.arange(size)
         return Rows(frames, self._weights(times, frames), len(self.times))
 
-    def left_out(self) -> tuple[Index, Rows]:
-        """Return inner frames ``(n,)``, evenly spread, and the weights of the others at their times."""
+    def left_out(self, cubic: bool = False) -> tuple[Index, Rows]:
+        """Return inner frames ``(n,)``, evenly spread, and the weights of the others at their times.
+
+        Either by kriging alone, or by the usual cubic spline.
+        """
         inner = np.arange(1, len(self.times) - 1)
         left = inner[np.unique(np.linspace(0, len(inner) - 1, min(len(inner), LEFT_OUT)).round().astype(int))]
         size = min(WINDOW, len(self.times) - 1)
         starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
         frames = starts[:, None] + np.arange(size)
         frames += frames >= left[:, None]
-        return left, Rows(frames, self._weights(self.times[left], frames), len(self.times))
+        return left, Rows(frames, self._solved(self.times[left], frames, cubic), len(self.times))
 
     def _weights(self, times: Float, frames: Index) -> Float:
         """Weights ``(N, m)`` of frames ``(N, m)`` at times ``(N,)``."""
-        step = (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1) or 1.0
-        weights = np.zeros(frames.shape)
+        weights = self._solved(times, frames, cubic=False)
+        inner = self.times[1:-1]
+        if len(inner):
+            for share, rows in zip(self.cubic, (times < inner[0], times > inner[-1]), strict=True):
+                if share and rows.any():
+                    usual = self._solved(times[rows], frames[rows], cubic=True)
+                    weights[rows] = (1.0 - share) * weights[rows] + share * usual
         hit = self.times[frames] == times[:, None]
         known = hit.any(axis=1)
         weights[known] = hit[known]
-        rows = np.flatnonzero(~known)
-        # Frames in the same window share a system.
-        for window in np.split(rows, np.flatnonzero((np.diff(frames[rows], axis=0) != 0).any(axis=1)) + 1):
-            if len(window):
-                at = self.times[frames[window[0]]] / step
-                weights[window] = self._solved(at - at[0], times[window] / step - at[0])
         return weights
 
-    def _solved(self, knots: Float, times: Float) -> Float:
-        """Weights ``(N, m)`` of knots ``(m,)`` at times ``(N,)``, both in mean steps."""
-        if len(knots) == 1:
-            return np.ones((len(times), 1))
-        kriging = (
-            _kriging(knots, times, self.length)
-            if np.isfinite(self.length)
-            else _spline(knots, times, "natural")
-        )
-        return (1.0 - self.cubic) * kriging + self.cubic * _spline(knots, times, "not-a-knot")
+    def _solved(self, times: Float, frames: Index, cubic: bool) -> Float:
+        """Weights ``(N, m)`` of frames ``(N, m)`` at times ``(N,)``, by kriging or by the usual cubic spline."""
+        step = (self.times[-1] - self.times[0]) / max(len(self.times) - 1, 1) or 1.0
+        weights = np.ones(frames.shape)
+        if frames.shape[1] == 1:
+            return weights
+        # Times that see the same frames share a system.
+        for some in np.split(
+            np.arange(len(times)), np.flatnonzero((np.diff(frames, axis=0) != 0).any(axis=1)) + 1
+        ):
+            if len(some):
+                knots = self.times[frames[some[0]]]
+                at, wanted = (knots - knots[0]) / step, (times[some] - knots[0]) / step
+                if cubic or np.isinf(self.length):
+                    weights[some] = _spline(at, wanted, "not-a-knot" if cubic else "natural")
+                else:
+                    weights[some] = _kriging(at, wanted, self.length)
+        return weights
 
 
 def chosen(times: Float, samples: Float) -> Operator:
@@ -142,14 +158,18 @@ def chosen(times: Float, samples: Float) -> Operator:
     if len(times) < 4:
         return Operator(times)
 
-    def error(length: float, cubic: float) -> float:
-        left, rows = Operator(times, length, cubic).left_out()
-        return float(np.square(rows.of(samples) - samples[left]).sum())
+    def errors(length: float, cubic: bool = False) -> Float:
+        left, rows = Operator(times, length).left_out(cubic)
+        return np.asarray(np.square(rows.of(samples) - samples[left]).sum(axis=1))
 
-    errors = [error(length, 0.0) for length in LENGTHS]
-    best = int(np.argmin(errors))
-    worse = error(np.inf, 1.0) / errors[best] if errors[best] > 0 else 1.0
-    return Operator(times, LENGTHS[best], min(0.5, 1.0 / (1.0 + worse**4)))
+    kriging = [errors(length) for length in LENGTHS]
+    best = int(np.argmin([each.sum() for each in kriging]))
+    usual = errors(np.inf, cubic=True)
+    shares = []
+    for end in (0, -1):
+        ours, others = kriging[best][end] ** 2, usual[end] ** 2
+        shares.append(float(ours / (ours + others)) if ours + others > 0 else 0.5)
+    return Operator(times, LENGTHS[best], (shares[0], shares[1]))
 
 
 def with_middles(times: Float) -> Float:
@@ -159,7 +179,7 @@ def with_middles(times: Float) -> Float:
     return both
 
 
-def _spline(knots: Float, times: Float, ends: str) -> Float:
+def _spline(knots: Float, times: Float, ends: Ends) -> Float:
     return np.asarray(CubicSpline(knots, np.eye(len(knots)), bc_type=ends)(times))
 
 

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.quaternions import continued
 from mixseq.mapping import OrderedMap, serially
 from mixseq.prediction.operator import chosen, with_middles
+from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
@@ -141,7 +143,9 @@ def encode(
         shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], seen
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
-    return Encoded(sequence.header, space, shapes, placement, samples, pose)
+    turns, centres = space.poses(placement)
+    steady = space.placements(Poses(continued(turns), centres))  # what is interpolated in time must not jump
+    return Encoded(sequence.header, space, shapes, steady, samples, pose)
 
 
 def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:

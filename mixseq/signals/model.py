@@ -340,7 +340,7 @@ class Model(Remade):
     @cached_property
     def plane(self) -> Plane:
         """The plane of `layout`."""
-        return plane(self.time(self.times), self.pose, self.shapes, self.space.shape_weights)
+        return plane(self.time(self.times), self.pose, self.shapes, self.space.layout_weights)
 
     def known(self, plane: Plane) -> Plane:
         """Return a plane as it is, if it can be one of this model.

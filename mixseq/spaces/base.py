@@ -60,6 +60,11 @@ class ShapeSpace(Remade, ABC):
         return self.weights[: self.shape_dim]
 
     @property
+    def layout_weights(self) -> Float:
+        """Weights ``(S,)`` of the same where poses are to be told apart: in layouts, and where shapes are similar."""
+        return self.shape_weights
+
+    @property
     def rotation_count(self) -> int:
         """How many quaternions a placement begins with."""
         return 0
@@ -77,7 +82,10 @@ class ShapeSpace(Remade, ABC):
     def poses(self, placements: Float) -> Poses:
         """Return quaternions and centres of placements ``(T, placement_dim)``."""
         turns, centres = np.split(placements, [4 * self.rotation_count], axis=1)
-        return Poses(turns.reshape(len(turns), -1, 4), centres.reshape(len(turns), -1, 3))
+        count = len(placements)
+        return Poses(
+            turns.reshape(count, self.rotation_count, 4), centres.reshape(count, self.centre_count, 3)
+        )
 
     def placements(self, poses: Poses) -> Float:
         """Return the placements ``(T, placement_dim)`` of quaternions and centres; the inverse of `poses`."""

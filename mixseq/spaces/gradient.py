@@ -209,7 +209,9 @@ class GradientSpace(ShapeSpace):
         count, faces = len(vectors), len(self.topology.faces)
         turns, stretches, centres = np.split(vectors, [3 * faces, 9 * faces], axis=1)
         return Gradients(
-            turns.reshape(count, -1, 3), stretches.reshape(count, -1, 6), centres.reshape(count, -1, 3)
+            turns.reshape(count, faces, 3),
+            stretches.reshape(count, faces, 6),
+            centres.reshape(count, len(self.pieces), 3),
         )
 
     def join(self, blocks: Gradients) -> Float:

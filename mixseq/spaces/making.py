@@ -110,6 +110,10 @@ def check_space(name: SpaceName, settings: SpaceSettings, usual: SpaceSettings) 
             raise SettingsError(
                 f"the {name} space has no use for {setting}; leave it out, or choose {others}"
             )
+    if name == "mixed" and settings.placement == "anchored" and settings.shell is not usual.shell:
+        raise SettingsError(
+            "the anchored placement has no use for shell; leave it out, or choose placement='free'"
+        )
 
 
 def make_space(

@@ -155,10 +155,10 @@ def test_encode(run: Run, bent_bar: MeshSequence) -> None:
     text = succeed(run("encode", "bar.npz", "new.h5", "--check"))
     table = rows(text)
     assert table["placement"].strip() == "anchored"
-    assert float(table["max error"].split()[0]) < 1e-12
+    assert float(table["max error"].split()[0]) <= 5e-4  # the promise, lossless to the eye
     assert "KG error" in table
     assert text.splitlines()[-1].startswith("wrote new.h5 (")
-    assert mixseq.compare(bent_bar, mixseq.load("new.h5").sample()).max_error < 1e-12
+    assert mixseq.compare(bent_bar, mixseq.load("new.h5").sample()).max_error <= 5e-4
 
 
 def test_encode_with_settings(run: Run) -> None:

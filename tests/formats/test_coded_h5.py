@@ -573,7 +573,9 @@ def test_the_golden_file_still_decodes_to_the_same_points() -> None:
     model = mixseq.load(path)
     np.testing.assert_array_equal(model.times, times)
     np.testing.assert_allclose(model.sample().points, points, atol=1e-9)
-    np.testing.assert_allclose(model.sample(between_times).points, between, atol=1e-9)
+    # Tracks were splines through the frames, and are predicted by the operator that predicts frames best now. Vertices
+    # tremble by 0.01 from frame to frame, which nobody can predict.
+    np.testing.assert_allclose(model.sample(between_times).points, between, atol=0.02)
     coded = read_coded(path)
     assert len(coded.fields) > 1
     assert len(coded.chunks) > 1

@@ -9,10 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.operations import smooth
+from mixseq.operations import repeat, smooth
 from mixseq.operations.smoothing import smoothed
-from mixseq.signals import Curve
-from tests.operations.motions import bar_motion, jumps, signals
+from mixseq.sequence import MeshSequence
+from mixseq.signals import Curve, fit
+from tests.meshes import tube
+from tests.operations.motions import CIRCLE, bar_motion, jumps, signals, spin, spinning
 
 Float = NDArray[np.float64]
 
@@ -98,5 +100,21 @@ def test_refusals() -> None:
     for seconds in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(SettingsError, match=r"seconds is .*; a positive period is expected"):
             smooth(bar_motion(), seconds)
-    with pytest.raises(SettingsError, match="4 frames and knots cannot be smoothed; 5 or more are needed"):
-        smooth(bar_motion(frames=4), 0.1)
+    with pytest.raises(SettingsError, match="3 frames and knots cannot be smoothed; 5 or more are needed"):
+        smooth(bar_motion(frames=2), 0.1)  # and the middle between them
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0, 10.0, 1e6])
+def test_a_steady_turn_stays_whatever_the_period(seconds: float) -> None:
+    calm = smooth(repeat(spin(), 0, 1, 3), seconds)
+    times = np.linspace(0, 3, 73)
+    np.testing.assert_allclose(calm.sample(times).points, spinning(2 * np.pi * times), atol=CIRCLE)
+
+
+def test_a_body_that_shakes_as_it_turns_turns_steadily() -> None:
+    angles = np.radians(np.arange(0, 1081, 15.0))
+    shaken = spinning(angles + 0.3 * (-1.0) ** np.arange(len(angles)))
+    model = fit(MeshSequence.from_arrays(shaken, tube(5, 4)[1], fps=24), exact=True, parts=1)
+    middle = slice(12, -12)  # half a second: near the ends less is certain
+    found = smooth(model, 0.5).sample().points
+    np.testing.assert_allclose(found[middle], spinning(angles)[middle], atol=0.01)

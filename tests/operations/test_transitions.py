@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,13 +11,17 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.operations import blend, concatenate, cut, into, reverse, shift, transition
+from mixseq.geometry.quaternions import rotations_of
+from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
+from mixseq.operations.means import mean_placements
 from mixseq.operations.sharing import together
+from mixseq.prediction.poses import Poses
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from mixseq.signals.fit import SpaceName
-from tests.meshes import bar, bending, tube
-from tests.operations.motions import bar_motion, jets, jumps, signals, spin, spinning
+from tests.meshes import bar, bending, rotation, tube
+from tests.operations.chains import chain, labels
+from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, signals, spin, spinning
 
 Float = NDArray[np.float64]
 SPACES: list[SpaceName] = ["mixed", "vertex"]
@@ -134,8 +140,15 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
         inside = np.linspace(at, at + duration, 200)
         weight = step((inside - at) / duration)[:, None]
         expected = (1 - weight) * before(inside) + weight * after(inside)
-        size = np.abs(expected).max(initial=1.0)
-        np.testing.assert_allclose(curve(inside) / size, expected / size, atol=1e-4)
+        if curve is over.placement:
+            found = over.space.poses(curve(inside))
+            means = over.space.poses(mean_placements(over.space, before(inside), after(inside), weight))
+            turns, others = (rotations_of(poses.rotations) for poses in (found, means))
+            np.testing.assert_allclose(turns, others, atol=1e-4)
+            np.testing.assert_allclose(found.centres, means.centres, atol=1e-4)
+        else:
+            size = np.abs(expected).max(initial=1.0)
+            np.testing.assert_allclose(curve(inside) / size, expected / size, atol=1e-4)
     points = over.sample([at, at + duration]).points
     np.testing.assert_allclose(points, [a(at), b(duration)], atol=1e-9)
 
@@ -160,7 +173,41 @@ def test_turns_go_on_in_a_transition() -> None:
     moments = np.linspace(0, 1.75, 85)
     weight = step(np.clip((moments - 0.75) / 0.25, 0, 1))
     angles = 2 * np.pi * (moments + 0.25 * weight)
-    np.testing.assert_allclose(over.sample(moments).points, spinning(angles), atol=1e-4)
+    np.testing.assert_allclose(over.sample(moments).points, spinning(angles), atol=CIRCLE)
+
+
+def negated(model: Model) -> Model:
+    """The same motion, its quaternions with the other sign."""
+    turns, centres = model.space.poses(model.placement.values)
+    values = model.space.placements(Poses(-turns, centres))
+    return replace(model, placement=Curve(model.placement.times, values))
+
+
+@pytest.mark.parametrize(
+    "edit", [concatenate, lambda a, b: transition(a, b, 0.2, 0.3), lambda a, b: blend(a, b, 0.4)]
+)
+def test_signs_of_quaternions_do_not_matter(edit: Callable[[Model, Model], Model]) -> None:
+    a, b = bar_motion(), reverse(bar_motion())
+    times = edit(a, b).times
+    np.testing.assert_allclose(
+        edit(a, negated(b)).sample(times).points, edit(a, b).sample(times).points, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("angle", [1.0, 2.0, np.pi])
+def test_parts_stay_together_however_a_body_turns(angle: float) -> None:
+    """From one motion into another that looks elsewhere: joints bend as if it looked the same way."""
+    model = chain()
+    edges = model.mixed.topology.edges
+
+    def lengths(angle: float) -> Float:
+        points = model.sample().points[::-1] @ rotation((0.0, 0.0, angle)).T
+        other = fit(MeshSequence.from_header(model.header, points), exact=True, parts=labels())
+        over = transition(model, into(other, model.space), 0.2, 0.6)
+        ends = over.sample(np.linspace(0.2, 0.8, 25)).points[:, edges]
+        return np.asarray(np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2))
+
+    np.testing.assert_allclose(lengths(angle), lengths(0.0), atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -208,6 +255,20 @@ def test_half_is_the_mean_of_the_vertices() -> None:
     mixed = blend(a, b, 0.5)
     for time in (0.0, 0.13, 0.4, 0.5):
         np.testing.assert_allclose(mixed(time), (a(time) + b(time)) / 2, atol=1e-10)
+
+
+@pytest.mark.parametrize("weight", [0.25, 0.5, 0.8])
+def test_a_body_that_spins_blends_with_one_at_rest(weight: float) -> None:
+    """Three turns, of which so many are left: there is no time at which quaternions cancel."""
+    spins = repeat(spin(), 0, 1, 3)
+    rest = Curve(
+        spins.placement.times, np.repeat(spins.placement.values[:1], len(spins.placement.times), axis=0)
+    )
+    mixed = blend(spins, replace(spins, placement=rest), weight)
+    times = np.linspace(0, 3, 73)
+    np.testing.assert_allclose(
+        mixed.sample(times).points, spinning(2 * np.pi * (1 - weight) * times), atol=CIRCLE
+    )
 
 
 def test_a_weight_over_time() -> None:

@@ -131,7 +131,7 @@ def test_coefficients_with_knots(model: Model, ax: Any) -> None:
         np.testing.assert_allclose(knots.get_ydata(), model.time.values[:, number])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "coordinate (diagonals)")
     legend = ax.get_legend()
-    assert legend.get_title().get_text() == "8 knots"
+    assert legend.get_title().get_text() == "15 knots"  # 8 frames, and the middles between them
     assert [text.get_text() for text in legend.get_texts()] == ["coordinate 1", "coordinate 2"]
 
 

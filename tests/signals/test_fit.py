@@ -11,6 +11,7 @@ from mixseq.segmentation import MotionSettings, segment_by_labels
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, SpaceName
+from mixseq.spaces.mixed import FreeSpace
 from mixseq.topology import Topology
 from tests.meshes import bar
 
@@ -69,8 +70,8 @@ def test_the_number_of_parts_is_used(parts: int) -> None:
 def test_placement_and_details_are_used() -> None:
     shell = ShellSettings(bending=0.7, iterations=9)
     model = fit(SMALL, placement="free", joint_width=2, shell=shell, motion=MotionSettings(bend=200.0))
-    assert model.mixed.placement == "free"
-    assert model.mixed.settings == shell
+    assert isinstance(model.space, FreeSpace)
+    assert (model.space.placement, model.space.settings) == ("free", shell)
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.quaternions import rotations_of
+from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from mixseq.spaces.mixed import PLACEMENTS, PlacementName
@@ -55,17 +57,36 @@ def test_few_frames(frames: int) -> None:
     np.testing.assert_allclose(twice.points[::2], small(frames).points, atol=1e-9)
 
 
-def test_between_two_frames_vectors_go_straight() -> None:
+def test_between_two_frames_shapes_go_straight() -> None:
     model = model_of(frames=2)
-    quarter = model.curve([0.025])[0]
-    np.testing.assert_allclose(quarter, 0.75 * model.vectors[0] + 0.25 * model.vectors[1], atol=1e-14)
+    count = model.space.shape_dim
+    quarter, (first, last) = model.curve([0.025])[0], model.vectors
+    np.testing.assert_allclose(quarter[:count], (0.75 * first + 0.25 * last)[:count], atol=1e-14)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize("uneven", [False, True])
+def test_middles_between_frames_are_predicted(placement: PlacementName, uneven: bool) -> None:
+    """Shapes and placements by the operator that predicts the vertices best: all of them, as the mesh is small."""
+    model, sequence = model_of(placement, uneven=uneven), small(5, UNEVEN if uneven else None)
+    operator = chosen(sequence.times, sequence.points.reshape(5, -1).astype(np.float64))
+    middles = (sequence.times[1:] + sequence.times[:-1]) / 2
+    shapes, placements = np.split(model.vectors, [model.space.shape_dim], axis=1)
+    found = np.split(model.curve(middles), [model.space.shape_dim], axis=1)
+    np.testing.assert_allclose(found[0], operator.at(middles).of(shapes), atol=1e-11)
+    expected = model.space.predicted_placements(operator, placements, middles)
+    np.testing.assert_allclose(
+        model.space.poses(found[1]).centres, model.space.poses(expected).centres, atol=1e-11
+    )
+    turns, others = (rotations_of(model.space.poses(each).rotations) for each in (found[1], expected))
+    np.testing.assert_allclose(turns, others, atol=1e-11)
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_between_frames_vectors_follow_the_cubic_spline(uneven: bool) -> None:
+def test_between_frames_and_middles_vectors_follow_the_cubic_spline(uneven: bool) -> None:
     model = model_of(uneven=uneven)
-    times = np.linspace(model.times[0], model.times[-1], 23)
-    expected = CubicSpline(model.times, model.vectors, bc_type="not-a-knot")(times)
+    times, knots = np.linspace(model.times[0], model.times[-1], 23), with_middles(model.times)
+    expected = CubicSpline(knots, model.curve(knots), bc_type="not-a-knot")(times)
     np.testing.assert_allclose(model.curve(times), expected, atol=1e-11)
 
 
@@ -163,7 +184,7 @@ def test_no_times_give_nothing() -> None:
 def test_repr_tells_what_it_is() -> None:
     model = model_of("free")
     assert repr(model) == (
-        f"Model('small': 0 to 0.4 s, 5 key shapes, mixed space of dim {model.space.dim}, 5 + 5 knots)"
+        f"Model('small': 0 to 0.4 s, 5 key shapes, mixed space of dim {model.space.dim}, 9 + 9 knots)"
     )
 
 

@@ -93,7 +93,8 @@ def test_fields_that_depend_on_each_other_are_no_harm() -> None:
 def test_it_is_a_space() -> None:
     assert SPACE.name == "basis"
     assert SPACE.dim == len(SPACE.weights) == 12
-    assert SPACE.placement_dim == SPACE.offset_dim == 0
+    assert SPACE.shape_dim == 12
+    assert SPACE.placement_dim == SPACE.rotation_count == SPACE.centre_count == 0
     assert not SPACE.fields.flags.writeable
     copy = pickle.loads(pickle.dumps(SPACE))
     np.testing.assert_array_equal(copy.decode(some_vectors(1)), SPACE.decode(some_vectors(1)))

@@ -226,7 +226,8 @@ def test_blocks_and_their_metric() -> None:
     points, faces = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]]), np.array([[0, 1, 2]])
     space = GradientSpace(Topology(faces, 4), 2.0, points)
     assert space.dim == 9 + 6
-    assert space.placement_dim == space.stored_placement_dim == 6
+    assert space.shape_dim == 9
+    assert (space.rotation_count, space.centre_count, space.placement_dim) == (0, 2, 6)
     blocks = space.split(space.encode(2 * points[None] * [1, 3, 1]))
     np.testing.assert_allclose(blocks.turns, [[[0, 0, 0]]], atol=1e-14)
     np.testing.assert_allclose(blocks.stretches[0, 0], np.array([1, 3, np.sqrt(3), 0, 0, 0]), atol=1e-14)

@@ -97,7 +97,7 @@ def test_coordinates_of_a_sheet() -> None:
     np.testing.assert_allclose(ends[:, :, 2], 0, atol=1e-14)
     lengths = np.linalg.norm(rows[space.edges[:, 1]] - rows[space.edges[:, 0]], axis=1)
     np.testing.assert_allclose(np.linalg.norm(ends, axis=2), np.stack([lengths, lengths], axis=1))
-    assert space.dim == 15 * len(space.topology.edges) + 6
+    assert space.dim == 15 * len(space.topology.edges) + 7
 
 
 @pytest.mark.parametrize(
@@ -151,11 +151,11 @@ def test_the_metric_is_in_diagonals() -> None:
     points, faces = np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]]), np.array([[0, 1, 2]])
     space = space_of(points[None], faces)
     weights = space.weights
-    assert weights.shape == (space.dim,) == (3 * 15 + 6,)
+    assert weights.shape == (space.dim,) == (3 * 15 + 7,)
     np.testing.assert_allclose(weights[:27], np.repeat([0.6, 0.8, 1.0], 9) * np.sqrt(0.5))
     np.testing.assert_allclose(weights[27:45], np.sqrt(0.5))
-    np.testing.assert_allclose(weights[45:48], space.pieces.radii[0])
-    np.testing.assert_allclose(weights[48:], 1)
+    np.testing.assert_allclose(weights[45:49], 2 * space.pieces.radii[0])
+    np.testing.assert_allclose(weights[49:], 1)
 
 
 def test_edges_of_repeated_corners_have_no_coordinates() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
+from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSpace, SpaceName, SpaceSettings, make_space
 from tests.meshes import bar, bending, tube
@@ -39,6 +40,35 @@ def test_spaces_can_be_sent(name: SpaceName) -> None:
     sent = pickle.loads(pickle.dumps(space))
     np.testing.assert_array_equal(sent.encode(LONG.points[:3]), vectors)
     np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_no_vectors_are_no_frames(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    assert space.decode(np.zeros((0, space.dim))).shape == (0, LONG.vertex_count, 3)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_a_vector_is_a_shape_and_a_placement(name: SpaceName) -> None:
+    space = make_space(LONG, name)
+    vectors = space.encode(LONG.points[:3])
+    assert space.dim == space.shape_dim + space.placement_dim == len(space.weights)
+    assert space.placement_dim == 4 * space.rotation_count + 3 * space.centre_count
+    np.testing.assert_array_equal(space.shape_weights, space.weights[: space.shape_dim])
+    placements = vectors[:, space.shape_dim :]
+    poses = space.poses(placements)
+    assert poses.rotations.shape == (3, space.rotation_count, 4)
+    assert poses.centres.shape == (3, space.centre_count, 3)
+    np.testing.assert_array_equal(space.placements(poses), placements)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_predicted_placements_pass_through_the_frames(name: SpaceName) -> None:
+    space, times = make_space(LONG, name), LONG.times
+    placements = space.encode(LONG.points)[:, space.shape_dim :]
+    found = space.predicted_placements(Operator(times, 2.0), placements, with_middles(times))
+    assert found.shape == (2 * len(times) - 1, space.placement_dim)
+    np.testing.assert_allclose(found[::2], placements, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", SPACES)

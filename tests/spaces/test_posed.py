@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.errors import SettingsError
+from mixseq.prediction.operator import Operator
 from mixseq.spaces.posed import PosedSpace
 from mixseq.topology import Topology
 from tests.meshes import Float, rigid_motions, rotation, tetrahedron
@@ -36,12 +37,37 @@ SPACE = Sizes(Topology(FACES, 4), 2.0, POINTS / 2.0)
 
 
 def test_a_vector_is_shape_rotation_and_centre() -> None:
-    turn = rotation((0.1, -0.2, 0.3))
-    vector = SPACE.encode((1.5 * POINTS @ turn.T + [2.0, 4, 6])[None])
-    np.testing.assert_allclose(vector, [[1.5 * np.sqrt(3) / 2, 0.1, -0.2, 0.3, 1, 2, 3]], atol=1e-12)
-    assert SPACE.dim == 7
-    assert SPACE.placement_dim == SPACE.stored_placement_dim == 6
-    np.testing.assert_allclose(SPACE.weights, [1, *[np.sqrt(3) / 2] * 3, 1, 1, 1])
+    axis, angle = np.array([1.0, -2, 2]) / 3, 0.6
+    vector = SPACE.encode((1.5 * POINTS @ rotation(axis * angle).T + [2.0, 4, 6])[None])
+    quaternion = [np.cos(0.3), *np.sin(0.3) * axis]
+    np.testing.assert_allclose(vector, [[1.5 * np.sqrt(3) / 2, *quaternion, 1, 2, 3]], atol=1e-12)
+    assert SPACE.dim == 8
+    assert (SPACE.rotation_count, SPACE.centre_count, SPACE.placement_dim) == (1, 1, 7)
+    np.testing.assert_allclose(SPACE.weights, [1, *[np.sqrt(3)] * 4, 1, 1, 1])
+
+
+def test_placements_are_poses() -> None:
+    placements = np.random.default_rng(0).normal(size=(5, SPACE.placement_dim))
+    poses = SPACE.poses(placements)
+    assert poses.rotations.shape == (5, 1, 4)
+    assert poses.centres.shape == (5, 1, 3)
+    np.testing.assert_array_equal(SPACE.placements(poses), placements)
+
+
+def test_between_frames_a_body_turns_as_evenly_as_at_them() -> None:
+    """By 150 degrees a frame; centres are the operator's."""
+    angles, times = np.radians(150.0) * np.arange(6), np.arange(6) / 24
+    path = np.random.default_rng(1).normal(size=(6, 3))
+    points = np.stack([POINTS @ rotation((0.0, a, 0.0)).T + p for a, p in zip(angles, path, strict=True)])
+    vectors = SPACE.encode(points)
+    operator, at = Operator(times), np.array([0.0, 0.01, 0.1, 0.2])
+    placements = SPACE.predicted_placements(operator, vectors[:, SPACE.shape_dim :], at)
+    found = SPACE.decode(
+        np.concatenate([np.repeat(vectors[:1, : SPACE.shape_dim], 4, axis=0), placements], axis=1)
+    )
+    centres = operator.at(at).of(path)
+    expected = [POINTS @ rotation((0.0, np.radians(150.0) * 24 * t, 0.0)).T for t in at]
+    np.testing.assert_allclose(found, np.stack(expected) + centres[:, None], atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)
@@ -65,13 +91,15 @@ def test_a_body_that_turns_twice_goes_on_block_by_block() -> None:
     angles = np.linspace(0, 4 * np.pi, 13)
     points = np.stack([POINTS @ rotation((0.0, 0, angle)).T for angle in angles])
     vectors = SPACE.encode(points)
-    np.testing.assert_allclose(vectors[:, 3], angles, atol=1e-12)
+    expected = np.stack([np.cos(angles / 2), 0 * angles, 0 * angles, np.sin(angles / 2)], axis=1)
+    np.testing.assert_allclose(vectors[:, 1:5], expected, atol=1e-12)
+    assert (SPACE.encode_apart(points)[:, 1] >= 0).all()
     np.testing.assert_allclose(SPACE.encode(points[6:], vectors[5]), vectors[6:], atol=1e-13)
     np.testing.assert_array_equal(SPACE.without_jumps(SPACE.encode_apart(points)), vectors)
 
 
 def test_vectors_of_other_spaces_are_refused() -> None:
-    with pytest.raises(SettingsError, match=r"vectors have shape \(2, 6\); \(T, 7\) is expected"):
+    with pytest.raises(SettingsError, match=r"vectors have shape \(2, 6\); \(T, 8\) is expected"):
         SPACE.decode(np.zeros((2, 6)))
-    with pytest.raises(SettingsError, match=r"\(7,\)"):
-        SPACE.decode(np.zeros(7))
+    with pytest.raises(SettingsError, match=r"\(8,\)"):
+        SPACE.decode(np.zeros(8))

@@ -40,6 +40,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
         shares = space.shares
         put_lists(file, "space/shares", "parts", np.split(shares.indices, shares.indptr[1:-1]))
         put(file, "space/shares/weights", shares.data)
+        put(file, "space/free", np.flatnonzero(space.free).astype(np.int32))
     _write_segmentation(file, space.decomposition)
 
 
@@ -51,14 +52,16 @@ def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> Mix
     FormatError
         If something in it is missing, damaged or contradicts the rest.
     """
+    if read_placement(path, file) == "free":
+        return read_free(path, file, header)
     topology, scale = Topology(header.faces, header.vertex_count), read_scale(path, file)
     decomposition = read_segmentation(path, file, topology)
     shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
     reference = floats(path, file, "space/reference", (header.vertex_count, 3))
-    if read_placement(path, file) == "anchored":
-        shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
-        return AnchoredSpace(topology, decomposition, scale, shapes, reference, shares)
-    return read_free(path, file, header)
+    shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
+    free = np.zeros(header.vertex_count, dtype=bool)
+    free[integers(path, file, "space/free", (None,), 0, header.vertex_count)] = True
+    return AnchoredSpace(topology, decomposition, scale, shapes, reference, shares, free)
 
 
 def read_placement(path: Path, file: h5py.File) -> str:

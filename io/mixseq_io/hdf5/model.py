@@ -9,7 +9,8 @@
     /segmentation/parts/       vertices, sizes                              (mixed space)
     /segmentation/joints/      faces, sizes                                 (mixed space)
     /space/                    scale; placement, shapes (mixed space); reference (all but vertex, basis);
-                               reference_lengths (free mixed and edge space); fields (basis space)
+                               reference_lengths (free mixed and edge space); fields (basis space);
+                               free (anchored mixed space)
     /space/shares/             sizes, parts, weights                        (anchored mixed space)
     /signals/time/             frames, times, values
     /signals/pose/             offset, matrix

@@ -1,9 +1,9 @@
 """Models in the mixed space of versions 1 to 4: lengths, angles and parts, with rotation vectors.
 
-In the anchored placement versions 2 to 4 had links between parts and offsets of free vertices. Their frames are
-decoded as they were, by the fit to lengths and angles that they were made for, and encoded again: at frames and knots
-they are what they were, between them they are predicted as new models are. Version 1 had a vector for every frame,
-and no curves.
+In the anchored placement versions 2 to 4 had links between parts and offsets of free vertices. Their frames and knots
+are decoded as they were, by the fit to lengths and angles that they were made for, and encoded again: there they are
+what they were, between them they are predicted as new models are. Links, which poses had to agree with between knots,
+are not looked at. Version 1 had a vector for every frame, and no curves.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mixseq.errors import FormatError
 from mixseq.geometry.rotations import matrices
 from mixseq.reconstruction.anchored import AnchoredPlacement
 from mixseq.reconstruction.joint import length_weights
@@ -28,7 +29,9 @@ from mixseq_io.hdf5.arrays import Float, floats, increasing
 from mixseq_io.hdf5.files import read_header
 from mixseq_io.hdf5.mixed import mixed_blocks, read_free, read_placement, read_segmentation
 from mixseq_io.hdf5.settings import read_scale, read_shell
-from mixseq_io.hdf5.signals import read_placements, read_pose, read_shapes
+from mixseq_io.hdf5.signals import check_frames, read_placements, read_pose, read_shapes
+
+_NEAR = 1e-6  # in frames; times that are nearer are one: most knots are frames, but for rounding
 
 
 def read_v1(path: Path, file: h5py.File) -> Model:
@@ -38,7 +41,7 @@ def read_v1(path: Path, file: h5py.File) -> Model:
     if read_placement(path, file) == "anchored":
         anchored = _Anchored(path, file, header)
         shapes = read_shapes(path, file, anchored.blocks(), len(times))
-        return anchored.model(times, shapes, _rotation_vectors(path, file, len(times)))
+        return anchored.model(times, shapes, anchored.poses(path, file, len(times)))
     old = read_free(path, file, header)
     shapes = read_shapes(path, file, mixed_blocks(old), len(times))
     with one_blas_thread():
@@ -53,22 +56,23 @@ def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
     pose = read_pose(path, file)
     knots, places = (increasing(path, file, f"signals/{name}/times") for name in ("time", "placement"))
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
-    placement = Curve(places, _rotation_vectors(path, file, len(places)))
+    placement = Curve(places, anchored.poses(path, file, len(places)))
+    check_frames(path, header, time=time, placement=placement)
     blocks = {**anchored.blocks(), "offsets": (len(anchored.placement.rows.free), 3)}
     shapes = read_shapes(path, file, blocks, len(pose.offset))
-    inside = np.concatenate([knots, places])
-    inside = inside[(inside > header.times[0]) & (inside < header.times[-1])]
-    # Knots are frames in most models, but for rounding.
-    away = np.abs(inside[:, None] - header.times).min(axis=1, initial=np.inf)
-    times = np.unique(np.concatenate([header.times, inside[away > 1e-6 / header.fps]]))
+    times = _frames_and_knots(header, time, placement)
     return anchored.model(times, pose.weights(time(times)) @ shapes, placement(times))
 
 
-def _rotation_vectors(path: Path, file: h5py.File, count: int) -> Float:
-    """Rotation vectors and centres ``(count, 6 p)``."""
-    rotations = floats(path, file, "signals/placement/rotations", (count, None, 3))
-    centres = floats(path, file, "signals/placement/translations", (count, rotations.shape[1], 3))
-    return np.concatenate([rotations, centres], axis=1).reshape(count, -1)
+def _frames_and_knots(header: SequenceHeader, time: Curve, placement: Curve) -> Float:
+    """Times ``(N,)`` of frames, and of all knots that the model can be asked for."""
+    near = _NEAR / header.fps
+    start, end = max(time.start, placement.start), min(time.end, placement.end)
+    knots = np.unique(np.concatenate([time.times, placement.times]))
+    knots = knots[(knots >= start) & (knots <= end)]
+    knots = knots[np.diff(knots, prepend=-np.inf) > near]
+    frames = np.append(header.times, np.inf)[np.searchsorted(header.times, knots - near)]
+    return np.unique(np.concatenate([header.times, knots[frames - knots > near]]))
 
 
 class _Anchored:
@@ -83,9 +87,13 @@ class _Anchored:
         self.placement = AnchoredPlacement(topology, decomposition, self.shapes, reference)
         rows = self.placement.rows
         self.lengths = floats(path, file, "space/reference_lengths", (len(rows.edge_ids),))
+        if (self.lengths < 0).any():
+            raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
         self.holds = np.zeros(0)
-        if "space/trust" in file:
+        if int(file.attrs["version"]) > 1:
             trust = floats(path, file, "space/trust", (len(rows.joints),))
+            if (trust <= 0).any():
+                raise FormatError(f"{path}: space/trust has weights that are not positive")
             spacing = np.maximum(rows.spacing(self.lengths), np.finfo(np.float64).tiny)
             self.holds = np.repeat(trust, [len(patch.free) for patch in rows.patches]) / spacing
 
@@ -97,6 +105,14 @@ class _Anchored:
             "angles": (len(rows.hinge_ids),),
             "parts": (len(self.shapes), 3),
         }
+
+    def poses(self, path: Path, file: h5py.File, count: int) -> Float:
+        """Read rotation vectors, then centres ``(count, 6 p)``."""
+        shape = (count, len(self.placement.posed), 3)
+        both = [
+            floats(path, file, f"signals/placement/{name}", shape) for name in ("rotations", "translations")
+        ]
+        return np.concatenate(both, axis=1).reshape(count, -1)
 
     def model(self, times: Float, shapes: Float, poses: Float) -> Model:
         """Return the model of frames with shapes ``(N, S)`` and poses ``(N, 6 p)`` at times ``(N,)``."""

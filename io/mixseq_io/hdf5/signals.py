@@ -51,13 +51,19 @@ def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: Sto
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     shapes = read_shapes(path, file, shape_blocks(space), len(pose.offset))
     placement = _read_placement(path, file, space)
-    for name, curve in (("time", time), ("placement", placement)):
-        if curve.start > header.times[0] or curve.end < header.times[-1]:
+    check_frames(path, header, time=time, placement=placement)
+    return Model(header, space, time, pose, shapes, placement)
+
+
+def check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
+    """Refuse frames that are outside the knots of a curve, by the names of the signals."""
+    first, last = header.times[0], header.times[-1]
+    for name, curve in curves.items():
+        if curve.start > first or curve.end < last:
             raise FormatError(
-                f"{path}: signals/time/frames has times from {header.times[0]:g} to {header.times[-1]:g} s, but "
+                f"{path}: signals/time/frames has times from {first:g} to {last:g} s, but "
                 f"signals/{name}/times are only from {curve.start:g} to {curve.end:g} s"
             )
-    return Model(header, space, time, pose, shapes, placement)
 
 
 def read_shapes(path: Path, file: h5py.File, blocks: Blocks, count: int) -> Float:

@@ -6,9 +6,9 @@ diagonals and radians.
 - Every part has a pose, a unit quaternion and a centre: that of the best rigid motion from its mean shape (paper,
   Section 3.4). From them every vertex has a rigid frame (`vertex_frames`).
 - Vertices are stored as seen from their frames: *unposed*. For a vertex inside a part that is the paper's aligned part
-  vertex. Where frames differ from corner to corner sides of faces are stored, too (`sides`).
-- Lengths and angles at free vertices, which no part keeps, are the paper's joints. Where frames of a sequence are
-  near each other posed vertices and sides decide alone; far blends are made to agree with lengths and angles as well.
+  vertex.
+- Where frames differ from corner to corner, in some frame of the sequence, faces bend: these are the joints, and their
+  vertices are *free*. There sides of faces are stored, too (`sides`), and the lengths and angles of the paper.
 
 Decoding is posing, and one back-substitution with a constant matrix. It is linear in all but the poses, smooth in
 these, exact at the frames; so velocities are its closed derivative.
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
-from mixseq.geometry.quaternions import continued, quaternions, rotations_of
+from mixseq.geometry.quaternions import quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Neighbours, predicted
@@ -40,9 +40,13 @@ from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 JOINT = 0.03
 """What lengths and angles weigh in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
+
+LAYOUT = 2.0
+"""What lengths and angles weigh in layouts; ours."""
 
 SIDE = 0.1
 """What sides weigh in the metric."""
@@ -83,31 +87,23 @@ class AnchoredSpace(MixedSpace):
     ----------
     shares : (V, p) sparse matrix
         How much vertices follow parts; rows add up to one.
+    free : (V,) bool
+        Vertices of joints: those of faces that bend, as `VertexFrames.bent` tells.
     """
 
     shares: sparse.csr_array
+    free: Mask
     placement = "anchored"
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
-        """Mark the vertices ``(V,)`` that no part keeps."""
-        kept = np.zeros(self.topology.vertex_count, dtype=bool)
-        kept[np.concatenate(self.decomposition.parts)] = True
-        return ~kept
-
-    @cached_property
     def edge_ids(self) -> Index:
-        """Edges of joints at free vertices, ascending."""
-        return self._at_free([joint.edge_ids for joint in self.decomposition.joints], self.topology.edges)
+        """Edges with a free vertex, ascending."""
+        return np.flatnonzero(self.free[self.topology.edges].any(axis=1))
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Hinges of joints with a free vertex, ascending."""
-        return self._at_free([joint.hinge_ids for joint in self.decomposition.joints], self.topology.hinges)
-
-    def _at_free(self, numbers: list[Index], corners: Index) -> Index:
-        some = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *numbers]))
-        return some[self.free[corners[some]].any(axis=1)]
+        """Hinges with a free vertex, ascending."""
+        return np.flatnonzero(self.free[self.topology.hinges].any(axis=1))
 
     @cached_property
     def frames(self) -> VertexFrames:
@@ -119,7 +115,7 @@ class AnchoredSpace(MixedSpace):
     @cached_property
     def seams(self) -> Sides:
         """The faces whose sides are known."""
-        return Sides.of(self.topology.faces, self.free, self.reference)
+        return Sides.of(self.topology.faces.astype(np.int64), self.free, self.reference)
 
     def prepare(self) -> None:
         """Implement `ShapeSpace.prepare`."""
@@ -167,17 +163,24 @@ class AnchoredSpace(MixedSpace):
             ]
         )
 
+    @property
+    def layout_weights(self) -> Float:
+        """Implement `ShapeSpace.layout_weights`: unposed vertices hardly tell a pose, joints do."""
+        edges, hinges, *_ = self.sizes
+        joints = np.concatenate([np.full(edges, LAYOUT), LAYOUT * self.angle_weights])
+        return np.concatenate([joints, self.shape_weights[edges + hinges :]])
+
     def split(self, vectors: Float) -> AnchoredBlocks:
         """Return the blocks of vectors ``(T, D)``, as views where possible; it raises what `checked` does."""
         lengths, angles, unposed, sides, turns, centres = split_rows(self.checked(vectors), self.sizes)
-        count = len(vectors)
+        count, parts = len(vectors), len(self.decomposition.parts)
         return AnchoredBlocks(
             lengths,
             angles,
-            unposed.reshape(count, -1, 3),
-            sides.reshape(count, -1, 2, 3),
-            turns.reshape(count, -1, 4),
-            centres.reshape(count, -1, 3),
+            unposed.reshape(count, self.topology.vertex_count, 3),
+            sides.reshape(count, len(self.seams.faces), 2, 3),
+            turns.reshape(count, parts, 4),
+            centres.reshape(count, parts, 3),
         )
 
     def join(self, blocks: AnchoredBlocks) -> Float:
@@ -192,12 +195,12 @@ class AnchoredSpace(MixedSpace):
         return self.without_jumps(self.encode_apart(points), previous)
 
     def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions have w >= 0."""
+        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions agree within every body."""
         vectors = np.empty((len(points), self.dim))
         for vector, frame in zip(vectors, points, strict=True):
             x = frame.astype(np.float64) / self.scale
             _, rotations, centres = self.registered(x)
-            turns = quaternions(rotations)
+            turns = self.frames.signed(quaternions(rotations))
             motions = self.frames.motions(turns, centres)
             blocks = (*self._seen(motions, x), turns, centres)
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
@@ -215,9 +218,17 @@ class AnchoredSpace(MixedSpace):
         return self.join(
             blocks._replace(
                 angles=unwrap_angles(blocks.angles, start),
-                rotations=continued(blocks.rotations, None if before is None else before.rotations[0]),
+                rotations=self._continued(blocks.rotations, None if before is None else before.rotations[:1]),
             )
         )
+
+    def _continued(self, rotations: Float, before: Float | None) -> Float:
+        """Quaternions ``(T, p, 4)`` with signs that do not jump, body by body: neighbours go the same way round."""
+        previous = np.concatenate([rotations[:1] if before is None else before, rotations[:-1]])
+        cosines = np.einsum("tpi,tpi->tp", rotations, previous)
+        bodies = np.eye(int(self.frames.bodies.max(initial=-1)) + 1)[self.frames.bodies]
+        signs = np.cumprod(np.where(cosines @ bodies < 0, -1.0, 1.0), axis=0)
+        return rotations * signs[:, self.frames.bodies, None]
 
     @cached_property
     def neighbours(self) -> Neighbours:

@@ -124,13 +124,13 @@ class FreeSpace(MixedSpace):
     def split(self, vectors: Float) -> FreeBlocks:
         """Return the blocks of vectors ``(T, D)``, as views where possible; it raises what `checked` does."""
         lengths, angles, parts, turns, centres = split_rows(self.checked(vectors), self.sizes)
-        count = len(vectors)
+        count, groups = len(vectors), len(self.projection.posed)
         return FreeBlocks(
             lengths,
             angles,
-            parts.reshape(count, -1, 3),
-            turns.reshape(count, -1, 4),
-            centres.reshape(count, -1, 3),
+            parts.reshape(count, len(self.shapes), 3),
+            turns.reshape(count, groups, 4),
+            centres.reshape(count, groups, 3),
         )
 
     def join(self, blocks: FreeBlocks) -> Float:

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
+from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, silent
 from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import bounding_diagonal
+from mixseq.sequence import FloatArray, bounding_diagonal
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
@@ -72,7 +73,11 @@ def mixed_space(
     progress(1, 2, "registering parts")
     if placement == "anchored":
         shares = fitted_shares(topology, decomposition, shapes, some / scale, reference)
-        return AnchoredSpace(topology, decomposition, scale, shapes, reference, shares)
+        nothing = np.zeros(len(reference), dtype=bool)
+        stiff = AnchoredSpace(topology, decomposition, scale, shapes, reference, shares, nothing)
+        free = _free(stiff, some)
+        progress(2, 2, "registering parts")
+        return replace(stiff, free=free)
     space = FreeSpace(
         topology, decomposition, scale, shapes, reference, np.zeros(0), settings or ShellSettings()
     )
@@ -80,3 +85,14 @@ def mixed_space(
     made = replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
     vars(made)["projection"] = space.projection  # it does not depend on lengths, and is work to make
     return made
+
+
+def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
+    """Mark the vertices ``(V,)`` of faces that bend in some of the frames ``(S, V, 3)``."""
+    bent = np.zeros(len(space.topology.faces), dtype=bool)
+    for frame in frames:
+        _, rotations, centres = space.registered(frame.astype(np.float64) / space.scale)
+        bent |= space.frames.bent(space.frames.motions(quaternions(rotations), centres))
+    free = np.zeros(space.topology.vertex_count, dtype=bool)
+    free[space.topology.faces[bent]] = True
+    return free

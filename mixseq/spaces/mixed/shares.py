@@ -41,6 +41,9 @@ LEAST = 0.01
 SMOOTH = 0.1
 """Weight of smoothness."""
 
+NOISE = 1e-12
+"""Squared distances below this, in diagonals, are rounding errors: where parts move alike, shares are smooth."""
+
 SWEEPS = 20
 """So often vertices are visited."""
 
@@ -78,7 +81,7 @@ def fitted_shares(
             kernels.compare(some, parts, shares, turns, shifts, reference, x, products, apart)
         adjacency = topology.vertex_adjacency
         starts, others = adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64)
-        strengths = SMOOTH * apart + np.finfo(np.float64).tiny
+        strengths = SMOOTH * apart + NOISE * len(frames)
         kernels.smooth_and_fit(some, parts, shares, products, strengths, starts, others, SWEEPS)
     shares[shares < LEAST] = 0.0
     rows, places = np.nonzero(shares)

@@ -26,7 +26,7 @@ from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-HOLD = 0.1
+HOLD = 1.0
 r"""Weight :math:`\eta` of posed vertices against sides. Ours, chosen on half of the animations of the benchmarks;
 results are nearly the same between .01 and .1."""
 

@@ -34,6 +34,10 @@ from mixseq.topology import Topology
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+BEND = 10.0
+"""A face bends if the frames of its corners differ by more than so many degrees. Ours; chosen on half of the animations
+of the benchmarks."""
+
 
 @dataclass(frozen=True, eq=False)
 class VertexFrames(Remade):
@@ -62,6 +66,12 @@ class VertexFrames(Remade):
         first = self.shares.indices[self.shares.indptr[:-1]]
         return np.where(np.diff(self.shares.indptr) == 1, first, -1).astype(np.int64)
 
+    def bent(self, motions: Float) -> NDArray[np.bool_]:
+        """Mark the faces ``(F,)`` whose corners' frames differ by more than `BEND` in motions ``(V, 7)``."""
+        corners = motions[self.topology.faces, :4]
+        cosines = np.abs(np.einsum("fki,fki->fk", corners, np.roll(corners, -1, axis=1)))
+        return np.asarray((cosines < np.cos(np.radians(BEND) / 2.0)).any(axis=1))
+
     def motions(self, rotations: Float, centres: Float) -> Float:
         """Return the motions ``(V, 7)`` of all vertices from the reference frame: quaternions, then translations.
 
@@ -86,21 +96,29 @@ class VertexFrames(Remade):
         return self.shares.indptr.astype(np.int64), self.shares.indices.astype(np.int64), self.shares.data
 
     @cached_property
-    def _tree(self) -> list[tuple[int, int]]:
-        """Parts and the neighbours they follow, from the first part of every connected body on."""
-        boundaries = Boundaries.of(self.topology, self.decomposition.part_of_face)
+    def _graph(self) -> sparse.csr_array:
+        """Which parts are neighbours ``(p, p)``."""
+        pairs = Boundaries.of(self.topology, self.decomposition.part_of_face).parts
         count = len(self.decomposition.parts)
-        size = (count, count)
-        graph = sparse.coo_array(
-            (np.ones(len(boundaries.parts)), tuple(boundaries.parts.T)), shape=size
-        ).tocsr()
-        pairs, reached = [], np.zeros(count, dtype=bool)
-        for root in range(count):
-            if not reached[root]:
-                order, before = csgraph.breadth_first_order(graph, root, directed=False)
-                reached[order] = True
-                pairs += [(int(part), int(before[part])) for part in order[1:]]
+        return sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count)).tocsr()
+
+    @cached_property
+    def bodies(self) -> Index:
+        """The connected body ``(p,)`` that every part belongs to."""
+        return csgraph.connected_components(self._graph, directed=False)[1].astype(np.int64)
+
+    @cached_property
+    def _tree(self) -> list[tuple[int, int]]:
+        """Parts and the neighbours they follow, from the first part of every body on."""
+        pairs = []
+        for root in np.unique(self.bodies, return_index=True)[1]:
+            order, before = csgraph.breadth_first_order(self._graph, root, directed=False)
+            pairs += [(int(part), int(before[part])) for part in order[1:]]
         return pairs
+
+    def signed(self, rotations: Float) -> Float:
+        """Return quaternions ``(p, 4)`` of a frame with signs along the tree, from the first part of a body on."""
+        return rotations * self._signs(product(rotations, inverse(self.rest.rotations[0])))
 
     def _signs(self, turns: Float) -> Float:
         signs = np.ones((len(turns), 1))

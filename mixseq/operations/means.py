@@ -1,0 +1,95 @@
+r"""What is between two placements: rotations along the turn from one to the other, parts in their joints.
+
+A rotation goes from :math:`R_a` to :math:`R_b` along the turn between them,
+
+.. math:: R_a \exp(w\, \tau), \qquad \exp(\tau) = R_a^T R_b,
+
+which is unwrapped over time: one motion may turn more than the other, by whole turns. Parts that meet stay together: a
+part that hangs on another (`mixseq.operations.limbs`) goes so as this one sees it, and so does the middle of their
+boundary. Only roots go as the world sees them, with their centres along straight lines.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
+from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import continuous_vectors
+from mixseq.operations.limbs import parents
+from mixseq.prediction.poses import Poses
+from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.mixed import AnchoredSpace
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def mean(one: Float, other: Float, share: Float) -> Float:
+    """Return means ``(N, ...)`` of numbers with shares ``(N, ...)`` of the other ones."""
+    return np.asarray((1.0 - share) * one + share * other)
+
+
+def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -> Float:
+    """Return means ``(N, P)`` of placements.
+
+    Parameters
+    ----------
+    space : ShapeSpace
+        Their space.
+    one, other : (N, P) float64
+        Placements at increasing times, with signs of quaternions that do not jump.
+    share : (N, 1) float64
+        Shares of the other ones.
+    """
+    first, second = space.poses(one), space.poses(other)
+    length, longer = (np.linalg.norm(poses.rotations, axis=2, keepdims=True) for poses in (first, second))
+    a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
+    share = share[:, :, None]
+    result = Poses(_turned(a.rotations, b.rotations, share), mean(a.centres, b.centres, share))
+    if isinstance(space, AnchoredSpace):
+        _hang(space, result, a, b, share)
+    return space.placements(Poses(result.rotations * mean(length, longer, share), result.centres))
+
+
+def _turned(one: Float, other: Float, share: Float) -> Float:
+    """Unit quaternions ``(N, r, 4)`` on the way, which is the shorter one at first."""
+    ways = continuous_vectors(rotations_of(product(inverse(one), other)))
+    return product(one, exponentials(share * ways))
+
+
+def _hang(space: AnchoredSpace, result: Poses, a: Poses, b: Poses, share: Float) -> None:
+    """Put the parts that hang on others where these have them, in between `a` and `b`."""
+    above, pairs = parents(space), space.neighbours.parts
+    for part in _downwards(above):
+        parent = above[part]
+        link = np.flatnonzero((pairs == (parent, part)).all(axis=1))[0]
+        pivot = space.neighbours.pivots[link]
+        seen = [_seen(poses, parent, part, pivot) for poses in (a, b)]
+        turn = _turned(seen[0].rotations, seen[1].rotations, share)[:, 0]
+        middle = mean(seen[0].centres, seen[1].centres, share)[:, 0]
+        base = result.rotations[:, parent]
+        result.rotations[:, part] = product(base, turn)
+        away = turned(rotations_of(base), middle) - turned(rotations_of(result.rotations[:, part]), pivot)
+        result.centres[:, part] = result.centres[:, parent] + away
+
+
+def _seen(poses: Poses, parent: int, part: int, pivot: Float) -> Poses:
+    """How a parent sees a part, ``(N, 1, 4)``, and a point of it ``(N, 1, 3)``."""
+    back = inverse(poses.rotations[:, [parent]])
+    point = turned(rotations_of(poses.rotations[:, [part]]), pivot) + poses.centres[:, [part]]
+    return Poses(
+        product(back, poses.rotations[:, [part]]),
+        turned(rotations_of(back), point - poses.centres[:, [parent]]),
+    )
+
+
+def _downwards(above: Index) -> list[int]:
+    """All parts that hang on others, after what they hang on."""
+    order: list[int] = []
+    level = np.flatnonzero(above < 0)
+    while len(level):
+        level = np.flatnonzero(np.isin(above, level))
+        order += level.tolist()
+    return order
