@@ -944,10 +944,10 @@ def with_two_signs(values: Any) -> Any:
         ("weights", scaled(-1.0), "must be positive and add up to one for every vertex"),
         ("weights", with_more, "must be positive and add up to one for every vertex"),
         ("weights", with_two_signs, "must be positive and add up to one for every vertex"),
-        ("weights", lambda values: values[1:], r"is float64 .*floats of shape \(89\) are expected"),
+        ("weights", lambda values: values[1:], r"is float64 .*floats of shape \(90\) are expected"),
         ("weights", lambda values: values.astype(int), "is int64 .*floats of shape"),
         ("parts", lambda values: values + 1, "has values outside 0 to 1"),
-        ("parts", lambda values: values[1:], r"is int32 .*integers of shape \(89\) are expected"),
+        ("parts", lambda values: values[1:], r"is int32 .*integers of shape \(90\) are expected"),
         ("sizes", lambda values: values * 0, "has values outside 1"),
     ],
 )

@@ -66,7 +66,7 @@ def test_no_smaller_change_gets_there() -> None:
         time = float(model.times[4])
         pulled = drag(model, time, place_of(model, time) + move)
         step = (pulled.time([time]) - model.time([time])) @ model.pose.matrix @ model.shapes
-        assert np.linalg.norm(step * model.space.shape_weights) == pytest.approx(
+        assert np.linalg.norm(step * model.space.layout_weights) == pytest.approx(
             np.linalg.norm(move), rel=1e-9
         )
 

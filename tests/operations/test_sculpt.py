@@ -155,7 +155,8 @@ def test_similar_shapes_are_sculpted_more() -> None:
     wide, narrow = (sculpt(model, 0.3, edited, "similar", radius=radius) for radius in (0.5, 0.1))
     times = model.times
     weight = wide.time(times)[:, -1]
-    distance = np.linalg.norm(model.time(times) - model.time([0.3]), axis=1)  # modes: scores are distances
+    shapes = (model.time(times) - model.time([0.3])) @ model.pose.matrix @ model.shapes
+    distance = np.linalg.norm(shapes * model.space.layout_weights, axis=1)
     expected = np.exp(-0.5 * (distance / (0.5 * distance.max())) ** 2)
     np.testing.assert_allclose(
         weight, expected, atol=2e-3

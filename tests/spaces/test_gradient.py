@@ -15,6 +15,7 @@ import mixseq
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.sequence import FloatArray, IntArray
 from mixseq.spaces.gradient import FULL, GradientSpace
+from mixseq.spaces.normals import FLAT
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, Float, Mesh, bar, grid, rotation, tetrahedron, torus, tube
 
@@ -77,7 +78,8 @@ def test_affine_maps_come_back(affine: tuple[Float, Float]) -> None:
     vectors = space.encode(points[None])
     np.testing.assert_allclose(space.decode(vectors)[0], points, atol=1e-12)
     stretches = space.split(vectors).stretches[0][:, FULL]
-    assert np.linalg.eigvalsh(stretches).min() > -1e-7
+    # A face thinner than FLAT counts as one without area: its fourth vertex may be on either side.
+    assert np.linalg.eigvalsh(stretches).min() > -100 * FLAT
 
 
 @pytest.mark.parametrize("flat", ["reference", "frame", "both"])

@@ -27,8 +27,8 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HOLD = 1.0
-r"""Weight :math:`\eta` of posed vertices against sides. Ours, chosen on half of the animations of the benchmarks;
-results are nearly the same between .01 and .1."""
+r"""Weight :math:`\eta` of posed vertices against sides. Ours. Between .01 and 1 frames between frames are nearly
+the same; models of few modes are the better the more it is."""
 
 COTANGENTS = (0.05, 20.0)
 """Bounds of cotangents: weights stay positive, and of the same size, whatever the triangles are."""
