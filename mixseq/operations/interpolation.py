@@ -150,7 +150,9 @@ class Blend(Remade):
 
     def _blended(self, weights: Float) -> Float:
         with one_blas_thread():
-            return np.asarray((weights @ self.vectors)[None])
+            shapes, placements = np.split(self.vectors, [self.space.shape_dim], axis=1)
+            placement = self.space.blended_placements(weights, placements)
+            return np.concatenate([weights @ shapes, placement])[None]
 
 
 def interpolate(

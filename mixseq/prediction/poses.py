@@ -44,9 +44,13 @@ from mixseq.prediction.operator import Operator, Rows
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 TOGETHER = 0.3
 r"""Weight :math:`\lambda` of a relation against a pose alone: errors of neighbours go together."""
+
+BLENDED = 3.0
+"""The same where nothing can be left out: blends of poses, which may be far apart, and two frames."""
 
 PRIOR = 6.0
 """Rows of errors n that the isotropic covariance stands for."""
@@ -106,19 +110,36 @@ def predicted(operator: Operator, poses: Poses, neighbours: Neighbours, times: F
     times : (N,) float64
         When, increasing.
     """
-    alone = predicted_alone(operator.at(times), poses)
+    left_out = operator.left_out() if len(operator.times) > 2 else None
+    return _agreed(operator.at(times), poses, neighbours, np.isin(times, operator.times), left_out)
+
+
+def blended(weights: Float, poses: Poses, neighbours: Neighbours) -> Poses:
+    """Blend T poses of all parts to one, with weights ``(T,)`` that add up to one.
+
+    There is no time, and nothing to leave out: what poses and relations are apart tells how well they are known.
+    """
+    rows = Rows(np.arange(len(weights))[None], weights[None], len(weights))
+    given = np.array([np.count_nonzero(weights) == 1])
+    return _agreed(rows, poses, neighbours, given, None)
+
+
+def _agreed(
+    rows: Rows, poses: Poses, neighbours: Neighbours, given: Mask, left_out: tuple[Index, Rows] | None
+) -> Poses:
+    """Poses that agree best with what they are on their own and as neighbours see them; `given` ones stay."""
+    alone = predicted_alone(rows, poses)
     if not len(neighbours.parts) or len(poses.centres) < 2:
         return alone
     relations = _relations(poses, neighbours)
-    seen = _seen(operator.at(times), relations, neighbours)
-    own, relative = _precisions(operator, poses, relations, neighbours)
-    rotations, centres = _fused(_stacked(alone), own, seen, TOGETHER * relative, neighbours.parts)
+    seen = _seen(rows, relations, neighbours)
+    own, relative = _precisions(left_out, poses, relations, neighbours)
+    weight = BLENDED if left_out is None else TOGETHER
+    rotations, centres = _fused(_stacked(alone), own, seen, weight * relative, neighbours.parts)
     # At a frame all predictions agree: it stays as it is, without the system's rounding.
-    at_frame = np.isin(times, operator.times)
-    together = quaternions(rotations)
     fused = Poses(
-        np.where(at_frame[:, None, None], alone.rotations, together),
-        np.where(at_frame[:, None, None], alone.centres, centres),
+        np.where(given[:, None, None], alone.rotations, quaternions(rotations)),
+        np.where(given[:, None, None], alone.centres, centres),
     )
     return Poses(continued(fused.rotations, alone.rotations[0]), fused.centres)
 
@@ -164,19 +185,18 @@ def _seen(rows: Rows, relations: Poses, neighbours: Neighbours) -> Float:
 
 
 def _precisions(
-    operator: Operator, poses: Poses, relations: Poses, neighbours: Neighbours
+    left_out: tuple[Index, Rows] | None, poses: Poses, relations: Poses, neighbours: Neighbours
 ) -> tuple[Float, Float]:
     """Precisions ``(p, 4, 4)`` of poses and ``(n, 4, 4)`` of relations: how well frames left out are predicted."""
-    everywhere = Rows(
-        np.arange(len(operator.times))[:, None], np.ones((len(operator.times), 1)), len(operator.times)
-    )
+    count = len(poses.centres)
+    everywhere = Rows(np.arange(count)[:, None], np.ones((count, 1)), count)
     own, seen = _stacked(poses), _seen(everywhere, relations, neighbours)
-    if len(operator.times) > 2:
-        left, rows = operator.left_out()
+    if left_out is None:
+        own_errors, seen_errors = own[1:] - own[:1], seen[1:] - seen[:1]
+    else:
+        left, rows = left_out
         own_errors = _stacked(predicted_alone(rows, poses)) - own[left]
         seen_errors = _seen(rows, relations, neighbours) - seen[left]
-    else:
-        own_errors, seen_errors = own[1:] - own[:1], seen[1:] - seen[:1]
     radii = neighbours.radii
     return _precision(own_errors, radii), _precision(seen_errors[..., :3], radii[neighbours.parts[:, 1]])
 

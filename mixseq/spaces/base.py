@@ -98,6 +98,13 @@ class ShapeSpace(Remade, ABC):
         """
         return self.placements(predicted_alone(operator.at(times), self.poses(placements)))
 
+    def blended_placements(self, weights: Float, placements: Float) -> Float:
+        """Return the placement ``(placement_dim,)`` of a blend of T poses, with weights ``(T,)`` that add up to one.
+
+        Here that is the weighted sum. Spaces that know more say so.
+        """
+        return np.asarray(weights @ placements)
+
     @abstractmethod
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Turn frames into vectors.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixseq.geometry.quaternions import continued, normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.operator import LENGTHS, Operator, chosen, with_middles
-from mixseq.prediction.poses import Neighbours, Poses, chained, predicted, predicted_alone
+from mixseq.prediction.poses import Neighbours, Poses, blended, chained, predicted, predicted_alone
 from tests.meshes import Float, Index, rigid_motions, rotation, seeds
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3
@@ -253,3 +253,42 @@ def test_between_two_frames_a_joint_bends_by_half() -> None:
     np.testing.assert_allclose(alone.rotations[0, 1], turns_of(np.array([np.pi / 4]), np.eye(3)[0])[0, 0])
     np.testing.assert_allclose(rotations_of(found.rotations[0, 1]), rotation((np.pi / 4, 0, 0)), atol=0.02)
     assert gaps(found, neighbours).max() < 0.8 * gaps(alone, neighbours).max()
+
+
+@pytest.mark.parametrize("weight", [-0.5, 0.25, 0.5, 0.75, 1.5])
+def test_a_hinge_opens_less_between_far_poses(weight: float) -> None:
+    """Sums of centres open the hinge of two bones that turn, as chords are shorter than arcs."""
+    poses, neighbours = two_bones(
+        np.array([0.0, 1.2]), np.array([0.0, 0.8]), np.array([[0.0, 0, 0], [1, 0, 2]])
+    )
+    weights = np.array([1.0 - weight, weight])
+    alone = Poses(
+        normalised(np.tensordot(weights, poses.rotations, 1))[None],
+        np.tensordot(weights, poses.centres, 1)[None],
+    )
+    opened = gaps(alone, neighbours).max()
+    assert opened > 0.03
+    assert gaps(blended(weights, poses, neighbours), neighbours).max() < 0.5 * opened
+
+
+@given(seed=seeds)
+@settings(max_examples=20, deadline=None)
+def test_a_blend_of_one_pose_is_that_pose(seed: int) -> None:
+    poses, neighbours = wandering(seed, 4, frames=3), ring(4, seed)
+    for number in range(3):
+        found = blended(np.eye(3)[number], poses, neighbours)
+        np.testing.assert_allclose(found.rotations[0], poses.rotations[number], atol=1e-12)
+        np.testing.assert_allclose(found.centres[0], poses.centres[number], atol=1e-12)
+
+
+@given(seed=seeds, motion=rigid_motions)
+@settings(max_examples=20, deadline=None)
+def test_blends_of_moved_poses_are_moved(seed: int, motion: tuple[Float, Float]) -> None:
+    poses, neighbours = wandering(seed, 4, frames=3), ring(4, seed)
+    turn, shift = motion
+    moved = Poses(product(quaternions(turn), poses.rotations), poses.centres @ turn.T + shift)
+    weights = np.array([0.5, 0.2, 0.3])
+    found, expected = blended(weights, moved, neighbours), blended(weights, poses, neighbours)
+    turns = turn @ rotations_of(expected.rotations)
+    np.testing.assert_allclose(rotations_of(found.rotations), turns, atol=1e-8)
+    np.testing.assert_allclose(found.centres, expected.centres @ turn.T + shift, atol=1e-8)

@@ -28,7 +28,7 @@ from mixseq.geometry.lengths_angles import unwrap_angles, wrap
 from mixseq.geometry.quaternions import quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.operator import Operator
-from mixseq.prediction.poses import Neighbours, predicted
+from mixseq.prediction.poses import Neighbours, blended, predicted
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.sequence import FloatArray
@@ -243,6 +243,10 @@ class AnchoredSpace(MixedSpace):
     def predicted_placements(self, operator: Operator, placements: Float, times: Float) -> Float:
         """Implement `ShapeSpace.predicted_placements`: poses that agree with what neighbours see of each other."""
         return self.placements(predicted(operator, self.poses(placements), self.neighbours, times))
+
+    def blended_placements(self, weights: Float, placements: Float) -> Float:
+        """Implement `ShapeSpace.blended_placements`: poses that agree with what neighbours see of each other."""
+        return np.asarray(self.placements(blended(weights, self.poses(placements), self.neighbours))[0])
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""

@@ -10,6 +10,7 @@ import numpy as np
 
 import mixseq
 from mixseq.errors import MissingExtraError
+from mixseq.operations.interpolation import Blend
 from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.envelope import envelope
@@ -49,15 +50,15 @@ def measure(say: Say) -> Section:
     for name, first, second, factor, cpp in PAIRS:
         _measure_pair(section, rows, name, first, second, factor, cpp, say)
     section.notes.append(
-        "`MixIT anchored, offsets` is how models interpolate. It is not the problem of the full mesh: vertices are "
-        "held near where the parts expect them. This regularises it and makes it fast, and its errors against the "
-        "averaged lengths and angles are larger than those of the full mesh. That is what the speed costs. "
+        "`MixIT anchored` is how models interpolate: poses agree with what neighbours see of each other, and joints "
+        "are posed by the parts around them: two linear solves. "
+        "It does not ask for means of lengths and angles, and its errors against them are larger than those of the "
+        "full mesh: that is what its speed costs. `MixIT free` unfolds joints and settles the mesh. "
         "`vertex means` takes no time worth measuring and shows the errors of no method at all. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
         "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "
-        "counts. Analysis of patterns and compilation are not timed on either side. Iterations of MixIT are those of "
-        "all joints together. `capped`: stopped at the largest number of iterations; `held back`: the last steps were "
-        "damped, no better point was found."
+        "counts. Analysis of patterns and compilation are not timed on either side. `capped`: stopped at the largest "
+        "number of iterations; `held back`: the last steps were damped, no better point was found."
     )
     return section
 
@@ -82,10 +83,10 @@ def _measure_pair(
         say(f"{pair}: MixIT, {placement}")
         model = mixseq.fit(sequence, exact=True, placement=placement)
         space, frames = model.mixed, sequence.points[[first, second]]
-        vector = space.encode(frames).mean(axis=0, keepdims=True)
+        blend = Blend(sequence.header, space, space.encode(frames))
         space.prepare()
-        timing, points = repeated(partial(space.decode, vector), 7, 20.0, warm=True)
-        solved.append((f"MixIT {placement}", timing, [], points[0] / sequence.diagonal, 1))
+        timing, (points, reports) = repeated(partial(blend.at_with_reports, [0.5, 0.5]), 7, 20.0, warm=True)
+        solved.append((f"MixIT {placement}", timing, reports, points / sequence.diagonal, 1))
     settings = ShellSettings()
 
     for threads in (1, 2):
@@ -114,7 +115,7 @@ def _measure_pair(
                 pair,
                 method,
                 timing.text(),
-                str(sum(report.iterations for report in reports_)),
+                ", ".join(str(report.iterations) for report in reports_) or "-",
                 _state(reports_, settings.iterations),
                 f"{ratio:.3g}" if ours else "",
                 *errors.texts(),
@@ -143,8 +144,8 @@ def _measure_pair(
 
 
 def _state(reports: list[ShellReport], most: int) -> str:
-    if len(reports) > 1:
-        return f"{sum(report.converged for report in reports)} of {len(reports)} joints"
+    if not reports:
+        return "-"
     if reports[0].converged:
         return "yes"
     return "capped" if reports[0].iterations >= most else "held back"
