@@ -42,7 +42,7 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-JOINT = 0.03
+JOINT = 0.001
 """What lengths and angles weigh in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
 
 LAYOUT = 2.0
