@@ -105,7 +105,6 @@ class ShapeSpace(Remade, ABC):
         """
         return np.asarray(weights @ placements)
 
-    @abstractmethod
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Turn frames into vectors.
 
@@ -121,16 +120,17 @@ class ShapeSpace(Remade, ABC):
         -------
         (T, D) float64
         """
+        return self.without_jumps(self.encode_apart(points), previous)
 
+    @abstractmethod
     def encode_apart(self, points: FloatArray) -> Float:
         """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``, each by itself: `without_jumps` makes them a sequence."""
-        return self.encode(points)
 
     def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
         """Let vectors ``(T, D)`` of `encode_apart` go on from frame to frame, and from the one before, as in `encode`.
 
-        ``encode(points, previous)`` is ``without_jumps(encode_apart(points), previous)``: frames can be encoded in
-        any order, which is most of the work, and be put in order afterwards.
+        Frames can be encoded in any order, which is most of the work, and be put in order afterwards. Here nothing
+        jumps.
         """
         return vectors
 

@@ -56,8 +56,8 @@ class BasisSpace(ShapeSpace):
         products = (self.fields @ self.fields.T) / np.outer(norms, norms)
         return np.asarray(np.linalg.pinv(products, hermitian=True) / np.outer(norms, norms))
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.encode`: the coefficients nearest to the frames, in the least-squares sense."""
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: the coefficients nearest to the frames, in the least-squares sense."""
         vectors = np.empty((len(points), self.dim))
         with one_blas_thread():
             for row, frame in zip(vectors, points, strict=True):

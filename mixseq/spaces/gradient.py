@@ -154,10 +154,6 @@ class GradientSpace(ShapeSpace):
         stretches = np.outer(sizes, [1.0, 1.0, 1.0, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
         return np.concatenate([np.repeat(sizes, 3), stretches.reshape(-1), np.ones(self.placement_dim)])
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.encode`."""
-        return self.without_jumps(self.encode_apart(points), previous)
-
     def encode_apart(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_apart`."""
         result = np.empty((len(points), self.dim))

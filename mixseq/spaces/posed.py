@@ -92,10 +92,6 @@ class PosedSpace(ShapeSpace):
         turns = np.repeat(2.0 * self.pieces.radii, 4)
         return np.concatenate([self.shape_metric, turns, np.ones(3 * len(self.pieces))])
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.encode`."""
-        return self.without_jumps(self.encode_apart(points), previous)
-
     def encode_apart(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_apart`."""
         result = np.empty((len(points), self.dim))

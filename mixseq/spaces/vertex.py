@@ -40,8 +40,8 @@ class VertexSpace(ShapeSpace):
         """Ones: coordinates are in diagonals already."""
         return np.ones(self.dim)
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.encode`."""
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`."""
         return points.astype(np.float64).reshape(len(points), -1) / self.scale
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:

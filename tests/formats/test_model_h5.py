@@ -400,10 +400,10 @@ def test_other_spaces_are_an_output_error(tmp_path: Path) -> None:
         dim = 3
         weights = np.ones(3)
 
-        def encode(self, points: Any, previous: Any = None) -> Any:
+        def encode_apart(self, points: Any) -> Any:
             return points.mean(axis=1)
 
-        def decode(self, vectors: Any, progress: Any = None, offsets: Any = None) -> Any:
+        def decode(self, vectors: Any, progress: Any = None) -> Any:
             return vectors[:, None]
 
     given = mixseq.fit(bar(4, 3, 2), space="vertex")

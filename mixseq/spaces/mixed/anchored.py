@@ -187,15 +187,11 @@ class AnchoredSpace(MixedSpace):
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
         return joined_rows(*blocks)
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``; see `ShapeSpace.encode`.
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions agree within every body.
 
         A rigid motion of a frame changes nothing but its poses.
         """
-        return self.without_jumps(self.encode_apart(points), previous)
-
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions agree within every body."""
         vectors = np.empty((len(points), self.dim))
         for vector, frame in zip(vectors, points, strict=True):
             x = frame.astype(np.float64) / self.scale

@@ -137,15 +137,11 @@ class FreeSpace(MixedSpace):
         """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
         return joined_rows(*blocks)
 
-    def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
-        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``; see `ShapeSpace.encode`.
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions have w >= 0.
 
         A rigid motion of a frame changes nothing but its pose.
         """
-        return self.without_jumps(self.encode_apart(points), previous)
-
-    def encode_apart(self, points: FloatArray) -> Float:
-        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions have w >= 0."""
         vectors = np.empty((len(points), self.dim))
         posed = self.projection.posed
         for vector, frame in zip(vectors, points, strict=True):
