@@ -215,10 +215,10 @@ def test_what_a_drag_will_make_is_shown_at_once(
     charts.grab(start)
     charts.move((start[0] + 30, start[1] - 60))
     to = charts.told("drag")[-1]["to"]
-    made = signals_of(drag(model, time, to), model.plane)["path"]
-    changed = np.abs(np.subtract(made, signals["path"])).max(axis=1) > 1e-4
+    made = drag(model, time, to).layout(signals["times"], model.plane)
+    changed = np.abs(made - signals["path"]).max(axis=1) > 1e-3
     shown = np.array(charts.ask("bentPixels()"))
-    made_there = np.array([charts.pixel(point) for point in np.array(made)[changed]])
+    made_there = np.array([charts.pixel(point) for point in made[changed]])
     nearest = np.linalg.norm(made_there[:, None] - shown, axis=-1).min(axis=1)
     assert changed.sum() > 10 and nearest.max() < 1
     charts.drop()
