@@ -18,6 +18,7 @@ LAYERS = (
     ("sequence",),
     ("topology", "geometry", "stored"),
     ("prediction", "segmentation"),
+    ("shells",),
     ("reconstruction",),
     ("spaces",),
     ("signals",),

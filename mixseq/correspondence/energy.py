@@ -29,7 +29,7 @@ from scipy import sparse
 
 from mixseq.correspondence.surfaces import Surface
 from mixseq.geometry.rigid import nearest_rotations
-from mixseq.reconstruction.solvers import Analysis, analyse
+from mixseq.shells.solvers import Analysis, analyse
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -31,14 +31,14 @@ from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
-from mixseq.spaces.mixed import FreeSpace, PlacementName
+from mixseq.spaces.mixed import PlacementName
 from mixseq.stored import Stored, stored
 from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 
-SHRINK = 0.01
-"""Joints go on inside parts where a blend would shorten an edge by more than this share of its length."""
+FAR = 1e-3
+"""Half-way between poses that are nearer nothing is gained by making lengths and angles agree: edges are less wrong."""
 
 SUM = 1e-6
 """Weights may add up to one with this error, that of single precision; they are divided by their sum."""
@@ -68,11 +68,11 @@ class Blend(Remade):
         poses: Frames,
         space: SpaceName = "mixed",
         *,
-        placement: PlacementName = "free",
+        placement: PlacementName = "anchored",
         parts: int | ArrayLike | None = None,
         joint_width: int = 3,
         motion: MotionSettings | None = None,
-        shrink: float | None = SHRINK,
+        shrink: float | None = None,
         shell: ShellSettings | None = None,
         edge: EdgeSettings | None = None,
         among: ArrayLike | None = None,
@@ -86,8 +86,8 @@ class Blend(Remade):
         among : (n,) int array_like, optional
             The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
-        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
-        check_space(space, settings, usual=SpaceSettings(placement="free", shrink=SHRINK))
+        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, FAR, shell, edge)
+        check_space(space, settings, usual=SpaceSettings(far=FAR))
         check_frames(poses)
         count = poses.header.frame_count
         blended = np.arange(count) if among is None else np.asarray(among)
@@ -128,7 +128,7 @@ class Blend(Remade):
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
         """Blend as `at` does, and tell how every fit to lengths and angles went, in spaces that fit."""
         vector = self._blended(checked_weights(weights, len(self.vectors)))
-        if isinstance(self.space, FreeSpace | EdgeSpace):
+        if isinstance(self.space, EdgeSpace):
             points, (reports,) = self.space.decode_with_reports(vector)
             return points[0], reports
         return self.space.decode(vector)[0], []
@@ -160,11 +160,11 @@ def interpolate(
     weights: ArrayLike,
     space: SpaceName = "mixed",
     *,
-    placement: PlacementName = "free",
+    placement: PlacementName = "anchored",
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
     motion: MotionSettings | None = None,
-    shrink: float | None = SHRINK,
+    shrink: float | None = None,
     shell: ShellSettings | None = None,
     edge: EdgeSettings | None = None,
     progress: Progress = silent,
@@ -184,18 +184,17 @@ def interpolate(
         Their weights, which add up to one. Weights below zero or above one exaggerate.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space, as of `mixseq.fit`.
-    placement : {"free", "anchored"}
-        Mixed space: how parts are placed. Free is the paper's, and follows lengths and angles more closely between
-        poses that are far apart.
+    placement : {"anchored", "free"}
+        Mixed space: how parts are placed. Free is the paper's, which looks for their places in lengths and angles.
     parts : int or (F,) int, optional
         Mixed space: number of parts, or the part of every triangle; found from the poses if not given.
     joint_width : int
         Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
     shrink : float, optional
         Mixed space: joints go on inside parts where a blend would shorten an edge by more than this share of its
-        length. Less follows lengths and angles more closely, and takes longer; None leaves joints at boundaries.
+        length; by default they are at boundaries. The free placement follows lengths and angles more closely with .03.
     motion, shell, edge : optional
-        Details of the segmentation, of the fits to lengths and angles, and of the edge space.
+        Details of the segmentation; of the edge space, fits to lengths and angles, and its projection.
     progress : callable, optional
         Told about every stage.
     workers : OrderedMap, optional

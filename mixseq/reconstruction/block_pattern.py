@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.reconstruction.solvers import Analysis, analyse
+from mixseq.shells.solvers import Analysis, analyse
 
 Index = NDArray[np.int64]
 

@@ -29,8 +29,8 @@ from mixseq.reconstruction.decimation import decimate
 from mixseq.reconstruction.discrete_shell import DiscreteShell, ShellPiece, Wanted
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.shells import ShellReport, ShellSettings, fit_shell
-from mixseq.reconstruction.solvers import Factor, factorise
 from mixseq.reconstruction.unfold import integrate, turned_sides
+from mixseq.shells.solvers import Factor, factorise
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]

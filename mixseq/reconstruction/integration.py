@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.errors import SettingsError
-from mixseq.reconstruction.solvers import Factor, factorise
+from mixseq.shells.solvers import Factor, factorise
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

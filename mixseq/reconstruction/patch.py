@@ -11,8 +11,8 @@ from scipy import sparse
 
 from mixseq.reconstruction.block_pattern import BlockPattern
 from mixseq.reconstruction.equations import Equations
-from mixseq.reconstruction.solvers import Factor, factorise
 from mixseq.segmentation.joints import Joint
+from mixseq.shells.solvers import Factor, factorise
 from mixseq.topology import Topology
 
 Index = NDArray[np.int64]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.reconstruction.solvers import Factor, factorise
+from mixseq.shells.solvers import Factor, factorise
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]

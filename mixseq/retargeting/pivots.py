@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.reconstruction.solvers import Factor, factorise
 from mixseq.retargeting.linkage import Linkage
+from mixseq.shells.solvers import Factor, factorise
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -28,7 +28,7 @@ STAGES = 2 + MAKING
 """Of the work but for the search of a tolerance: reading frames, making the space, encoding frames."""
 
 _MARGIN = 10.0
-"""Joints are solved so much more accurately than the frames have to be."""
+"""Lengths and angles are fitted to so much more accurately than frames have to be."""
 
 
 def fit(
@@ -89,10 +89,10 @@ def fit(
     shrink : float, optional
         Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
         `mixseq.segmentation.softness`; by default they are at boundaries only.
-    motion, shell : optional
-        Details of the segmentation and of the fits to lengths and angles (mixed and edge space).
-    edge : EdgeSettings, optional
-        Details of the edge space: its projection, and what else it keeps.
+    motion : MotionSettings, optional
+        Details of the segmentation.
+    shell, edge : optional
+        Details of the edge space: fits to lengths and angles; its projection, and what else it keeps.
     progress : callable, optional
         Told about every stage.
     workers : OrderedMap, optional
@@ -125,13 +125,14 @@ def fit(
     """
     check_frames(sequence)
     _check(exact, tolerance, rank, knots, pose)
-    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell, edge)
+    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell=shell, edge=edge)
     check_space(space, settings, usual=SpaceSettings())
     direct = exact or rank is not None or knots is not None
     stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
     work = workers or on_threads()
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-    settings = replace(settings, shell=shell or ShellSettings(accuracy=wanted / _MARGIN))
+    if space == "edge" and shell is None:
+        settings = replace(settings, shell=ShellSettings(accuracy=wanted / _MARGIN))
     with one_blas_thread():
         frames = stored(sequence, stages.at(0))
         shape_space = make_space(frames, space, settings, work, stages.at(1, MAKING))

@@ -31,7 +31,7 @@ from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths
-from mixseq.spaces.mixed import MixedSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import FAR, MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
@@ -61,8 +61,10 @@ class SpaceSettings:
     shrink : float, optional
         Mixed space: joints go on inside parts where blending would shorten an edge by more than this share of its
         length, see `mixseq.segmentation.softness`; by default they are at boundaries only.
+    far : float
+        Mixed space: when frames are far apart, see `mixseq.spaces.mixed_space`.
     shell : ShellSettings, optional
-        Mixed and edge space: the Gauss-Newton fit to lengths and angles.
+        Edge space: the Gauss-Newton fit to lengths and angles.
     edge : EdgeSettings, optional
         Edge space: which projection, and what else it keeps.
     """
@@ -72,12 +74,13 @@ class SpaceSettings:
     joint_width: int = 3
     motion: MotionSettings | None = None
     shrink: float | None = None
+    far: float = FAR
     shell: ShellSettings | None = None
     edge: EdgeSettings | None = None
 
 
 _USES: dict[SpaceName, tuple[str, ...]] = {
-    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "shell"),
+    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "far"),
     "edge": ("shell", "edge"),
 }
 
@@ -110,10 +113,6 @@ def check_space(name: SpaceName, settings: SpaceSettings, usual: SpaceSettings) 
             raise SettingsError(
                 f"the {name} space has no use for {setting}; leave it out, or choose {others}"
             )
-    if name == "mixed" and settings.placement == "anchored" and settings.shell is not usual.shell:
-        raise SettingsError(
-            "the anchored placement has no use for shell; leave it out, or choose placement='free'"
-        )
 
 
 def make_space(
@@ -200,8 +199,9 @@ def _mixed(
     observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
     softening = None if settings.shrink is None else Softening(looked_at, settings.shrink)
     decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
-    shell = settings.shell or ShellSettings()
-    return mixed_space(points, topology, decomposition, settings.placement, shell, workers, stages.at(2))
+    return mixed_space(
+        points, topology, decomposition, settings.placement, settings.far, workers, stages.at(2)
+    )
 
 
 def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:

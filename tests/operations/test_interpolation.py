@@ -15,7 +15,7 @@ from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
 from mixseq.spaces import SPACES, EdgeSettings, SpaceName
-from mixseq.spaces.mixed import PLACEMENTS, PlacementName
+from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, PlacementName
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
 
 Float = NDArray[np.float64]
@@ -24,7 +24,7 @@ POSES = bar(sides=5, rings=13, frames=4)
 
 KINDS: list[tuple[SpaceName, dict[str, Any]]] = [
     *((space, {}) for space in SPACES),
-    ("mixed", {"placement": "anchored"}),
+    ("mixed", {"placement": "free"}),
     ("edge", {"edge": EdgeSettings("msgi")}),
     ("edge", {"edge": EdgeSettings(volume=1.0)}),
     ("edge", {"edge": EdgeSettings(coarse=20)}),
@@ -118,19 +118,27 @@ def test_poses_may_have_any_order() -> None:
 
 
 def test_settings_are_used() -> None:
-    blend = Blend.of(POSES, parts=2, placement="anchored", joint_width=1)
+    blend = Blend.of(POSES, parts=2, joint_width=1)
     assert isinstance(blend.space, mixseq.spaces.MixedSpace)
     assert len(blend.space.decomposition.parts) == 2
     assert blend.space.placement == "anchored"
-    free = Blend.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0).space
+    free = Blend.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free").space
     assert isinstance(free, mixseq.spaces.MixedSpace)
     assert (free.placement, len(free.decomposition.parts)) == ("free", 1)
 
 
-@pytest.mark.parametrize("space", ["mixed", "edge"])
-def test_fits_are_reported(space: SpaceName) -> None:
-    points, reports = Blend.of(POSES, space, among=[0, 1]).at_with_reports([0.5, 0.5])
-    np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], space))
+def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> None:
+    """In an animation of the same frames there is no need to."""
+    space = Blend.of(POSES, among=[0, 3]).space
+    assert isinstance(space, AnchoredSpace) and space.relaxation.steps > 0 and space.turning.any()
+    near = MeshSequence.from_arrays(POSES.points[[0, 0]] + np.array([0.0, 1.0])[:, None, None], POSES.faces)
+    for other in (mixseq.fit(POSES).space, Blend.of(near).space):
+        assert isinstance(other, AnchoredSpace) and not (other.relaxation.steps or other.turning.any())
+
+
+def test_fits_are_reported() -> None:
+    points, reports = Blend.of(POSES, "edge", among=[0, 1]).at_with_reports([0.5, 0.5])
+    np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], "edge"))
     assert reports
     assert all(report.converged for report in reports)
     assert not Blend.of(POSES, "vertex").at_with_reports([1, 0, 0, 0])[1]
@@ -197,7 +205,7 @@ def test_poses_to_blend_are_checked() -> None:
     ("settings", "message"),
     [
         ({"space": "polar"}, "space is 'polar'; one of mixed, vertex"),
-        ({"space": "vertex", "placement": "anchored"}, "the vertex space has no use for placement"),
+        ({"space": "vertex", "placement": "free"}, "the vertex space has no use for placement"),
         ({"space": "lri", "parts": 2}, "the lri space has no use for parts"),
         ({"placement": "loose"}, "placement is 'loose'"),
         ({"edge": EdgeSettings()}, "the mixed space has no use for edge"),

@@ -38,7 +38,8 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"space": "edge", "placement": "free"}, r"the edge space has no use for placement"),
         ({"space": "gradient", "joint_width": 2}, r"the gradient space has no use for joint_width"),
         ({"space": "edge", "motion": MotionSettings()}, r"the edge space has no use for motion"),
-        ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='mixed' or space='edge'"),
+        ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='edge'"),
+        ({"placement": "free", "shell": ShellSettings()}, r"the mixed space has no use for shell"),
         ({"edge": EdgeSettings()}, r"the mixed space has no use for edge; .* space='edge'"),
         ({"knots": 1}, r"knots is 1; 3 frames can tell of 0 to 0 inner knots"),
     ],
@@ -68,10 +69,8 @@ def test_the_number_of_parts_is_used(parts: int) -> None:
 
 
 def test_placement_and_details_are_used() -> None:
-    shell = ShellSettings(bending=0.7, iterations=9)
-    model = fit(SMALL, placement="free", joint_width=2, shell=shell, motion=MotionSettings(bend=200.0))
-    assert isinstance(model.space, FreeSpace)
-    assert (model.space.placement, model.space.settings) == ("free", shell)
+    model = fit(SMALL, placement="free", joint_width=2, motion=MotionSettings(bend=200.0))
+    assert isinstance(model.space, FreeSpace) and model.space.placement == "free"
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
 

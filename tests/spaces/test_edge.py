@@ -18,6 +18,7 @@ from mixseq.reconstruction.shells import ShellSettings
 from mixseq.reconstruction.volume import volume
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.shells.shell import Relaxation
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.topology import Topology
@@ -162,12 +163,8 @@ def test_volume_is_kept_better_with_its_term() -> None:
     assert off[-1] < 0.1 * off[0]
 
 
-RIGID = 1e3
-"""Weight of edges that should be as stiff as those of a rigid part."""
-
-
 def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space() -> None:
-    """One joint of all faces, held by a part of one face: S_e, but for the lengths of that face, which is rigid."""
+    """One joint of all faces, held by a part of one face: S_e, but for the lengths of that face."""
     sequence = sequence_of("bar")
     topology = Topology(sequence.faces, sequence.vertex_count)
     part = np.sort(topology.faces[0].astype(np.int64))
@@ -175,13 +172,10 @@ def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space() -> None:
     joint = make_joint(topology, np.ones(len(topology.faces), dtype=bool), held)
     of_face = np.zeros(len(topology.faces), dtype=np.int64)
     whole = Decomposition(of_face, (part,), (joint,), np.ones(1, dtype=np.int64))
-    shell = ShellSettings(tolerance=1e-14, accuracy=1e-11)
-    mixed, space = (
-        mixed_space(sequence.points, topology, whole, "free", shell),
-        space_of(sequence, DSO, shell),
-    )
-    ours, theirs = space.encode(sequence.points), mixed.encode(sequence.points)
+    mixed = mixed_space(sequence.points, topology, whole, "free")
     assert isinstance(mixed, FreeSpace)
+    space = space_of(sequence, DSO, ShellSettings(tolerance=1e-14, accuracy=1e-11))
+    ours, theirs = space.encode(sequence.points), mixed.encode(sequence.points)
     edges, stored = len(topology.edges), mixed.edge_ids
     blocks = mixed.split(theirs)
     np.testing.assert_allclose(ours[:, stored], blocks.lengths, atol=1e-12)
@@ -190,15 +184,13 @@ def test_a_mesh_that_is_one_joint_is_the_same_in_the_mixed_space() -> None:
 
     weights = np.array([0.6, 0.0, 0.0, 0.0, 0.4])
     blended = (weights @ theirs)[None]
-    (their,) = mixed.decode(blended)
+    (their,) = replace(mixed, relaxation=Relaxation(bending=0.3, steps=400)).decode(blended)
     rigid = np.setdiff1d(np.arange(edges), stored)
-    stiff = space.reference_lengths.copy()
-    stiff[rigid] /= RIGID
     vector = weights @ ours
     vector[rigid] = edge_lengths(mixed.split(blended).parts[0], np.searchsorted(part, topology.edges[rigid]))
-    (our,) = replace(space, reference_lengths=stiff).decode(vector[None])
+    (our,) = space.decode(vector[None])
     turn, shift = kabsch(our, their)
-    np.testing.assert_allclose(our @ turn.T + shift, their, atol=1e-8 * space.scale)
+    np.testing.assert_allclose(our @ turn.T + shift, their, atol=5e-4 * space.scale)
     assert not np.allclose(edge_lengths(our, topology.edges), vector[:edges] * space.scale, atol=1e-4)
 
 

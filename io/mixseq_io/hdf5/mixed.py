@@ -6,6 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.errors import FormatError
@@ -15,7 +16,7 @@ from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
 from mixseq.spaces.mixed import PLACEMENTS
 from mixseq.topology import Topology
 from mixseq_io.hdf5.arrays import floats, get_lists, integers, put, put_lists
-from mixseq_io.hdf5.settings import read_scale, read_shell
+from mixseq_io.hdf5.settings import read_relaxation, read_scale
 
 _SUM = 1e-9  # how far the shares of a vertex may be from one
 
@@ -41,6 +42,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
         put_lists(file, "space/shares", "parts", np.split(shares.indices, shares.indptr[1:-1]))
         put(file, "space/shares/weights", shares.data)
         put(file, "space/free", np.flatnonzero(space.free).astype(np.int32))
+        put(file, "space/turning", np.flatnonzero(space.turning).astype(np.int32))
     _write_segmentation(file, space.decomposition)
 
 
@@ -59,9 +61,24 @@ def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> Mix
     shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
     reference = floats(path, file, "space/reference", (header.vertex_count, 3))
     shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
-    free = np.zeros(header.vertex_count, dtype=bool)
-    free[integers(path, file, "space/free", (None,), 0, header.vertex_count)] = True
-    return AnchoredSpace(topology, decomposition, scale, shapes, reference, shares, free)
+    return AnchoredSpace(
+        topology=topology,
+        decomposition=decomposition,
+        scale=scale,
+        shapes=shapes,
+        reference=reference,
+        shares=shares,
+        free=_read_marks(path, file, "space/free", header.vertex_count),
+        turning=_read_marks(path, file, "space/turning", len(topology.faces)),
+        relaxation=read_relaxation(path, file),
+    )
+
+
+def _read_marks(path: Path, file: h5py.File, name: str, count: int) -> NDArray[np.bool_]:
+    """Read which of so many are marked: their numbers."""
+    marks = np.zeros(count, dtype=bool)
+    marks[integers(path, file, name, (None,), 0, count)] = True
+    return marks
 
 
 def read_placement(path: Path, file: h5py.File) -> str:
@@ -83,7 +100,7 @@ def read_free(path: Path, file: h5py.File, header: SequenceHeader) -> FreeSpace:
         shapes=floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
         reference=floats(path, file, "space/reference", (header.vertex_count, 3)),
         reference_lengths=floats(path, file, "space/reference_lengths", (None,)),
-        settings=read_shell(path, file),
+        relaxation=read_relaxation(path, file),
     )
     if len(space.reference_lengths) != len(space.edge_ids):
         raise FormatError(f"{path}: space/reference_lengths does not fit the segmentation; it is damaged")

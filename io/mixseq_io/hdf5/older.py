@@ -46,7 +46,7 @@ def read_v1(path: Path, file: h5py.File) -> Model:
     shapes = read_shapes(path, file, mixed_blocks(old), len(times))
     with one_blas_thread():
         points = old.decode(np.concatenate([shapes, read_placements(path, file, old, len(times))], axis=1))
-        space = mixed_space(points, old.topology, old.decomposition, "free", old.settings)
+        space = mixed_space(points, old.topology, old.decomposition, "free")
         return build(encode(MeshSequence.from_header(header, points), space), Detail())
 
 

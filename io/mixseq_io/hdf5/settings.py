@@ -12,6 +12,7 @@ import numpy as np
 
 from mixseq.errors import FormatError
 from mixseq.reconstruction.shells import ShellSettings
+from mixseq.shells.shell import Relaxation
 
 
 def read_scale(path: Path, file: h5py.File) -> float:
@@ -40,3 +41,11 @@ def read_shell(path: Path, file: h5py.File) -> ShellSettings:
     """Read the settings of fits to lengths and angles."""
     shell = read_settings(path, file, "shell", ShellSettings.__dataclass_fields__)
     return ShellSettings(**{"accuracy": 0.0, **shell})  # older files were checked without it
+
+
+def read_relaxation(path: Path, file: h5py.File) -> Relaxation:
+    """Read how lengths and angles are made to agree; older models, where they were fitted to, do as new ones."""
+    if "relaxation" not in str(file.attrs["settings"]):
+        read_shell(path, file)
+        return Relaxation()
+    return Relaxation(**read_settings(path, file, "relaxation", Relaxation.__dataclass_fields__))

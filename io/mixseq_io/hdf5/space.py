@@ -12,6 +12,7 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import (
     SPACES,
+    AnchoredSpace,
     EdgeSettings,
     EdgeSpace,
     FreeSpace,
@@ -98,8 +99,8 @@ def _edge_blocks(space: EdgeSpace) -> Blocks:
 def write_space(file: h5py.File, space: StoredSpace) -> None:
     """Store a shape space."""
     settings = {}
-    if isinstance(space, FreeSpace):
-        settings = {"shell": asdict(space.settings)}
+    if isinstance(space, AnchoredSpace | FreeSpace):
+        settings = {"relaxation": asdict(space.relaxation)}
     if isinstance(space, EdgeSpace):
         settings = {"shell": asdict(space.shell), "edge": asdict(space.settings)}
     write_settings(file, settings)

@@ -32,7 +32,9 @@ from mixseq.prediction.poses import Neighbours, blended, predicted
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.sequence import FloatArray
+from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
+from mixseq.spaces.mixed.settling import Settling
 from mixseq.spaces.mixed.sides import Sides
 from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
 from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
@@ -89,21 +91,31 @@ class AnchoredSpace(MixedSpace):
         How much vertices follow parts; rows add up to one.
     free : (V,) bool
         Vertices of joints: those of faces that bend, as `VertexFrames.bent` tells.
+    turning : (F,) bool
+        Further faces whose lengths and angles are known: where frames are far apart, those that turn against the
+        frames of their vertices.
+    relaxation : Relaxation
+        How lengths and angles are made to agree; where frames are near each other no steps are taken.
     """
 
     shares: sparse.csr_array
     free: Mask
+    turning: Mask
+    relaxation: Relaxation
     placement = "anchored"
 
     @cached_property
     def edge_ids(self) -> Index:
-        """Edges with a free vertex, ascending."""
-        return np.flatnonzero(self.free[self.topology.edges].any(axis=1))
+        """Edges with a free vertex, or of a turning face; ascending."""
+        known = np.asarray(self.free[self.topology.edges].any(axis=1))
+        known[self.topology.face_edges[self.turning]] = True
+        return np.flatnonzero(known)
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Hinges with a free vertex, ascending."""
-        return np.flatnonzero(self.free[self.topology.hinges].any(axis=1))
+        """Hinges with a free vertex, or of a turning face; ascending."""
+        turning = self.turning[self.topology.hinge_faces].any(axis=1)
+        return np.flatnonzero(turning | self.free[self.topology.hinges].any(axis=1))
 
     @cached_property
     def frames(self) -> VertexFrames:
@@ -117,10 +129,17 @@ class AnchoredSpace(MixedSpace):
         """The faces whose sides are known."""
         return Sides.of(self.topology.faces.astype(np.int64), self.free, self.reference)
 
+    @cached_property
+    def settling(self) -> Settling:
+        """What makes lengths and angles agree."""
+        return Settling.of(self.topology, self.reference, self.edge_ids, self.hinge_ids, self.relaxation)
+
     def prepare(self) -> None:
         """Implement `ShapeSpace.prepare`."""
         if len(self.seams.vertices):
             _ = self.seams.factor
+        if self.relaxation.steps:
+            self.settling.prepare()
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
@@ -249,16 +268,21 @@ class AnchoredSpace(MixedSpace):
         blocks = self.split(np.asarray(vectors, dtype=np.float64))
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
         with one_blas_thread():
-            for number, frame in enumerate(zip(*blocks[2:], strict=True)):
-                unposed, sides, turns, centres = (np.ascontiguousarray(block) for block in frame)
+            for number, frame in enumerate(zip(*blocks, strict=True)):
+                lengths, angles, unposed, sides, turns, centres = (
+                    np.ascontiguousarray(each) for each in frame
+                )
                 motions = self.frames.motions(turns, centres)
-                points[number] = self.seams.settle(motions, sides, kernels.pose(motions, unposed))
+                x = self.seams.settle(motions, sides, kernels.pose(motions, unposed))
+                points[number] = self.settling.settled(x, lengths, angles) if self.relaxation.steps else x
                 progress(number + 1, len(vectors), "decoding frames")
         points *= self.scale
         return points
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving` by the closed derivative."""
+        """Implement `ShapeSpace.decode_moving` by the closed derivative, if no steps are taken."""
+        if self.relaxation.steps:
+            return super().decode_moving(vectors, rates)
         blocks, changes = self.split(np.asarray(vectors, dtype=np.float64)), self.split(rates)
         points, velocities = np.empty((2, len(vectors), self.topology.vertex_count, 3))
         with one_blas_thread():

@@ -7,6 +7,7 @@ largest where parts were found by motion. Where all other parts go is for P_m to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
-from mixseq.geometry.quaternions import continued, quaternions, rotations_of
+from mixseq.geometry.quaternions import continued, quaternions
 from mixseq.geometry.rigid import kabsch
 from mixseq.progress import Progress, silent
-from mixseq.reconstruction.free import FreePlacement
-from mixseq.reconstruction.joint import length_weights
-from mixseq.reconstruction.placement import MixedFrame
-from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.sequence import FloatArray
+from mixseq.shells.shell import Relaxation
+from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
 from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
 from mixseq.threads import one_blas_thread
 
@@ -62,18 +61,20 @@ class FreeSpace(MixedSpace):
     ----------
     reference_lengths : (E',) float64
         Mean edge lengths; their inverses weigh lengths in fits.
-    settings : ShellSettings
-        Settings of the fits.
+    relaxation : Relaxation
+        How lengths and angles are made to agree.
     """
 
     reference_lengths: Float
-    settings: ShellSettings
+    relaxation: Relaxation
     placement = "free"
 
     @cached_property
-    def projection(self) -> FreePlacement:
+    def projection(self) -> Assembly:
         """What puts decoded parts and joints together."""
-        return FreePlacement(self.topology, self.decomposition, self.shapes)
+        return Assembly(
+            self.topology, self.decomposition, self.shapes, self.reference, self.reference_lengths
+        )
 
     def prepare(self) -> None:
         """Implement `ShapeSpace.prepare`."""
@@ -180,38 +181,16 @@ class FreeSpace(MixedSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
-        return self.decode_with_reports(vectors, progress)[0]
-
-    def decode_with_reports(
-        self, vectors: Float, progress: Progress = silent, shell: ShellSettings | None = None
-    ) -> tuple[Float, list[list[ShellReport]]]:
-        """Decode and tell how every frame was solved; other settings of the fits may be given."""
         vectors = np.asarray(vectors, dtype=np.float64)
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
-        reports = []
         with one_blas_thread():
-            for number in range(len(vectors)):
-                points[number], report = self.projection.assemble(
-                    self.frame(vectors[number]), shell or self.settings
-                )
-                reports.append(report)
+            for number, frame in enumerate(self.frames(vectors)):
+                points[number] = self.projection.assemble(frame, self.relaxation).points
                 progress(number + 1, len(vectors), "decoding frames")
-        return points * self.scale, reports
+        points *= self.scale
+        return points
 
-    def decode_for_differences(self, vectors: Float) -> Float:
-        """Implement `ShapeSpace.decode_for_differences`."""
-        return self.decode_with_reports(vectors, shell=self.settings.for_differences())[0]
-
-    def frame(self, vector: Float) -> MixedFrame:
-        """Return what P_m makes a frame of."""
-        blocks = self.split(vector[None])
-        return MixedFrame(
-            lengths=blocks.lengths[0],
-            angles=blocks.angles[0],
-            weights=length_weights(self.reference_lengths),
-            parts=blocks.parts[0],
-            rotations=rotations_of(blocks.rotations[0]),
-            translations=blocks.centres[0],
-            offsets=np.zeros((0, 3)),
-            holds=np.zeros(0),
-        )
+    def frames(self, vectors: Float) -> Iterator[FreeFrame]:
+        """Yield what P_m makes frames of, from vectors ``(T, D)``."""
+        for each in zip(*self.split(vectors), strict=True):
+            yield FreeFrame(*each)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import quaternions
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.geometry.quaternions import normalised, product, quaternions
 from mixseq.geometry.rigid import mean_shape
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, silent
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import FloatArray, bounding_diagonal
+from mixseq.shells.shell import Relaxation
+from mixseq.shells.triangles import frames_of
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
@@ -26,6 +29,19 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 
+LOOKED_AT = 16
+"""At so many pairs of frames it is found out how far apart frames are."""
+
+MOST = 0.99
+"""So many edges, at least, have to be right half-way."""
+
+FAR = 1.0 / 3.0
+"""By so much of its length an edge may be wrong half-way between frames of an animation. Up to there frames in between
+know better what became of it than lengths and angles do. Ours."""
+
+TURN = 10.0
+"""Where frames are far apart, faces that turn by more degrees against the frames of their vertices are joints; ours."""
+
 SHAPED_BY = 64
 """Mean shapes of parts are means of at most so many frames. Any shapes would do to encode all frames exactly."""
 
@@ -35,7 +51,7 @@ def mixed_space(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
-    settings: ShellSettings | None = None,
+    far: float = FAR,
     workers: OrderedMap = serially,
     progress: Progress = silent,
 ) -> MixedSpace:
@@ -51,8 +67,9 @@ def mixed_space(
         Parts and joints.
     placement : {"anchored", "free"}
         How parts are placed.
-    settings : ShellSettings, optional
-        Settings of the fits of the free placement.
+    far : float
+        Anchored placement: frames are far apart, and lengths and angles are made to agree between them, if edges
+        half-way are wrong by more than this share of their length.
     workers : OrderedMap, optional
         Who looks at the frames.
     progress : callable, optional
@@ -73,26 +90,71 @@ def mixed_space(
     progress(1, 2, "registering parts")
     if placement == "anchored":
         shares = fitted_shares(topology, decomposition, shapes, some / scale, reference)
-        nothing = np.zeros(len(reference), dtype=bool)
-        stiff = AnchoredSpace(topology, decomposition, scale, shapes, reference, shares, nothing)
-        free = _free(stiff, some)
+        stiff = AnchoredSpace(
+            topology=topology,
+            decomposition=decomposition,
+            scale=scale,
+            shapes=shapes,
+            reference=reference,
+            shares=shares,
+            free=np.zeros(topology.vertex_count, dtype=bool),
+            turning=np.zeros(len(topology.faces), dtype=bool),
+            relaxation=Relaxation(steps=0),
+        )
+        near = replace(stiff, free=_free(stiff, some))
         progress(2, 2, "registering parts")
-        return replace(stiff, free=free)
-    space = FreeSpace(
-        topology, decomposition, scale, shapes, reference, np.zeros(0), settings or ShellSettings()
-    )
+        if how_far_apart(near, points) <= far:
+            return near
+        return replace(near, turning=_turning(near, some), relaxation=Relaxation())
+    space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
     edges = topology.edges[space.edge_ids]
-    made = replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
-    vars(made)["projection"] = space.projection  # it does not depend on lengths, and is work to make
-    return made
+    return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
+
+
+def how_far_apart(space: AnchoredSpace, points: Table) -> float:
+    """Return by how much of their length edges are wrong half-way between frames ``(T, V, 3)``.
+
+    All but one in a hundred are less wrong than that, between most pairs of some that are spread over the sequence.
+    """
+    count, edges = len(points), space.topology.edges
+    if count < 2 or not len(edges):
+        return 0.0
+    half, wrong = np.array([0.5, 0.5]), []
+    for first in np.unique(np.linspace(0, count - 2, LOOKED_AT).astype(np.int64)):
+        pair = np.asarray(points[first : first + 2], dtype=np.float64)
+        shapes, placements = np.split(space.encode(pair), [space.shape_dim], axis=1)
+        middle = np.concatenate([half @ shapes, space.blended_placements(half, placements)])[None]
+        wanted = edge_lengths(pair, edges).mean(axis=0)
+        off = np.abs(edge_lengths(space.decode(middle)[0], edges) - wanted)
+        share = np.divide(off, wanted, out=np.zeros_like(off), where=wanted > 0)
+        wrong.append(float(np.quantile(share, MOST)))
+    return float(np.median(wrong))
 
 
 def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
     """Mark the vertices ``(V,)`` of faces that bend in some of the frames ``(S, V, 3)``."""
     bent = np.zeros(len(space.topology.faces), dtype=bool)
-    for frame in frames:
-        _, rotations, centres = space.registered(frame.astype(np.float64) / space.scale)
-        bent |= space.frames.bent(space.frames.motions(quaternions(rotations), centres))
+    for _, motions in _moving(space, frames):
+        bent |= space.frames.bent(motions)
     free = np.zeros(space.topology.vertex_count, dtype=bool)
     free[space.topology.faces[bent]] = True
     return free
+
+
+def _turning(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
+    """Mark the faces ``(F,)`` that turn by more than `TURN` against the frames of their vertices."""
+    faces = space.topology.faces
+    upright, turning = frames_of(space.reference, faces), np.zeros(len(faces), dtype=bool)
+    for x, motions in _moving(space, frames):
+        carried = normalised(motions[faces, :4].sum(axis=1))
+        cosines = np.abs((product(carried, upright) * frames_of(x, faces)).sum(axis=1))
+        turning |= cosines < np.cos(np.radians(TURN) / 2.0)
+    return turning
+
+
+def _moving(space: AnchoredSpace, frames: FloatArray) -> Iterator[tuple[Float, Float]]:
+    """Yield frames ``(V, 3)`` in diagonals, and the motions ``(V, 7)`` of their vertices."""
+    for frame in frames:
+        x = frame.astype(np.float64) / space.scale
+        _, rotations, centres = space.registered(x)
+        yield x, space.frames.motions(quaternions(rotations), centres)

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.geometry.rigid import turned
-from mixseq.reconstruction.solvers import factorise
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray
+from mixseq.shells.solvers import factorise
 from mixseq.spaces.mixed import share_kernels as kernels
 from mixseq.spaces.registered import registered
 from mixseq.topology import Topology

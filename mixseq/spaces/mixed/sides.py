@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.pickling import Remade
-from mixseq.reconstruction.solvers import Factor, factorise
+from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 
 Float = NDArray[np.float64]

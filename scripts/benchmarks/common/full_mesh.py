@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.reconstruction.patch import Patch
 from mixseq.reconstruction.shells import ShellProblem, ShellReport, ShellSettings, fit_shell
-from mixseq.reconstruction.solvers import Analysis
+from mixseq.shells.solvers import Analysis
 from mixseq.reconstruction.unfold import unfold
 from mixseq.topology import Topology
 

@@ -13,7 +13,6 @@ from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.quaternions import product, quaternions, rotations_of
 from mixseq.mapping import on_threads
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import decompose, segment_by_labels
 from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, FreeSpace, PlacementName, mixed_space
 from tests.meshes import (
@@ -348,9 +347,7 @@ def test_no_vectors_decode_to_no_frames(placement: PlacementName) -> None:
 @both
 def test_spaces_are_the_same_whoever_makes_them_and_can_be_sent(placement: PlacementName) -> None:
     points, space = sequence_of("bar").points, space_of("bar", placement)
-    other = mixed_space(
-        points, space.topology, space.decomposition, placement, ShellSettings(), on_threads(3)
-    )
+    other = mixed_space(points, space.topology, space.decomposition, placement, workers=on_threads(3))
     vectors = space.encode(points)
     np.testing.assert_array_equal(other.encode(points), vectors)
     space.prepare()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from mixseq.errors import ReconstructionError
-from mixseq.reconstruction.solvers import analyse, factorise
+from mixseq.shells.solvers import analyse, factorise
 from tests.meshes import seeds
 
 

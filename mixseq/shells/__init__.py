@@ -1,0 +1,1 @@
+"""Meshes from the lengths of their edges and the dihedral angles between their faces."""

@@ -1,0 +1,264 @@
+r"""A mesh as a shell: vertices from sides of its faces, and steps that make lengths and angles agree.
+
+The energy is that of discrete shells (Froehlich and Botsch 2011), with weights that count relative changes,
+
+.. math:: E(x) = \tfrac12 \sum_e \frac{(l_e - l_e^*)^2}{\bar l_e^2}
+               + \tfrac12 \sum_h \beta^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2 .
+
+It is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
+:math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed, by the range of
+curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
+for, and the result is as smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.pickling import Remade
+from mixseq.shells import relaxation_kernels as kernels
+from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.triangles import flat_triangles
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ROUNDS = 15
+"""So often the largest curvature is looked for."""
+
+SAFE = 1.3
+"""It is taken to be so many times larger: it is found from below, and in another shape of the mesh."""
+
+RANGE = 30.0
+"""Steps lower what has curvatures down to this share of the largest. What is softer is where the start has it. Ours."""
+
+NO_LENGTH = 1e-12
+"""Edges that are shorter, in diagonals, have no direction to be moved along, and do not count; the value is ours."""
+
+SLENDER = 0.25
+"""Hinges of triangles whose height is below this share of their sides count less: noise would turn them. And triangles
+that have shrunk to this share of their area are turned as if they had not shrunk further."""
+
+STEP = 1e-4
+"""Size of a difference quotient, relative to edges."""
+
+EXACT = 1e-8
+"""With no larger weighted residuals, on average, lengths and angles are those of the mesh: nothing is to be done."""
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """How lengths and angles that no mesh has are made to agree.
+
+    Attributes
+    ----------
+    bending : float
+        Weight of an angle in radians against a relative length.
+    steps : int
+        So many steps are taken.
+
+    Raises
+    ------
+    SettingsError
+        If the weight is not positive, or the steps are not a whole number of 0 or more.
+    """
+
+    bending: float = 0.22
+    steps: int = 10
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.bending) and self.bending > 0):
+            raise SettingsError(f"bending is {self.bending}; a positive weight is expected")
+        if not isinstance(self.steps, int | np.integer) or self.steps < 0:
+            raise SettingsError(f"steps is {self.steps!r}; a whole number of 0 or more is expected")
+
+
+class Relaxed(NamedTuple):
+    """A mesh after some steps.
+
+    Attributes
+    ----------
+    points : (V, 3) float64
+        Its vertices.
+    energy : float
+        What is left of the energy.
+    """
+
+    points: Float
+    energy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Shell(Remade):
+    """A mesh whose lengths and angles are to be agreed on.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity.
+    reference : (V, 3) float64
+        Some shape of it, in diagonals.
+    typical : (E,) float64
+        Typical lengths of all edges, in diagonals.
+    ties : (t, 2) int64
+        Further pairs of vertices whose sides are known: what holds together without an edge.
+    holds : (V,) float64
+        How much vertices stay where they are expected, against the sides of faces, relative to these: positive for
+        one, at least, of all that are connected.
+    """
+
+    topology: Topology
+    reference: Float
+    typical: Float
+    ties: Index
+    holds: Float
+
+    @cached_property
+    def _faces(self) -> Index:
+        return self.topology.faces.astype(np.int64)
+
+    @cached_property
+    def stretch(self) -> Float:
+        """Weights ``(E,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
+        return np.divide(1.0, self.typical, out=np.zeros(len(self.typical)), where=self.typical > NO_LENGTH)
+
+    @cached_property
+    def bend(self) -> Float:
+        """Weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
+        longest = (
+            self.typical[self.topology.face_edges]
+            .max(axis=1)[self.topology.hinge_faces]
+            .max(axis=1, initial=0)
+        )
+        edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
+        height = self._normals.min(axis=1, initial=np.inf) / edge
+        return np.asarray(np.minimum(1.0, height / (SLENDER * np.maximum(longest, NO_LENGTH))))
+
+    @cached_property
+    def _normals(self) -> Float:
+        """Typical lengths ``(H, 2)`` of the normals of both faces of the hinges: twice their areas."""
+        flat = flat_triangles(self.typical[self.topology.face_edges])
+        return np.asarray((flat[:, 1, 0] * flat[:, 2, 1])[self.topology.hinge_faces])
+
+    @cached_property
+    def _smallest(self) -> Float:
+        """Squares ``(H, 2)`` of what normals are taken to have at least."""
+        return np.square(SLENDER * self._normals)
+
+    @cached_property
+    def _side_weights(self) -> Float:
+        """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to that of its length, squared."""
+        weights = np.square(self.stretch)
+        weights = np.where(weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), NO_LENGTH)))
+        return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
+
+    @cached_property
+    def _tie_weight(self) -> float:
+        return float(np.median(self._side_weights)) if len(self._side_weights) else 1.0
+
+    @cached_property
+    def _held(self) -> Float:
+        return np.asarray(self.holds * self._tie_weight)
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Factor of the Laplacian."""
+        faces, count = self._faces, self.topology.vertex_count
+        i = np.concatenate([faces.reshape(-1), self.ties[:, 0]])
+        j = np.concatenate([np.roll(faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
+        weights = np.concatenate([self._side_weights.reshape(-1), np.full(len(self.ties), self._tie_weight)])
+        degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
+        places = np.concatenate([i, j]), np.concatenate([j, i])
+        coupled = sparse.coo_array((np.tile(weights, 2), places), shape=(count, count))
+        return factorise((sparse.diags_array(degrees + self._held) - coupled).tocsr())
+
+    def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
+        """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
+
+        Parameters
+        ----------
+        sides : (F, 3, 3) float64
+            Sides 01, 12, 20 of all faces.
+        tied : (t, 3) float64
+            Differences of the tied vertices.
+        expected : (V, 3) float64
+            Where the vertices are expected that are held.
+        """
+        right = self._held[:, None] * expected
+        kernels.gathered(self._faces, self._side_weights, sides, right)
+        np.add.at(right, self.ties[:, 1], self._tie_weight * tied)
+        np.add.at(right, self.ties[:, 0], -self._tie_weight * tied)
+        return self.factor.solve(right)
+
+    def relaxed(self, start: Float, lengths: Float, angles: Float, settings: Relaxation) -> Relaxed:
+        """Make lengths and angles agree.
+
+        Parameters
+        ----------
+        start : (V, 3) float64
+            Where the steps start.
+        lengths, angles : (E,), (H,) float64
+            What edges and hinges should have.
+        settings : Relaxation
+            How many steps, and what angles weigh.
+
+        Raises
+        ------
+        ReconstructionError
+            If lengths, angles or the start are not finite.
+        """
+        gradient, energy = self._gradient(start, lengths, angles, settings.bending)
+        if not np.isfinite(energy):
+            raise ReconstructionError("lengths, angles or vertices are not finite")
+        if not settings.steps or energy <= 0.5 * EXACT**2 * (len(lengths) + len(angles)):
+            return Relaxed(start, energy)
+        largest = SAFE * self._largest(settings.bending)
+        middle, half = 0.5 * (largest + largest / RANGE), 0.5 * (largest - largest / RANGE)
+        ratio = half / middle
+        step = self.factor.solve(gradient) / -middle
+        x, left = start + step, energy
+        for number in range(settings.steps):
+            gradient, left = self._gradient(x, lengths, angles, settings.bending)
+            if number == settings.steps - 1:
+                break
+            before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
+            step = ratio * before * step - 2.0 * ratio / half * self.factor.solve(gradient)
+            x = x + step
+        return Relaxed(x, left) if left < energy else Relaxed(start, energy)
+
+    def _gradient(self, x: Float, lengths: Float, angles: Float, bending: float) -> tuple[Float, float]:
+        """The gradient ``(V, 3)`` of the energy, and the energy."""
+        topology, gradient = self.topology, np.empty_like(x)
+        weights = self.stretch, bending * self.bend, self._smallest
+        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, angles, *weights, gradient)
+        return gradient, float(energy)
+
+    def _largest(self, bending: float) -> float:
+        """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
+        if bending not in self._curvatures:
+            x, count = self.reference, self.topology.vertex_count
+            lengths, angles = edge_lengths(x, self.topology.edges), dihedral_angles(x, self.topology.hinges)
+            way, curvature = np.random.default_rng(0).normal(size=(count, 3)), 0.0
+            size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(count)
+            for _ in range(ROUNDS):
+                way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
+                ahead, behind = (
+                    self._gradient(x + sign * way, lengths, angles, bending)[0] for sign in (1, -1)
+                )
+                way = self.factor.solve(0.5 * (ahead - behind))
+                curvature = float(np.linalg.norm(way)) / size
+            self._curvatures[bending] = max(curvature, NO_LENGTH)
+        return self._curvatures[bending]
+
+    @cached_property
+    def _curvatures(self) -> dict[float, float]:
+        return {}

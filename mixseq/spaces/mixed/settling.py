@@ -1,0 +1,105 @@
+r"""Settling: between poses that are far apart lengths and angles say what blends of vertices do not know.
+
+Posed vertices and their sides are where a frame is expected. Between far poses they are sheared, and shorter than they
+should be. There the frames of all faces, and then vertices, are moved a little to what lengths and angles of the joints
+say, and those of the posed vertices elsewhere (`mixseq.shells`): one average of rotations, one back-substitution, and a
+fixed number of steps. All matrices are constant, and where lengths and angles agree nothing moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.shells.frames import FrameGraph
+from mixseq.shells.relaxation_kernels import turned_sides
+from mixseq.shells.shell import Relaxation, Shell
+from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+ROUNDS = 2
+"""So often what does not fit between frames is divided among them."""
+
+HOLD = 1e-4
+"""How much frames and vertices stay where they are expected, against hinges and sides: enough to keep a mesh in its
+place, too little to bend it. Ours."""
+
+THIN = 1e-6
+"""Triangles that are less high, relative to their sides, have no area, and their hinges say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """Makes the lengths and angles of posed meshes agree with those that are known; make it with `Settling.of`.
+
+    Attributes
+    ----------
+    edge_ids, hinge_ids : (E',), (H',) int64
+        Edges and hinges whose lengths and angles are known; others should stay what they are.
+    shell : Shell
+        The mesh.
+    graph : FrameGraph
+        Frames of its faces.
+    hinges : Hinges
+        Its hinges.
+    relaxation : Relaxation
+        The steps.
+    """
+
+    edge_ids: Index
+    hinge_ids: Index
+    shell: Shell
+    graph: FrameGraph
+    hinges: Hinges
+    relaxation: Relaxation
+
+    @classmethod
+    def of(
+        cls, topology: Topology, reference: Float, edge_ids: Index, hinge_ids: Index, relaxation: Relaxation
+    ) -> Settling:
+        """Make it for a mesh whose reference frame ``(V, 3)`` has typical lengths."""
+        nothing = np.zeros((0, 2), dtype=np.int64)
+        holds = np.full(topology.vertex_count, HOLD)
+        shell = Shell(topology, reference, edge_lengths(reference, topology.edges), nothing, holds)
+        sound, everything = shell.bend > THIN, np.ones(len(topology.faces), dtype=bool)
+        pairs = topology.hinge_faces[sound]
+        graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, HOLD)
+        return cls(edge_ids, hinge_ids, shell, graph, Hinges(topology), relaxation)
+
+    @cached_property
+    def _sound(self) -> Mask:
+        """Mark the hinges ``(H,)`` that tell something."""
+        return np.asarray(self.shell.bend > THIN)
+
+    @cached_property
+    def _thin(self) -> Index:
+        """Faces without area, whose frames say nothing of their sides."""
+        topology = self.shell.topology
+        flat = flat_triangles(self.shell.typical[topology.face_edges])
+        height = flat[:, 2, 1] * flat[:, 1, 0]
+        return np.flatnonzero(height <= THIN * np.square(self.shell.typical[topology.face_edges]).max(axis=1))
+
+    def prepare(self) -> None:
+        """Compute what all frames share."""
+        self.shell.factor, self.graph.factor  # noqa: B018 - cached properties
+
+    def settled(self, x: Float, lengths: Float, angles: Float) -> Float:
+        """Return where vertices, posed at ``(V, 3)``, are with lengths ``(E',)`` and angles ``(H',)``."""
+        topology = self.shell.topology
+        all_lengths, all_angles = edge_lengths(x, topology.edges), dihedral_angles(x, topology.hinges)
+        all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
+        flat = flat_triangles(all_lengths[topology.face_edges])
+        turns = self.hinges.turns(flat, all_angles)[self._sound]
+        sides = turned_sides(self.graph.averaged(frames_of(x, topology.faces), turns, ROUNDS), flat)
+        corners = x[topology.faces[self._thin]]
+        sides[self._thin] = np.roll(corners, -1, axis=1) - corners
+        start = self.shell.integrated(sides, np.zeros((0, 3)), x)
+        return self.shell.relaxed(start, all_lengths, all_angles, self.relaxation).points

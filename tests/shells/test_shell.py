@@ -1,0 +1,157 @@
+"""Vertices from sides, and steps that make lengths and angles agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.geometry.rigid import kabsch
+from mixseq.reconstruction.patch import Patch
+from mixseq.reconstruction.shells import ShellProblem, ShellSettings, fit_shell
+from mixseq.shells import relaxation_kernels as kernels
+from mixseq.shells.shell import Relaxation, Shell
+from tests.meshes import Float, Mesh, grid, rotation, topology_of, torus, tube
+
+MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]
+
+
+def shell_of(mesh: Mesh, hold: float = 0.0) -> Shell:
+    topology = topology_of(mesh)
+    holds = np.full(topology.vertex_count, hold)
+    holds[0] = max(hold, 1.0)
+    nothing = np.zeros((0, 2), dtype=np.int64)
+    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), nothing, holds)
+
+
+def shaken(mesh: Mesh, size: float, seed: int = 0) -> Float:
+    return np.asarray(mesh[0] + size * np.random.default_rng(seed).normal(size=mesh[0].shape))
+
+
+def measured(shell: Shell, x: Float) -> tuple[Float, Float]:
+    return edge_lengths(x, shell.topology.edges), dihedral_angles(x, shell.topology.hinges)
+
+
+def sides_of(mesh: Mesh, x: Float) -> Float:
+    corners = x[mesh[1]]
+    return np.asarray(np.roll(corners, -1, axis=1) - corners)
+
+
+def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None:
+    mesh = tube(6, 9)
+    shell, x = shell_of(mesh), shaken(mesh, 0.1)
+    lengths, angles = measured(shell, shaken(mesh, 0.1, 1))
+    arrays = (
+        shell.topology.edges,
+        shell.topology.hinges,
+        lengths,
+        angles,
+        shell.stretch,
+        0.3 * shell.bend,
+        shell._smallest,
+    )
+    gradient = np.empty_like(x)
+    energy = kernels.energy(x, *arrays, gradient)
+    own_lengths, own_angles = measured(shell, x)
+    stretch, bend = shell.stretch * (own_lengths - lengths), 0.3 * shell.bend * wrap(own_angles - angles)
+    assert energy == pytest.approx(0.5 * (stretch @ stretch + bend @ bend), rel=1e-12)
+    rng, step, nowhere = np.random.default_rng(4), 1e-6, np.empty_like(x)
+    for _ in range(5):
+        way = rng.normal(size=x.shape)
+        ahead, behind = (kernels.energy(x + sign * step * way, *arrays, nowhere) for sign in (1, -1))
+        assert np.vdot(gradient, way) == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_vertices_follow_from_sides(mesh: Mesh) -> None:
+    x = shaken(mesh, 0.2)
+    found = shell_of(mesh).integrated(sides_of(mesh, x), np.zeros((0, 3)), np.zeros_like(x))
+    np.testing.assert_allclose(found - found[0], x - x[0], atol=1e-12)
+
+
+def test_vertices_that_are_held_stay_where_they_are_expected() -> None:
+    mesh = grid(6, 6)
+    shell, sides = shell_of(mesh, 1e4), sides_of(mesh, shaken(mesh, 0.2))
+    found = shell.integrated(sides, np.zeros((0, 3)), mesh[0])
+    assert np.abs(found - mesh[0]).max() < 0.01 * np.abs(shaken(mesh, 0.2) - mesh[0]).max()
+
+
+def test_ties_hold_what_no_edge_does() -> None:
+    """A vertex that no face uses goes with the one that it is tied to."""
+    points, faces = grid(3, 3)
+    mesh = np.concatenate([points, [[5.0, 5.0, 5.0]]]), faces
+    topology = topology_of(mesh)
+    holds, ties = np.eye(1, len(mesh[0]))[0], np.array([[2, len(points)]])
+    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), ties, holds)
+    found = shell.integrated(sides_of(mesh, mesh[0]), np.array([[0.0, 1.0, 2.0]]), np.zeros_like(mesh[0]))
+    np.testing.assert_allclose(found[-1] - found[2], [0, 1, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_a_mesh_with_its_lengths_and_angles_stays(mesh: Mesh) -> None:
+    shell, x = shell_of(mesh), shaken(mesh, 0.1)
+    moved = x @ rotation((1.0, 2.0, 3.0)).T + 5.0
+    result = shell.relaxed(moved, *measured(shell, x), Relaxation())
+    np.testing.assert_allclose(result.points, moved, atol=1e-12)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_steps_find_a_mesh_that_has_the_lengths_and_angles(mesh: Mesh) -> None:
+    shell, wanted = shell_of(mesh), shaken(mesh, 0.05, 1)
+    lengths, angles = measured(shell, wanted)
+    few, many = (shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=n)) for n in (9, 200))
+    first = shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=0))
+    assert many.energy < 1e-8 * first.energy and few.energy < 0.1 * first.energy
+    turn, shift = kabsch(many.points, wanted)
+    np.testing.assert_allclose(many.points @ turn.T + shift, wanted, atol=1e-3)
+
+
+def test_steps_go_where_gauss_newton_goes() -> None:
+    """Where no mesh has the lengths and angles, too: half-way between a straight and a bent tube."""
+    mesh = tube(8, 21)
+    angle = 1.2 * np.clip(mesh[0][:, 2] / np.ptp(mesh[0][:, 2]), 0, 1)
+    bent = np.stack([rotation((a, 0, 0)) @ x for a, x in zip(angle, mesh[0], strict=True)])
+    shell = shell_of(mesh)
+    (la, ta), (lb, tb) = measured(shell, mesh[0]), measured(shell, bent)
+    lengths, angles = (la + lb) / 2, ta + wrap(tb - ta) / 2
+    t = shell.topology
+    patch = Patch(
+        t.faces.astype(np.int64), t.edges, t.face_edges, t.hinges, t.hinge_faces, np.zeros(len(bent), bool)
+    )
+    problem = ShellProblem(patch, lengths, angles, shell.stretch, 0.25)
+    assert (shell.bend > 0.9).all()
+    _, report = fit_shell(problem, mesh[0], ShellSettings(tolerance=1e-10))
+    ours = shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=300))
+    assert 0.5 * report.energy < 2 * ours.energy < 1.01 * report.energy
+
+
+def test_slender_triangles_count_less_and_flat_ones_nothing() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0.9, 0], [0.5, -0.9, 0], [0.5, -0.1, 0], [1.5, 0, 0]])
+    for second, low, high in ((3, 1.0, 1.0), (4, 0.2, 0.6), (5, 0.0, 0.0)):
+        mesh = points, np.array([[0, 1, 2], [1, 0, second]])
+        (bend,) = shell_of(mesh).bend
+        assert low <= bend <= high
+
+
+def test_what_is_not_finite_is_refused() -> None:
+    mesh = grid(4, 4)
+    shell = shell_of(mesh)
+    lengths, angles = measured(shell, mesh[0])
+    lengths[3] = np.inf
+    with pytest.raises(ReconstructionError, match="not finite"):
+        shell.relaxed(mesh[0], lengths, angles, Relaxation())
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"bending": 0.0}, "bending is 0.0; a positive weight"),
+        ({"bending": np.nan}, "bending is nan"),
+        ({"steps": -1}, "steps is -1; a whole number"),
+        ({"steps": 2.5}, "steps is 2.5"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        Relaxation(**settings)  # type: ignore[arg-type]

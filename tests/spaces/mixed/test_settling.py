@@ -1,0 +1,84 @@
+"""Settling: between far poses lengths and angles agree; at poses nothing moves, and nothing jumps in between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.operations.interpolation import Blend
+from mixseq.sequence import MeshSequence
+from mixseq.spaces.mixed import AnchoredSpace
+from tests.meshes import SEQUENCES, Float, rotation, tube
+
+
+def curled() -> MeshSequence:
+    """A tube, straight and curled up to a ring: no part of it is rigid."""
+    points, faces = tube(8, 41, length=10.0)
+    turns = np.pi * (points[:, 2] / 10.0)
+    frames = [points]
+    for share in (0.5, 1.0):
+        angle = np.maximum(share * turns, 1e-9)
+        radius = points[:, 2] / angle
+        ring = np.stack([np.zeros_like(angle), radius * (np.cos(angle) - 1), radius * np.sin(angle)], axis=1)
+        across = points * [1, 1, 0]
+        turned = np.stack([rotation((a, 0, 0)) @ x for a, x in zip(angle, across, strict=True)])
+        frames.append(ring + turned)
+    return MeshSequence.from_arrays(np.stack(frames), faces)
+
+
+CURLED = curled()
+
+
+def blend_of(*among: int) -> Blend:
+    blend = Blend.of(CURLED, among=among, parts=3)
+    assert isinstance(blend.space, AnchoredSpace) and blend.space.relaxation.steps
+    return blend
+
+
+def strain(x: Float) -> float:
+    """Largest relative error of a length half-way between the first and the last pose."""
+    edges = blend_of(0, 2).space.topology.edges  # type: ignore[attr-defined]
+    wanted = edge_lengths(CURLED.points[[0, 2]], edges).mean(axis=0)
+    return float(np.abs(edge_lengths(x, edges) / wanted - 1).max())
+
+
+def test_poses_stay_what_they_are() -> None:
+    blend = blend_of(0, 2)
+    for weights, pose in (([1, 0], 0), ([0, 1], 2)):
+        np.testing.assert_allclose(blend.at(weights), CURLED.points[pose], atol=1e-9)
+
+
+def test_half_way_a_tube_is_half_curled_up() -> None:
+    found = blend_of(0, 2).at([0.5, 0.5])
+    plain = CURLED.points[[0, 2]].mean(axis=0)
+    assert strain(found) < 0.05 < 0.3 < strain(plain)
+    distances = [np.linalg.norm(x[:8].mean(axis=0) - x[-8:].mean(axis=0)) for x in (found, CURLED.points[1])]
+    assert distances[0] == pytest.approx(distances[1], rel=0.1)
+
+
+def test_nothing_jumps_between_poses() -> None:
+    blend = blend_of(0, 2)
+    path = np.stack(list(blend.along([[1 - w, w] for w in np.linspace(0, 1, 65)])))
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=2).max(axis=1)
+    assert steps.max() < 2.5 * np.median(steps)
+
+
+def test_velocities_are_those_of_settled_points() -> None:
+    space = blend_of(0, 2).space
+    vectors = space.encode(CURLED.points[[0, 2]])
+    vector, rate = vectors[:1], (vectors[1:] - vectors[:1]) * 0.01
+    _, velocities = space.decode_moving(vector + 20 * rate, rate)
+    ahead, behind = (space.decode(vector + (20 + step) * rate) for step in (0.1, -0.1))
+    np.testing.assert_allclose(velocities, (ahead - behind) / 0.2, atol=0.01 * np.abs(velocities).max())
+
+
+@pytest.mark.parametrize("name", ["several components", "zero area", "unused vertices", "repeated corners"])
+def test_any_mesh_can_settle(name: str) -> None:
+    """Where there are triangles without area, too, and vertices that no triangle uses."""
+    sequence = SEQUENCES[name]()
+    blend = Blend.of(sequence)
+    count = len(sequence.points)
+    for pose in (0, count - 1):
+        np.testing.assert_allclose(blend.at(np.eye(count)[pose]), sequence.points[pose], atol=1e-8)
+    assert np.isfinite(blend.at(np.full(count, 1 / count))).all()
