@@ -30,8 +30,8 @@ from mixseq.coding.coded import CodingParameters
 from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces import AnchoredSpace, EdgeSettings, MixedSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq_io import FORMATS

@@ -225,7 +225,7 @@ def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return what `mixseq.fit` takes of the plain values that `fit_options` or `space_options` collected."""
     if "edge" not in options:
         return dict(options)
-    from mixseq.spaces.edge import EdgeSettings
+    from mixseq.spaces.edge.space import EdgeSettings
 
     return {**options, "edge": EdgeSettings(**options["edge"])}
 

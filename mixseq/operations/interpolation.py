@@ -24,12 +24,12 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.pickling import Remade
 from mixseq.progress import Progress, Stages, silent
-from mixseq.reconstruction.shells import ShellReport, ShellSettings
 from mixseq.segmentation import MotionSettings
 from mixseq.sequence import Frames, SequenceHeader, check_frames
+from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
 from mixseq.spaces.mixed import PlacementName
 from mixseq.stored import Stored, stored

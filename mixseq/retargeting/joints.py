@@ -28,8 +28,8 @@ from scipy import sparse
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import nearest_rotations, turned
-from mixseq.reconstruction.placement import JointRows
 from mixseq.retargeting.gradients import GradientTransfer, mixed, normalised
+from mixseq.retargeting.placement import JointRows
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]

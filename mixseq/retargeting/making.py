@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.alignment import Alignment, align
 from mixseq.retargeting.carried import CarriedParts, carry_parts
 from mixseq.retargeting.gradients import GradientTransfer
@@ -15,6 +14,7 @@ from mixseq.retargeting.mixed import MixedTransfer
 from mixseq.segmentation.joints import decompose
 from mixseq.segmentation.observed import Watched, frames_to_look_at, observe
 from mixseq.sequence import bounding_diagonal
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.table import Table
 from mixseq.topology import Topology

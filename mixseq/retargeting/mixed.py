@@ -8,7 +8,7 @@ The parts of the source are carried to the target (`carried`). A frame of the so
 - lengths and angles of the joints, as ratios and differences (`joints`), and where their free vertices are beside what
   the parts carry along, as gradients tell.
 
-The projection P_m turns that into the target's frame (`mixseq.reconstruction.anchored`).
+The projection P_m turns that into the target's frame (`mixseq.retargeting.anchored`).
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from numpy.typing import NDArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.pickling import Remade
-from mixseq.reconstruction.anchored import AnchoredPlacement
-from mixseq.reconstruction.joint import length_weights
-from mixseq.reconstruction.placement import MixedFrame
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.alignment import Alignment
+from mixseq.retargeting.anchored import AnchoredPlacement
 from mixseq.retargeting.carried import CarriedParts
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.joints import JointChanges, OtherEdges, SameEdges
 from mixseq.retargeting.linkage import Linkage
 from mixseq.retargeting.meetings import Meetings
 from mixseq.retargeting.pivots import Pivots
+from mixseq.retargeting.placement import MixedFrame
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import FloatArray
+from mixseq.shells.fitting import ShellSettings
+from mixseq.shells.joint import length_weights
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.registered import registered
 

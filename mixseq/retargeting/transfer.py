@@ -15,13 +15,13 @@ from mixseq.correspondence.quality import Quality
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.progress import Progress, silent
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.making import gradient_transfer, mixed_transfer
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses
 from mixseq.retargeting.planting import planted
 from mixseq.retargeting.sources import SourceMotion, source_motion
 from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames, collect
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.stored import block_size
 from mixseq.threads import one_blas_thread

@@ -6,8 +6,8 @@ The energy is that of discrete shells (Froehlich and Botsch 2011), with weights 
                + \tfrac12 \sum_h \beta^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2 .
 
 It is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
-:math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed, by the range of
-curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
+:math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range
+of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
 for, and the result is as smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
 """
 
@@ -72,7 +72,7 @@ class Relaxation:
         If the weight is not positive, or the steps are not a whole number of 0 or more.
     """
 
-    bending: float = 0.22
+    bending: float = 0.25
     steps: int = 10
 
     def __post_init__(self) -> None:

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.progress import Progress, Stages, silent
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings
 from mixseq.sequence import Frames, check_frames
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
-from mixseq.spaces.edge import EdgeSettings
+from mixseq.spaces.edge.space import EdgeSettings
 from mixseq.spaces.making import MAKING, SPACES, SpaceName, SpaceSettings, check_space, make_space
 from mixseq.spaces.mixed import PlacementName
 from mixseq.stored import stored

@@ -32,9 +32,9 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors, without_jumps
 from mixseq.progress import Progress, silent
-from mixseq.reconstruction.integration import Integration
 from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.integration import Integration
 from mixseq.spaces.pieces import Pieces
 from mixseq.spaces.triangles import completed, with_area
 from mixseq.threads import one_blas_thread

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.rigid import nearest_rotations
-from mixseq.reconstruction.block_pattern import BlockPattern
-from mixseq.reconstruction.integration import Integration
+from mixseq.shells.block_pattern import BlockPattern
+from mixseq.spaces.integration import Integration
 from mixseq.spaces.normals import FLAT, across, unit, vertex_normals
 from mixseq.spaces.posed import PosedSpace
 

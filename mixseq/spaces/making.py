@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, Stages, silent
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import (
     MotionSettings,
     Observed,
@@ -26,8 +25,9 @@ from mixseq.segmentation import (
     segment_by_motion,
 )
 from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge import EdgeSettings, EdgeSpace
+from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths

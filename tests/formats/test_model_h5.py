@@ -23,9 +23,9 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rotations import continuous_vectors
-from mixseq.reconstruction.anchored import AnchoredPlacement
-from mixseq.reconstruction.shells import ShellSettings
+from mixseq.retargeting.anchored import AnchoredPlacement
 from mixseq.sequence import MeshSequence, Polygons
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import Curve, Model
 from mixseq.spaces import (
     AnchoredSpace,

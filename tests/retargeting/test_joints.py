@@ -10,10 +10,10 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.nearest import Nearest
 from mixseq.geometry.rigid import kabsch
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.joints import OtherEdges, SameEdges
 from mixseq.retargeting.making import mixed_transfer
 from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import kabsch
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.retargeting.making import mixed_transfer
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses, Parts
 from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import decompose
+from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided
 

@@ -8,9 +8,9 @@ import pytest
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import kabsch
-from mixseq.reconstruction.patch import Patch
-from mixseq.reconstruction.shells import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells import relaxation_kernels as kernels
+from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
+from mixseq.shells.patch import Patch
 from mixseq.shells.shell import Relaxation, Shell
 from tests.meshes import Float, Mesh, grid, rotation, topology_of, torus, tube
 

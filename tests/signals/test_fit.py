@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.reconstruction.shells import ShellSettings
 from mixseq.segmentation import MotionSettings, segment_by_labels
 from mixseq.sequence import MeshSequence
+from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import fit
 from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, SpaceName
 from mixseq.spaces.mixed import FreeSpace

@@ -15,10 +15,10 @@ import numpy as np
 
 from mixseq.errors import FormatError
 from mixseq.geometry.rotations import matrices
-from mixseq.reconstruction.anchored import AnchoredPlacement
-from mixseq.reconstruction.joint import length_weights
-from mixseq.reconstruction.placement import MixedFrame
+from mixseq.retargeting.anchored import AnchoredPlacement
+from mixseq.retargeting.placement import MixedFrame
 from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.shells.joint import length_weights
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model

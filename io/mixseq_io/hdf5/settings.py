@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from mixseq.errors import FormatError
-from mixseq.reconstruction.shells import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
 
 

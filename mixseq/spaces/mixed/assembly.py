@@ -240,12 +240,12 @@ class Assembly(Remade):
             If it is not finite.
         """
         lengths, angles = self.targets(frame)
-        start = self._start(frame, lengths, angles)
+        start = self.start(frame, lengths, angles)
         relaxed = self.shell.relaxed(start, lengths, angles, settings)
-        return relaxed._replace(points=self._placed(frame, relaxed.points))
+        return relaxed._replace(points=self.placed(frame, relaxed.points))
 
-    def _start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
-        """Frames, then vertices ``(V, 3)``."""
+    def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
+        """Return the vertices ``(V, 3)``, anywhere, that frames tell."""
         t, loose, crossing = self.topology, self._loose, self._crossing
         flat = flat_triangles(lengths[t.face_edges])
         own = np.zeros((len(t.faces), 4))
@@ -272,8 +272,8 @@ class Assembly(Remade):
         shape = frame.parts[start : start + count]
         return np.asarray(shape @ rotations_of(frame.rotations[pose]).T + frame.centres[pose])
 
-    def _placed(self, frame: FreeFrame, points: Float) -> Float:
-        """Move everything that is connected to where its poses say."""
+    def placed(self, frame: FreeFrame, points: Float) -> Float:
+        """Move what is connected, in points ``(V, 3)``, to where its poses say."""
         result, parts = points.copy(), self.decomposition.parts
         for vertices, poses in self._bodies:
             turn, _ = kabsch(points[parts[self.posed[poses[0]]]], self._posed(frame, poses[0]))

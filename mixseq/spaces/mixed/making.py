@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.geometry.quaternions import normalised, product, quaternions
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, silent
@@ -18,7 +19,6 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import FloatArray, bounding_diagonal
 from mixseq.shells.shell import Relaxation
-from mixseq.shells.triangles import frames_of
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
@@ -39,8 +39,14 @@ FAR = 1.0 / 3.0
 """By so much of its length an edge may be wrong half-way between frames of an animation. Up to there frames in between
 know better what became of it than lengths and angles do. Ours."""
 
-TURN = 10.0
-"""Where frames are far apart, faces that turn by more degrees against the frames of their vertices are joints; ours."""
+STRETCH = 0.015
+"""Where frames are far apart, faces with edges that are wrong by more of their length half-way are joints; ours."""
+
+BEND = 4.0
+"""So are those with hinges that are wrong by more degrees."""
+
+ALL_PAIRS = 12
+"""Among so many frames all pairs are tried, else neighbours."""
 
 SHAPED_BY = 64
 """Mean shapes of parts are means of at most so many frames. Any shapes would do to encode all frames exactly."""
@@ -105,7 +111,7 @@ def mixed_space(
         progress(2, 2, "registering parts")
         if how_far_apart(near, points) <= far:
             return near
-        return replace(near, turning=_turning(near, some), relaxation=Relaxation())
+        return replace(near, turning=_wrong_half_way(near, some), relaxation=Relaxation())
     space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
     edges = topology.edges[space.edge_ids]
     return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
@@ -116,19 +122,26 @@ def how_far_apart(space: AnchoredSpace, points: Table) -> float:
 
     All but one in a hundred are less wrong than that, between most pairs of some that are spread over the sequence.
     """
-    count, edges = len(points), space.topology.edges
-    if count < 2 or not len(edges):
+    count = len(points)
+    if count < 2 or not len(space.topology.edges):
         return 0.0
-    half, wrong = np.array([0.5, 0.5]), []
-    for first in np.unique(np.linspace(0, count - 2, LOOKED_AT).astype(np.int64)):
-        pair = np.asarray(points[first : first + 2], dtype=np.float64)
-        shapes, placements = np.split(space.encode(pair), [space.shape_dim], axis=1)
-        middle = np.concatenate([half @ shapes, space.blended_placements(half, placements)])[None]
-        wanted = edge_lengths(pair, edges).mean(axis=0)
-        off = np.abs(edge_lengths(space.decode(middle)[0], edges) - wanted)
-        share = np.divide(off, wanted, out=np.zeros_like(off), where=wanted > 0)
-        wrong.append(float(np.quantile(share, MOST)))
-    return float(np.median(wrong))
+    firsts = np.unique(np.linspace(0, count - 2, LOOKED_AT).astype(np.int64))
+    pairs = (np.asarray(points[first : first + 2]) for first in firsts)
+    return float(np.median([np.quantile(_half_way(space, pair)[0], MOST) for pair in pairs]))
+
+
+def _half_way(space: AnchoredSpace, pair: FloatArray) -> tuple[Float, Float]:
+    """By how much lengths ``(E,)``, relative, and angles ``(H,)``, in degrees, are wrong between two frames."""
+    pair, half = pair.astype(np.float64), np.array([0.5, 0.5])
+    edges, hinges = space.topology.edges, space.topology.hinges
+    shapes, placements = np.split(space.encode(pair), [space.shape_dim], axis=1)
+    vector = np.concatenate([half @ shapes, space.blended_placements(half, placements)])
+    middle = space.decode(vector[None])[0]
+    lengths, angles = edge_lengths(pair, edges).mean(axis=0), dihedral_angles(pair, hinges)
+    off = np.abs(edge_lengths(middle, edges) - lengths)
+    stretch = np.divide(off, lengths, out=np.zeros_like(off), where=lengths > 0)
+    wanted = angles[0] + 0.5 * wrap(angles[1] - angles[0])
+    return stretch, np.degrees(np.abs(wrap(dihedral_angles(middle, hinges) - wanted)))
 
 
 def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
@@ -141,15 +154,20 @@ def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
     return free
 
 
-def _turning(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
-    """Mark the faces ``(F,)`` that turn by more than `TURN` against the frames of their vertices."""
-    faces = space.topology.faces
-    upright, turning = frames_of(space.reference, faces), np.zeros(len(faces), dtype=bool)
-    for x, motions in _moving(space, frames):
-        carried = normalised(motions[faces, :4].sum(axis=1))
-        cosines = np.abs((product(carried, upright) * frames_of(x, faces)).sum(axis=1))
-        turning |= cosines < np.cos(np.radians(TURN) / 2.0)
-    return turning
+def _wrong_half_way(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
+    """Mark the faces ``(F,)`` whose lengths or angles are wrong half-way between some of the frames ``(S, V, 3)``."""
+    topology, count = space.topology, len(frames)
+    pairs = (
+        combinations(range(count), 2)
+        if count <= ALL_PAIRS
+        else zip(range(count), range(1, count), strict=False)
+    )
+    wrong = np.zeros(len(topology.faces), dtype=bool)
+    for first, second in pairs:
+        stretch, bend = _half_way(space, frames[[first, second]])
+        wrong |= (stretch > STRETCH)[topology.face_edges].any(axis=1)
+        wrong[topology.hinge_faces[bend > BEND]] = True
+    return wrong
 
 
 def _moving(space: AnchoredSpace, frames: FloatArray) -> Iterator[tuple[Float, Float]]:

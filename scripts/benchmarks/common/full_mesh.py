@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
-from mixseq.reconstruction.patch import Patch
-from mixseq.reconstruction.shells import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.shells.patch import Patch
 from mixseq.shells.solvers import Analysis
-from mixseq.reconstruction.unfold import unfold
+from mixseq.shells.unfold import unfold
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]

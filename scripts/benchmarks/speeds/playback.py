@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.mapping import on_threads
-from mixseq.reconstruction.shells import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
 from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least

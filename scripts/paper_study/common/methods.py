@@ -5,8 +5,8 @@ MSGI               S_e, patches merged hierarchically (after Winkler et al. 2010
 DSO, from a pose   S_e, Gauss-Newton on the whole mesh that starts from the first pose, as the paper ran it
 DSO                S_e, the same from the linear start (ours)
 MixIT, printed     S_m as printed: strips as joints, every joint by itself, registration, stitching
-MixIT, strips      S_m: the same joints, which settle together with the parts (ours)
-MixIT              S_m: joints also where parts bend by themselves, settled (ours)
+MixIT, free        S_m, free placement: frames averaged, one back-substitution, steps (ours)
+MixIT              S_m, anchored placement, settled: what `mixseq.interpolate` does (ours)
 =================  ====================================================================================
 """
 
@@ -21,24 +21,24 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from mixseq.geometry.rigid import mean_shape
-from mixseq.reconstruction.discrete_shell import DiscreteShell
-from mixseq.reconstruction.free import FreePlacement
-from mixseq.reconstruction.joint import rebuild
-from mixseq.reconstruction.patch import Patch
-from mixseq.reconstruction.placement import MixedFrame
-from mixseq.reconstruction.shells import ShellReport, ShellSettings, fit_shell
-from mixseq.reconstruction.stitching import stitch
+from mixseq.operations.interpolation import FAR
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.softness import Softening
+from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
+from mixseq.shells.joint import rebuild
+from mixseq.shells.patch import Patch
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
-from mixseq.spaces.mixed import FreeSpace, mixed_space
+from mixseq.spaces.edge.discrete_shell import DiscreteShell
+from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
+from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
 from scripts.paper_study.common.poses import Float, Index, Poses
+from scripts.paper_study.common.registered import Registered
 
 WIDTH = 3
-SHRINK = 0.01
-"""Softening of MixIT: joints go on where a blend would take more than this of an edge's length."""
+SHRINK = 0.03
+"""Free placement: joints go on where a blend would take more than this of an edge's length."""
 
 
 class Blended(NamedTuple):
@@ -123,30 +123,23 @@ class FromPose(Edge):
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
-    """Blends in S_m, free placement."""
+    """Blends in S_m."""
 
     poses: Poses
     decomposition: Decomposition
 
-    @cached_property
-    def space(self) -> FreeSpace:
-        space = mixed_space(
-            self.poses.points, self.poses.topology, self.decomposition, "free", ShellSettings()
-        )
-        assert isinstance(space, FreeSpace)
-        return space
-
-    @cached_property
-    def vectors(self) -> Float:
-        return self.space.encode(self.poses.points)
-
     @property
-    def placement(self) -> FreePlacement:
-        return self.space.projection
+    def space(self) -> MixedSpace:
+        """The space of the poses."""
+        raise NotImplementedError
 
     def prepare(self) -> None:
-        self.space.prepare()
-        _ = self.vectors
+        """Do what is done once."""
+        raise NotImplementedError
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend step by step: seconds to a first mesh, of registration and stitching, and of steps from there."""
+        raise NotImplementedError
 
     def align(self) -> None:
         """Register the parts of the poses, which `prepare` does too: to be timed by itself."""
@@ -155,33 +148,79 @@ class Mixed:
         for x in points:
             registered(shapes, parts, x)
 
-    def frame(self, weights: Float) -> MixedFrame:
-        """Blend parts, lengths and angles."""
-        return self.space.frame(weights @ self.vectors)
-
-    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
-        """Blend step by step: seconds of the joints, of registration and stitching, and of settling."""
-        placement, clock = self.placement, Clock()
-        with one_blas_thread():
-            frame = self.frame(weights)
-            joints, lengths = placement.unfolded_joints(frame)
-            pieces = np.concatenate([frame.parts, *joints])
-            first = clock.lap()
-            mesh = stitch(placement._seams, placement.placed(frame, pieces), lengths)
-            second = clock.lap()
-            points, report = placement.settled(frame, mesh, self.space.settings)
-        return Blended(points * self.space.scale, [report]), (first, second, clock.lap())
-
     def at(self, weights: Float) -> Blended:
-        points, (reports,) = self.space.decode_with_reports((weights @ self.vectors)[None])
-        return Blended(points[0], reports)
+        return self.timed(weights)[0]
 
 
 @dataclass(frozen=True, eq=False)
-class Printed(Mixed):
-    """S_m as the paper prints it: every joint by itself from all its lengths and angles, and no settling.
+class Anchored(Mixed):
+    """Parts where neighbours see them, then lengths and angles are made to agree."""
 
-    Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
+    @cached_property
+    def space(self) -> AnchoredSpace:
+        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, far=FAR)
+        assert isinstance(space, AnchoredSpace)
+        return space
+
+    @cached_property
+    def vectors(self) -> Float:
+        return self.space.encode(self.poses.points)
+
+    def prepare(self) -> None:
+        self.space.prepare()
+        _ = self.vectors
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend; all of it is one step."""
+        clock = Clock()
+        shapes, placements = np.split(self.vectors, [self.space.shape_dim], axis=1)
+        vector = np.concatenate([weights @ shapes, self.space.blended_placements(weights, placements)])
+        points = self.space.decode(vector[None])[0]
+        return Blended(points, []), (clock.lap(), 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Free(Mixed):
+    """The free placement, all at once."""
+
+    @cached_property
+    def space(self) -> FreeSpace:
+        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, "free")
+        assert isinstance(space, FreeSpace)
+        return space
+
+    @cached_property
+    def vectors(self) -> Float:
+        return self.space.encode(self.poses.points)
+
+    def prepare(self) -> None:
+        self.space.prepare()
+        _ = self.vectors
+
+    def frame(self, weights: Float) -> FreeFrame:
+        """Blend parts, lengths and angles."""
+        (frame,) = self.space.frames((weights @ self.vectors)[None])
+        return frame
+
+    def timed(self, weights: Float) -> tuple[Blended, Seconds]:
+        """Blend: a first mesh, and steps; there is no stitching."""
+        assembly, clock = self.space.projection, Clock()
+        with one_blas_thread():
+            frame = self.frame(weights)
+            lengths, angles = assembly.targets(frame)
+            start = assembly.start(frame, lengths, angles)
+            first = clock.lap()
+            relaxed = assembly.shell.relaxed(start, lengths, angles, self.space.relaxation)
+            points = assembly.placed(frame, relaxed.points)
+        return Blended(points * self.space.scale, []), (first, 0.0, clock.lap())
+
+
+@dataclass(frozen=True, eq=False)
+class Printed(Free):
+    """S_m as the paper prints it: every joint by itself, registration, stitching, and no steps afterwards.
+
+    A joint knows what S_m holds of it: lengths and angles that no part has, and of the others those of the blended
+    part. Joints are found by the linear start and Gauss-Newton; the paper takes MSGI for them.
     """
 
     @cached_property
@@ -192,31 +231,31 @@ class Printed(Mixed):
             for joint in self.decomposition.joints
         )
 
+    @cached_property
+    def registered(self) -> Registered:
+        return Registered(self.space)
+
     def prepare(self) -> None:
-        _ = self.vectors, self.placement._overlaps, self.placement._seams.factor
+        _ = self.vectors, self.registered.overlaps, self.registered.seams.factor
         for patch in self.patches:
             patch.frame_pattern.analysis, patch.equations.pattern.analysis, patch.laplacian_factor  # noqa: B018
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
-        """Blend step by step; there is no settling."""
-        (lengths, angles), scale, clock = self.poses.target(weights), self.space.scale, Clock()
-        inverse = scale / np.maximum(self.poses.lengths.mean(axis=0), np.finfo(np.float64).tiny)
-        pieces, reports = [], []
+        """Blend step by step."""
+        clock, joints, reports = Clock(), [], []
+        typical = self.space.projection.shell.stretch
         with one_blas_thread():
             frame = self.frame(weights)
+            lengths, angles = self.space.projection.targets(frame)
             for joint, patch in zip(self.decomposition.joints, self.patches, strict=True):
-                wanted = lengths[joint.edge_ids] / scale, angles[joint.hinge_ids], inverse[joint.edge_ids]
+                wanted = lengths[joint.edge_ids], angles[joint.hinge_ids], typical[joint.edge_ids]
                 nowhere = np.zeros((len(patch.fixed), 3))
-                points, report = rebuild(patch, *wanted, nowhere, self.space.settings)
-                pieces.append(points)
+                points, report = rebuild(patch, *wanted, nowhere, ShellSettings())
+                joints.append(points)
                 reports.append(report)
             first = clock.lap()
-            placed = self.placement.placed(frame, np.concatenate([frame.parts, *pieces]))
-            mesh = stitch(self.placement._seams, placed, lengths / scale)
-        return Blended(mesh * scale, reports), (first, clock.lap(), 0.0)
-
-    def at(self, weights: Float) -> Blended:
-        return self.timed(weights)[0]
+            mesh = self.registered.assembled(frame, joints)
+        return Blended(mesh * self.space.scale, reports), (first, clock.lap(), 0.0)
 
 
 def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) -> Decomposition:
@@ -234,7 +273,7 @@ METHODS: dict[str, Callable[[Poses, Index], Method]] = {
     "DSO, from a pose": lambda poses, _: FromPose(poses, EdgeSettings("dso")),
     "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
-    "MixIT, strips": lambda poses, labels: Mixed(poses, strips(poses, labels)),
-    "MixIT": lambda poses, labels: Mixed(poses, softened(poses, labels)),
+    "MixIT, free": lambda poses, labels: Free(poses, softened(poses, labels)),
+    "MixIT": lambda poses, labels: Anchored(poses, strips(poses, labels)),
 }
 """All methods, of poses and the parts ``(F,)`` of the mesh."""

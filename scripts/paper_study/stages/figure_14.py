@@ -9,7 +9,7 @@ import numpy as np
 
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import Mixed, softened, strips
+from scripts.paper_study.common.methods import Free, softened, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery, heat
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Float, Poses, between
@@ -32,7 +32,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     found: Json = {}
     rows: list[list[Panel]] = [[], [], []]
     for name, decomposition in cuts.items():
-        method = Mixed(poses, decomposition)
+        method = Free(poses, decomposition)
         blend = method.at(between(0.5)).points
         found[name] = {
             "parts": len(decomposition.parts),

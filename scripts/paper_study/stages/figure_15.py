@@ -12,7 +12,7 @@ from mixseq.segmentation.methods import METHODS, segment
 from mixseq.topology import split_labels
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import Clock, Mixed, softened, strips
+from scripts.paper_study.common.methods import Clock, Free, softened, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Index, Poses, between
@@ -41,7 +41,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
             "agreement": adjusted_rand_index(labels, by_motion),
         }
         for number, (kind, grow) in enumerate((("strips", strips), ("softened", softened)), start=1):
-            method = Mixed(poses, grow(poses, labels))
+            method = Free(poses, grow(poses, labels))
             blend = method.at(between(0.5)).points
             found[name][kind] = row_of(method, runs=2)
             rows[number].append(Panel("w = 0.5, strips" if number == 1 else "w = 0.5, MixIT", blend))

@@ -18,7 +18,7 @@ from mixseq.segmentation.methods import segment
 from mixseq.topology import Topology
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
-from scripts.paper_study.common.methods import METHODS, Clock, Mixed, softened, strips
+from scripts.paper_study.common.methods import METHODS, Clock, Free, softened, strips
 from scripts.paper_study.common.poses import ARTICULATED, Poses, between
 from scripts.paper_study.common.record import Json, Results
 from scripts.paper_study.stages.figure_15 import valid
@@ -62,7 +62,7 @@ def measured(pair: Poses) -> Json:
             "segmentation": clock.lap(),
         }
         for kind, grow in (("strips", strips), ("softened", softened)):
-            method = Mixed(pair, grow(pair, labels))
+            method = Free(pair, grow(pair, labels))
             method.prepare()
             blend, seconds = method.timed(HALF)
             row[kind] = {"errors": errors(pair, HALF, blend.points).at(0.999), "seconds": sum(seconds)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.plots import broadside
-from mixseq.spaces.edge import EdgeSettings
+from mixseq.spaces.edge.space import EdgeSettings
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
 from scripts.paper_study.common.errors import errors, text
@@ -189,14 +189,14 @@ def verdict(results: Results) -> list[str]:
             mesh
             + " "
             + ", ".join(
-                f"{name} {n[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, strips", "MixIT")
+                f"{name} {n[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT")
             )
         )
         local.append(
             mesh
             + " "
             + ", ".join(
-                f"{name} {f[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, strips", "MixIT")
+                f"{name} {f[name]['away'][0]:.2g}" for name in ("MSGI", "DSO", "MixIT, free", "MixIT")
             )
         )
     return [

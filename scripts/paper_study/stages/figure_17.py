@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.reconstruction.shells import ShellSettings
+from mixseq.shells.fitting import ShellSettings
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS

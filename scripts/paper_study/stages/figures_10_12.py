@@ -17,7 +17,7 @@ from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(ALL)
-MIXED = ("MixIT, printed", "MixIT, strips", "MixIT")
+MIXED = ("MixIT, printed", "MixIT, free", "MixIT")
 EDGE = ("MSGI", "DSO, from a pose", "DSO")
 FOUR = ("lion", "cat", "horse", "elephant_gallop")
 MINE = ("MixIT", "MixIT, printed")

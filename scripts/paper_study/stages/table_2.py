@@ -13,7 +13,7 @@ from scripts.paper_study.common.printed import TABLE_2, edge_dimension
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")
-MIXED = ("MixIT, strips", "MixIT")
+MIXED = ("MixIT, free", "MixIT")
 
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
@@ -90,8 +90,8 @@ def page(results: Results) -> list[str]:
 
 def verdict(results: Results) -> list[str]:
     ratios = [
-        f"{mesh} {r['printed way'] / r['MixIT, strips']['defined']:.1f} "
-        f"({r['defined'] / r['MixIT, strips']['defined']:.1f})"
+        f"{mesh} {r['printed way'] / r['MixIT, free']['defined']:.1f} "
+        f"({r['defined'] / r['MixIT, free']['defined']:.1f})"
         for mesh, r in results.items()
     ]
     same = all(r["printed way"] == TABLE_2[ALL[mesh].printed].edge for mesh, r in results.items())

@@ -1,1 +1,0 @@
-"""From points of a shape space back to vertex positions."""

@@ -1,0 +1,144 @@
+"""What a placement of parts and joints is: the contract, and the rows of a vector that belong to the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.segmentation.joints import Joint
+from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.shells.patch import Patch
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class MixedFrame(NamedTuple):
+    """One frame of S_m, with its poses as matrices.
+
+    Attributes
+    ----------
+    lengths, angles, weights : (E',), (H',), (E',) float64
+        Edge lengths, hinge angles, weights of the lengths.
+    parts : (N, 3) float64
+        Aligned vertices of all parts.
+    rotations, translations : (g, 3, 3), (g, 3) float64
+        Poses.
+    offsets : (F, 3) float64
+        Offsets of the free vertices from where the parts carry them; none if empty.
+    holds : (F,) float64
+        Weights of the offsets.
+    """
+
+    lengths: Float
+    angles: Float
+    weights: Float
+    parts: Float
+    rotations: Float
+    translations: Float
+    offsets: Float
+    holds: Float
+
+
+class Placement(Protocol):
+    """What a placement stores of a frame, and how it puts a frame together."""
+
+    @property
+    def edge_ids(self) -> Index:
+        """Global edges ``(E',)`` whose lengths are stored, joint by joint."""
+
+    @property
+    def hinge_ids(self) -> Index:
+        """Global hinges ``(H',)`` whose angles are stored, joint by joint."""
+
+    @property
+    def posed(self) -> Index:
+        """Parts ``(g,)`` whose poses are stored."""
+
+    def prepare(self) -> None:
+        """Compute what all frames share."""
+
+    def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+        """Turn one frame of S_m into vertex positions ``(V, 3)``, with a report for each joint that was solved."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """The joints that are solved, which of their edges and hinges are stored, and where in the vector."""
+
+    joints: tuple[Joint, ...]
+    patches: tuple[Patch, ...]
+    stored_edges: tuple[Mask, ...]
+    stored_hinges: tuple[Mask, ...]
+
+    def prepare(self) -> None:
+        """Find the patterns of all systems."""
+        for patch in self.patches:
+            patch.equations.pattern.analysis  # noqa: B018 - cached properties
+
+    @cached_property
+    def edge_ids(self) -> Index:
+        """Global numbers ``(E',)`` of the stored edges, joint by joint."""
+        ids = [joint.edge_ids[stored] for joint, stored in zip(self.joints, self.stored_edges, strict=True)]
+        return concatenate(ids)
+
+    @cached_property
+    def hinge_ids(self) -> Index:
+        """Global numbers ``(H',)`` of the stored hinges, joint by joint."""
+        ids = [joint.hinge_ids[stored] for joint, stored in zip(self.joints, self.stored_hinges, strict=True)]
+        return concatenate(ids)
+
+    @cached_property
+    def free(self) -> Index:
+        """Global free vertices ``(F,)``, joint by joint."""
+        return concatenate([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
+
+    def spacing(self, lengths: Float) -> Float:
+        """Mean length ``(F,)`` of the edges at every free vertex, from those of the stored edges ``(E',)``."""
+        sums, counts = np.zeros((2, len(self.free)))
+        for patch, edges, free in zip(self.patches, self.edge_slices, self.free_slices, strict=True):
+            ends = patch.free_number[patch.edges[patch.free_edges]]
+            for end in ends.T:
+                inside = end >= 0
+                np.add.at(sums[free], end[inside], lengths[edges][inside])
+                np.add.at(counts[free], end[inside], 1.0)
+        return np.asarray(sums / counts)
+
+    def across_edges(self, values: Float) -> Float:
+        """Differences ``(T, E', c)`` along the stored edges of values ``(T, F, c)`` at free vertices, else zero."""
+        differences = []
+        for patch, free in zip(self.patches, self.free_slices, strict=True):
+            padded = np.pad(values[:, free], ((0, 0), (0, 1), (0, 0)))  # fixed vertices have number -1
+            ends = patch.free_number[patch.edges[patch.free_edges]]
+            differences.append(padded[:, ends[:, 1]] - padded[:, ends[:, 0]])
+        return np.concatenate(differences, axis=1)
+
+    @cached_property
+    def free_slices(self) -> list[slice]:
+        """Where the free vertices of every joint are."""
+        return _slices([len(patch.free) for patch in self.patches])
+
+    @cached_property
+    def edge_slices(self) -> list[slice]:
+        """Where the lengths of every joint are."""
+        return _slices([int(np.count_nonzero(stored)) for stored in self.stored_edges])
+
+    @cached_property
+    def hinge_slices(self) -> list[slice]:
+        """Where the angles of every joint are."""
+        return _slices([int(np.count_nonzero(stored)) for stored in self.stored_hinges])
+
+
+def concatenate(arrays: list[Index]) -> Index:
+    """Concatenate index arrays; none at all are an empty one."""
+    return np.concatenate(arrays) if arrays else np.zeros(0, dtype=np.int64)
+
+
+def _slices(sizes: list[int]) -> list[slice]:
+    ends = np.cumsum(sizes)
+    return [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True)]

@@ -1,0 +1,257 @@
+r"""Gauss-Newton on edge lengths and dihedral angles: the discrete shell that fits them best.
+
+Minimises, over the free vertices of a patch,
+
+.. math::
+
+    E(x) = \sum_e w_e^2 (l_e - l_e^*)^2 + \sum_h w_h^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2
+         + \sum_v w_v^2 |x_v - x_v^*|^2
+
+with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
+(Froehlich and Botsch 2011). The last term is ours, and optional: a pull towards places where vertices are expected.
+Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
+from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.fitting_kernels import conjugate_gradients, shell_equations, shell_residuals
+from mixseq.shells.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
+from mixseq.shells.patch import Patch
+
+__all__ = ["NO_PULL", "DenseTerm", "Pull", "ShellProblem", "ShellReport", "ShellSettings", "fit_shell"]
+
+Float = NDArray[np.float64]
+
+CLOSE = 0.03
+"""Conjugate gradients stop at this fraction of the residual: a step need not be exact, the next one corrects it."""
+
+MOST = 100
+"""After so many of them the matrix is factored instead."""
+
+
+class Pull(NamedTuple):
+    """Where free vertices are expected.
+
+    Attributes
+    ----------
+    places : (f, 3) float64
+        The places.
+    weights : (f,) float64
+        Weights of the distances from them; empty for no pull at all.
+    """
+
+    places: Float
+    weights: Float
+
+
+class DenseTerm(Protocol):
+    """One more residual, in which all vertices take part: a volume, say."""
+
+    def residual(self, points: Float) -> float:
+        """Return the weighted residual at points ``(n, 3)``."""
+
+    def gradient(self, points: Float) -> Float:
+        """Return its derivatives ``(n, 3)``."""
+
+
+NO_PULL = Pull(np.zeros((0, 3)), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class ShellProblem:
+    """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both.
+
+    A *pull* is optional: places for the free vertices, which add the residuals ``weight * (x - place)``. So is a
+    *dense* term, one residual more, the last.
+    """
+
+    patch: Patch
+    lengths: Float
+    angles: Float
+    length_weights: Float
+    bending: float
+    pull: Pull = NO_PULL
+    dense: DenseTerm | None = None
+
+    @property
+    def edges(self) -> NDArray[np.int64]:
+        """The edges ``(e', 2)`` that count."""
+        return self.patch.equations.edges
+
+    @property
+    def hinges(self) -> NDArray[np.int64]:
+        """The hinges ``(h', 4)`` that count."""
+        return self.patch.equations.hinges
+
+    def residuals(self, points: Float) -> Float:
+        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``; with a pull ``3 free`` more, then the dense one."""
+        return self._residuals(points)[0]
+
+    def energy(self, points: Float) -> float:
+        """Sum of the squared residuals."""
+        return self._residuals(points)[1]
+
+    def _residuals(self, points: Float) -> tuple[Float, float]:
+        rows = self.patch.equations
+        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.pull.weights))
+        energy = shell_residuals(
+            points,
+            rows.edges,
+            rows.hinges,
+            self.lengths,
+            self.angles,
+            self.length_weights,
+            self.bending,
+            rows.free,
+            self.pull.places,
+            self.pull.weights,
+            residuals,
+        )
+        if self.dense is not None:
+            last = self.dense.residual(points)
+            return np.append(residuals, last), float(energy) + last**2
+        return residuals, float(energy)
+
+    def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:
+        """Values ``(N,)`` of ``J^T J`` in the patch's pattern, and the gradient ``J^T r`` ``(3 free,)``.
+
+        Neither knows of the dense term, whose row of J is `dense_row`.
+        """
+        rows = self.patch.equations
+        values, gradient = np.empty(len(rows.pattern.rows)), np.empty(3 * len(rows.free))
+        shell_equations(
+            points,
+            rows.edges,
+            rows.hinges,
+            self.length_weights,
+            self.bending,
+            self.pull.weights,
+            residuals,
+            rows.number,
+            rows.edge_blocks,
+            rows.hinge_blocks,
+            rows.pattern.places,
+            values,
+            gradient,
+        )
+        return values, gradient
+
+    def dense_row(self, points: Float) -> Float | None:
+        """Derivatives ``(3 free,)`` of the dense residual, if there is one."""
+        if self.dense is None:
+            return None
+        return self.dense.gradient(points)[self.patch.free].reshape(-1)
+
+    def jacobian(self, points: Float) -> sparse.csr_array:
+        """Derivatives of all residuals but the dense one by the free vertices, ``(residuals, 3 free)``."""
+        length = length_gradients(points, self.edges) * self.length_weights[:, None]
+        stretch = np.stack([-length, length], axis=1)
+        bend = self.bending * dihedral_gradients(points, self.hinges)
+        row = np.concatenate(
+            [
+                np.repeat(np.arange(len(self.edges)), 6),
+                len(self.edges) + np.repeat(np.arange(len(self.hinges)), 12),
+            ]
+        )
+        place = self.patch.free_number[np.concatenate([self.edges.reshape(-1), self.hinges.reshape(-1)])]
+        column = (3 * place[:, None] + np.arange(3)).reshape(-1)
+        value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
+        inside = np.repeat(place >= 0, 3)
+        held = np.repeat(self.pull.weights, 3)
+        value = np.concatenate([value[inside], held])
+        first = len(self.edges) + len(self.hinges)
+        row = np.concatenate([row[inside], first + np.arange(len(held))])
+        column = np.concatenate([column[inside], np.arange(len(held))])
+        size = (first + len(held), 3 * len(self.patch.free))
+        return sparse.coo_array((value, (row, column)), shape=size).tocsr()
+
+
+def fit_shell(
+    problem: ShellProblem, start: Float, settings: ShellSettings | None = None
+) -> tuple[Float, ShellReport]:
+    """Fit a patch to edge lengths and dihedral angles.
+
+    Parameters
+    ----------
+    problem : ShellProblem
+        Patch and targets. If nothing is fixed the result is up to a rigid motion.
+    start : (n, 3) float64
+        Where to start; fixed vertices stay there.
+    settings : ShellSettings, optional
+        When to stop.
+
+    Returns
+    -------
+    points : (n, 3) float64
+    report : ShellReport
+
+    Raises
+    ------
+    ReconstructionError
+        If the start or the targets are not finite.
+    """
+    return minimise(_Fit(problem), np.array(start, dtype=np.float64), settings or ShellSettings())
+
+
+class _Fit:
+    """The `LeastSquares` of a problem, which remembers whether conjugate gradients are worth trying again."""
+
+    def __init__(self, problem: ShellProblem) -> None:
+        self._problem = problem
+        self._held = bool(problem.pull.weights.size)
+
+    def measured(self, points: Float) -> tuple[Float, float]:
+        return self._problem._residuals(points)
+
+    def linearised(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
+        pattern = self._problem.patch.equations.pattern
+        values, gradient = self._problem.normal_equations(points, residuals)
+        with_damping, row = damped(pattern, values), self._problem.dense_row(points)
+        if row is not None:
+            gradient += residuals[-1] * row
+
+        def step(damping: float) -> Float:
+            matrix = with_damping(damping)
+            if row is not None:
+                return _dense_step(pattern, matrix, gradient, row)
+            result, self._held = _step(pattern, matrix, gradient, self._held)
+            return result
+
+        return gradient, step
+
+    def moved(self, points: Float, step: Float) -> Float:
+        result = points.copy()
+        result[self._problem.patch.free] += step.reshape(-1, 3)
+        return result
+
+
+def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:
+    """Solve for a step; also tell whether conjugate gradients, which are tried if `held`, are worth trying again.
+
+    Where every vertex is held by a pull the matrix is well conditioned, and a few conjugate gradients are a tenth of
+    the work of a factorisation; without a pull soft bends make it so ill conditioned that they would be many.
+    """
+    if held:
+        step = np.empty_like(gradient)
+        steps = conjugate_gradients(
+            pattern.starts, pattern.rows, pattern.places, values, -gradient, CLOSE, MOST, step
+        )
+        if steps >= 0:
+            return step, True
+    return -pattern.analysis.factor(values).solve(gradient), False
+
+
+def _dense_step(pattern: BlockPattern, values: Float, gradient: Float, row: Float) -> Float:
+    """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
+    both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
+    step, along = both.T
+    return np.asarray(step - along * (row @ step) / (1.0 + row @ along))

@@ -1,0 +1,135 @@
+"""A patch of triangles to be rebuilt from lengths and angles, with all that its connectivity tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mixseq.segmentation.joints import Joint
+from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.equations import Equations
+from mixseq.shells.solvers import Factor, factorise
+from mixseq.topology import Topology
+
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A hinge-connected patch of triangles in local indices, some of its vertices fixed in space.
+
+    Attributes
+    ----------
+    faces : (m, 3) int64
+        Triangles.
+    edges : (e, 2) int64
+        Edges, in the order of the lengths.
+    face_edges : (m, 3) int64
+        Edge of the sides 01, 12, 20 of every face.
+    hinges : (h, 4) int64
+        Hinges a, b, c, d, in the order of the angles.
+    hinge_faces : (h, 2) int64
+        Their two faces.
+    fixed : (n,) bool
+        Vertices whose positions are given.
+    """
+
+    faces: Index
+    edges: Index
+    face_edges: Index
+    hinges: Index
+    hinge_faces: Index
+    fixed: Mask
+
+    @classmethod
+    def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
+        """Take a joint out of its mesh; `fixed` ``(n,)`` marks the joint's vertices that are given."""
+        return cls(
+            faces=joint.faces,
+            edges=np.searchsorted(joint.vertices, topology.edges[joint.edge_ids]),
+            face_edges=np.searchsorted(joint.edge_ids, topology.face_edges[joint.face_ids]),
+            hinges=np.searchsorted(joint.vertices, topology.hinges[joint.hinge_ids]),
+            hinge_faces=np.searchsorted(joint.face_ids, topology.hinge_faces[joint.hinge_ids]),
+            fixed=fixed,
+        )
+
+    @cached_property
+    def free(self) -> Index:
+        """Vertices to solve for."""
+        return np.flatnonzero(~self.fixed)
+
+    @cached_property
+    def free_number(self) -> Index:
+        """Place ``(n,)`` of every vertex among the free ones, -1 if fixed."""
+        number = np.full(len(self.fixed), -1, dtype=np.int64)
+        number[self.free] = np.arange(len(self.free))
+        return number
+
+    @cached_property
+    def free_edges(self) -> Mask:
+        """Mark the edges ``(e,)`` with a free vertex; the others follow from the fixed positions."""
+        return np.asarray(~self.fixed[self.edges].all(axis=1))
+
+    @cached_property
+    def free_hinges(self) -> Mask:
+        """Mark the hinges ``(h,)`` with a free vertex; the others follow from the fixed positions."""
+        return np.asarray(~self.fixed[self.hinges].all(axis=1))
+
+    @cached_property
+    def fixed_faces(self) -> Mask:
+        """Mark the faces ``(m,)`` whose three vertices are fixed."""
+        return np.asarray(self.fixed[self.faces].all(axis=1))
+
+    @cached_property
+    def reversed_hinges(self) -> Mask:
+        """Mark the hinges ``(h,)`` whose second face runs along the edge a -> b as the first one does."""
+        second = self.faces[self.hinge_faces[:, 1]]
+        a, b = self.hinges[:, 0, None], self.hinges[:, 1, None]
+        return np.asarray(((second == a) & (np.roll(second, -1, axis=1) == b)).any(axis=1))
+
+    @cached_property
+    def equations(self) -> Equations:
+        """The normal equations of lengths and angles around the free vertices."""
+        return Equations.of(
+            self.edges[self.free_edges], self.hinges[self.free_hinges], self.free, self.free_number
+        )
+
+    @cached_property
+    def frame_pattern(self) -> BlockPattern:
+        """Which frames of faces are coupled by hinges; those of fixed faces are none."""
+        return BlockPattern.of(int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces])
+
+    @cached_property
+    def face_number(self) -> Index:
+        """Place ``(m,)`` of every face among those whose frame is not known, -1 if it is.
+
+        Known are the frames of fixed faces, or that of the first face if there are none.
+        """
+        known = self.fixed_faces.copy()
+        known[0] |= not known.any()
+        return np.where(known, -1, np.cumsum(~known) - 1)
+
+    @cached_property
+    def laplacian(self) -> sparse.csr_array:
+        """Graph Laplacian ``(n, n)``; an edge counts once for each of its faces."""
+        starts = self.faces.reshape(-1)
+        ends = np.roll(self.faces, -1, axis=1).reshape(-1)
+        size = (len(self.fixed), len(self.fixed))
+        half = sparse.coo_array((np.ones(len(starts)), (starts, ends)), shape=size).tocsr()
+        adjacency = (half + half.T).tocsr()
+        return (sparse.diags_array(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency).tocsr()
+
+    @cached_property
+    def laplacian_factor(self) -> Factor:
+        """Factor of the Laplacian's block of integrated vertices; constant over a sequence."""
+        return factorise(self.laplacian[self.integrated][:, self.integrated])
+
+    @cached_property
+    def integrated(self) -> Index:
+        """Vertices that a Poisson system finds: the free ones, but for the first where nothing is fixed."""
+        return self.free if self.fixed.any() else self.free[1:]

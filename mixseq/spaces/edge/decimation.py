@@ -1,0 +1,98 @@
+"""Fewer triangles for the same surface: half-edge collapse by quadric error (Garland and Heckbert 1997).
+
+A collapse moves a vertex v onto a neighbour u, so that the vertices that stay are vertices of the mesh. Its cost is
+the area-weighted squared distance of u from the planes of all faces that v and u stand for by then, plus, ours,
+`SPACING` times the area that v stands for times its squared way, which keeps vertices evenly spread where the
+surface is flat: flat now, it may bend in another frame. Refused is what would change the topology (the link
+condition), turn a face over or make a sliver. Vertices of edges with three or more faces stay; the border shrinks
+along itself only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPACING = 0.02
+"""Weight of even spacing against distance from the surface."""
+
+TURN = 0.2
+"""Least cosine of the angle by which a face may turn."""
+
+ROUND = 0.15
+"""Least roundness of a face (1: equilateral), unless it was less round before."""
+
+
+def decimate(points: Float, faces: Index, count: int) -> tuple[Index, Index]:
+    """Thin out a mesh.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Vertices.
+    faces : (m, 3) int64
+        Triangles.
+    count : int
+        Number of vertices wanted. More are left where none could go without harm.
+
+    Returns
+    -------
+    kept : (c,) int64
+        The vertices that stay, ascending; vertices that no face uses do not.
+    coarse : (k, 3) int64
+        Triangles between them, by their place in `kept`.
+    """
+    from mixseq.spaces.edge.decimation_kernels import collapse
+
+    topology = Topology(faces, len(points))
+    locked, border = np.zeros((2, len(points)), dtype=bool)
+    border[topology.edges[topology.boundary_edges]] = True
+    locked[topology.edges[topology.non_manifold_edges]] = True
+    locked[faces[(faces == np.roll(faces, 1, axis=1)).any(axis=1)]] = True
+    x = points - points.mean(axis=0)
+    areas, quadrics = _quadrics(x, topology)
+    left = np.array(faces, dtype=np.int64)
+    gone = collapse(x, left, quadrics, areas, locked, border, count, SPACING, TURN, ROUND)
+    kept = np.unique(left[~gone])
+    return kept, np.searchsorted(kept, left[~gone])
+
+
+def _quadrics(x: Float, topology: Topology) -> tuple[Float, Float]:
+    """Area ``(n,)`` that every vertex stands for, and the quadrics ``(n, 4, 4)`` of its planes.
+
+    Along the border, planes upright on it keep its line.
+    """
+    faces = topology.faces.astype(np.int64)
+    a, b, c = (x[corner] for corner in faces.T)
+    normals = np.cross(b - a, c - a)
+    size = np.linalg.norm(normals, axis=1)
+    unit = normals / np.maximum(size, np.finfo(np.float64).tiny)[:, None]
+    areas = np.bincount(faces.reshape(-1), np.repeat(size / 6.0, 3), minlength=len(x))
+
+    face_of_edge = np.empty(len(topology.edges), dtype=np.int64)
+    face_of_edge[topology.face_edges] = np.arange(len(faces))[:, None]
+    ends = topology.edges[topology.boundary_edges]
+    along = x[ends[:, 1]] - x[ends[:, 0]]
+    upright = np.cross(along, unit[face_of_edge[topology.boundary_edges]])
+    length = np.linalg.norm(upright, axis=1)
+    upright /= np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+
+    quadrics = np.zeros((len(x), 4, 4))
+    for corners, plane, weight in (
+        (faces, _planes(unit, a), size / 2.0),
+        (ends, _planes(upright, x[ends[:, 0]]), length**2),
+    ):
+        squares = weight[:, None, None] * plane[:, :, None] * plane[:, None, :]
+        for corner in corners.T:
+            np.add.at(quadrics, corner, squares)
+    return np.asarray(areas), quadrics
+
+
+def _planes(normals: Float, points: Float) -> Float:
+    """Planes ``(m, 4)`` through points: normal, and minus their distance from the origin."""
+    return np.concatenate([normals, -np.einsum("fi,fi->f", normals, points)[:, None]], axis=1)

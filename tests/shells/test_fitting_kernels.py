@@ -1,0 +1,158 @@
+"""The compiled loops against the formulas in NumPy, and against dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.equations import Equations
+from mixseq.shells.fitting import Pull, ShellProblem
+from mixseq.shells.fitting_kernels import conjugate_gradients
+from mixseq.shells.patch import Patch
+from tests.meshes import Float, seeds
+from tests.shells.test_fitting import MESHES, problem_of
+
+
+def dense(pattern: BlockPattern, values: Float) -> Float:
+    size = 3 * pattern.count
+    lower = np.zeros((size, size))
+    columns = np.repeat(np.arange(size), np.diff(pattern.starts))
+    assert (pattern.rows >= columns).all()
+    lower[pattern.rows, columns] = values
+    return lower + np.tril(lower, -1).T
+
+
+def pulled(problem: ShellProblem, rng: np.random.Generator) -> ShellProblem:
+    count = len(problem.patch.free)
+    pull = Pull(rng.normal(size=(count, 3)), rng.uniform(0.5, 2.0, count))
+    return ShellProblem(
+        problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, pull
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, name=st.sampled_from(list(MESHES)), pull=st.booleans())
+def test_residuals_and_equations(seed: int, name: str, pull: bool) -> None:
+    rng = np.random.default_rng(seed)
+    mesh, fixed = MESHES[name]
+    problem = problem_of(mesh, fixed)
+    if pull:
+        problem = pulled(problem, rng)
+    x = mesh[0] + rng.normal(scale=0.3, size=mesh[0].shape)
+    expected = [
+        problem.length_weights * (edge_lengths(x, problem.edges) - problem.lengths),
+        problem.bending * wrap(dihedral_angles(x, problem.hinges) - problem.angles),
+    ]
+    if pull:
+        away = problem.pull.weights[:, None] * (x[problem.patch.free] - problem.pull.places)
+        expected.append(away.reshape(-1))
+    residuals = problem.residuals(x)
+    np.testing.assert_allclose(residuals, np.concatenate(expected), atol=1e-12)
+    assert problem.energy(x) == pytest.approx(float(residuals @ residuals), rel=1e-12)
+
+    values, gradient = problem.normal_equations(x, residuals)
+    jacobian = problem.jacobian(x).toarray()
+    normal = jacobian.T @ jacobian
+    tight = 1e-11 * np.abs(normal).max()
+    np.testing.assert_allclose(dense(problem.patch.equations.pattern, values), normal, atol=tight)
+    np.testing.assert_allclose(gradient, jacobian.T @ residuals, atol=tight)
+
+
+@pytest.mark.parametrize("turn", [-3, -1, 0, 1, 5])
+def test_angles_are_compared_the_shorter_way(turn: int) -> None:
+    problem = problem_of(*MESHES["bar"])
+    turned = ShellProblem(
+        problem.patch, problem.lengths, problem.angles + turn * 2 * np.pi, problem.length_weights, 0.3
+    )
+    assert np.abs(turned.residuals(MESHES["bar"][0][0])).max() < 1e-13
+
+
+def test_two_faces_on_the_same_vertices() -> None:
+    """A pillow of two triangles: both hinges' opposite vertices are one."""
+    faces = np.array([[0, 1, 2], [0, 2, 1]])
+    edges = np.array([[0, 1], [0, 2], [1, 2]])
+    hinges = np.array([[0, 1, 2, 2], [1, 2, 0, 0], [2, 0, 1, 1]])
+    patch = Patch(
+        faces,
+        edges,
+        np.array([[0, 2, 1], [1, 2, 0]]),
+        hinges,
+        np.array([[0, 1]] * 3),
+        np.zeros(3, dtype=bool),
+    )
+    x = np.array([[0.0, 0, 0], [1, 0, 0], [0.2, 1, 0.3]])
+    problem = ShellProblem(patch, np.ones(3), np.full(3, 2.0), np.ones(3), 0.3)
+    values, gradient = problem.normal_equations(x, problem.residuals(x))
+    jacobian = problem.jacobian(x).toarray()
+    np.testing.assert_allclose(dense(patch.equations.pattern, values), jacobian.T @ jacobian, atol=1e-12)
+    np.testing.assert_allclose(gradient, jacobian.T @ problem.residuals(x), atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds, count=st.integers(1, 12))
+def test_pattern_and_conjugate_gradients(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    pairs = rng.integers(-1, count, size=(2 * count, 2))
+    pattern = BlockPattern.of(count, pairs)
+    values = rng.normal(size=len(pattern.rows))
+    values[pattern.diagonal] = 60.0
+    matrix = dense(pattern, values)
+    for i, j in pairs:
+        block = pattern.block(np.array([i]), np.array([j]))[0]
+        if min(i, j) < 0:
+            assert block == -1
+        else:
+            row, column = max(i, j), min(i, j)
+            assert values[pattern.places[block, 0] + 2] == matrix[3 * row + 2, 3 * column]
+    right, solution = rng.normal(size=3 * count), np.empty(3 * count)
+    steps = conjugate_gradients(
+        pattern.starts, pattern.rows, pattern.places, values, right, 1e-12, 500, solution
+    )
+    assert 0 <= steps <= 500
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), atol=1e-9)
+    np.testing.assert_allclose(pattern.analysis.factor(values).solve(right), solution, atol=1e-9)
+
+
+def test_conjugate_gradients_give_up() -> None:
+    problem = problem_of(*MESHES["bar"])
+    x = MESHES["bar"][0][0]
+    values, gradient = problem.normal_equations(x, problem.residuals(x + 0.01 * np.sin(9 * x)))
+    pattern = problem.patch.equations.pattern
+    values[pattern.diagonal] *= 1 + 1e-6
+    out = np.empty_like(gradient)
+    args = (pattern.starts, pattern.rows, pattern.places, values, gradient)
+    assert conjugate_gradients(*args, 1e-10, 3, out) == -1
+    assert conjugate_gradients(*args, 1e-10, 10_000, out) > 3
+
+
+def test_no_right_hand_side_no_steps() -> None:
+    pattern = BlockPattern.of(2, np.array([[0, 1]]))
+    values = np.zeros(len(pattern.rows))
+    values[pattern.diagonal] = 1.0
+    out = np.ones(6)
+    args = (pattern.starts, pattern.rows, pattern.places, values)
+    assert conjugate_gradients(*args, np.zeros(6), 0.1, 10, out) == 0
+    assert not out.any()
+
+
+def test_nothing_free() -> None:
+    none = np.zeros(0, dtype=np.int64)
+    rows = Equations.of(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
+    assert rows.pattern.count == 0 and rows.hinge_blocks.shape == (0, 6)
+
+
+@pytest.mark.parametrize("worst", [-1.0, 0.0, np.nan])
+def test_conjugate_gradients_refuse_what_is_not_definite(worst: float) -> None:
+    pattern = BlockPattern.of(2, np.array([[0, 1]]))
+    values = np.zeros(len(pattern.rows))
+    values[pattern.diagonal] = [1.0, 1.0, 1.0, 1.0, worst, 1.0]
+    out = np.empty(6)
+    args = (pattern.starts, pattern.rows, pattern.places)
+    assert conjugate_gradients(*args, values, np.ones(6), 0.1, 10, out) == -1
+    values[pattern.diagonal] = 1.0
+    values[pattern.places[2, 0]] = 5.0  # both blocks are definite, the matrix is not
+    assert conjugate_gradients(*args, values, np.arange(6.0), 1e-9, 100, out) == -1
