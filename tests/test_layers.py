@@ -19,7 +19,6 @@ LAYERS = (
     ("topology", "geometry", "stored"),
     ("prediction", "segmentation"),
     ("shells",),
-    ("reconstruction",),
     ("spaces",),
     ("signals",),
     ("coding", "correspondence", "rigging"),

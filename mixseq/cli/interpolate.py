@@ -84,7 +84,7 @@ def pose_of(text: str) -> Pose:
     metavar="N",
     help="Write N frames from one pose to another, two without weights, instead of one blend.",
 )
-@space_options(placement="free", shrink=0.01)  # those of `mixseq.interpolate`
+@space_options
 @labels_options
 @reader_options
 @writer_options

@@ -129,7 +129,7 @@ def fit_options(command: Command) -> Command:
         metavar="N",
         help="Number of shape modes; parts stay in place exactly.",
     )
-    @space_options(placement="anchored", shrink=None)
+    @space_options
     @wraps(command)
     def with_options(*args: Any, making: dict[str, Any], **settings: Any) -> None:
         detail = {name: settings.pop(name) for name in ("exact", "tolerance", "rank")}
@@ -138,84 +138,71 @@ def fit_options(command: Command) -> Command:
     return with_options
 
 
-def space_options(placement: str, shrink: float | None) -> Callable[[Command], Command]:
-    """Return what adds the options of shape spaces; the command gets all of them as ``making``, plain values.
+def space_options(command: Command) -> Command:
+    """Add the options of shape spaces; the command gets all of them as ``making``, plain values."""
 
-    Parameters
-    ----------
-    placement : str
-        The default of ``--placement``.
-    shrink : float, optional
-        The default of ``--shrink``.
-    """
+    @click.option(
+        "--space",
+        type=click.Choice(["mixed", "vertex", "gradient", "lri", "edge"]),
+        default="mixed",
+        show_default=True,
+        help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
+    )
+    @click.option(
+        "--parts",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Number of parts; every connected component has at least one.  [default: automatic]",
+    )
+    @click.option(
+        "--joint-width",
+        type=click.IntRange(min=1),
+        default=3,
+        show_default=True,
+        metavar="N",
+        help="Largest width of joints, in strips of triangles on each side of a boundary.",
+    )
+    @click.option(
+        "--placement",
+        type=click.Choice(["anchored", "free"]),
+        default="anchored",
+        show_default=True,
+        help="How parts are placed: by a pose each, or where lengths and angles put them.",
+    )
+    @click.option(
+        "--shrink",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="X",
+        help="Let joints go on inside parts where blending shortens edges by more than this share.",
+    )
+    @click.option(
+        "--projection",
+        type=click.Choice(["dso", "msgi"]),
+        help="How the edge space finds meshes: all at once, or patch by patch.  [default: dso]",
+    )
+    @click.option(
+        "--volume",
+        type=click.FloatRange(min=0),
+        metavar="W",
+        help="Weight of the volume in the edge space.  [default: 0]",
+    )
+    @click.option(
+        "--coarse",
+        type=click.IntRange(min=4),
+        metavar="N",
+        help="Solve the edge space on a mesh of N vertices first.  [default: at full resolution only]",
+    )
+    @wraps(command)
+    def with_options(*args: Any, **settings: Any) -> None:
+        making = {name: settings.pop(name) for name in _MAKING}
+        edge = _those_given({name: settings.pop(name) for name in ("projection", "volume", "coarse")})
+        if edge and making["space"] != "edge":
+            raise SettingsError(
+                f"--{next(iter(edge))} is for the edge space; leave it out, or give --space edge"
+            )
+        command(*args, making=making | ({"edge": edge} if edge else {}), **settings)
 
-    def add(command: Command) -> Command:
-        @click.option(
-            "--space",
-            type=click.Choice(["mixed", "vertex", "gradient", "lri", "edge"]),
-            default="mixed",
-            show_default=True,
-            help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
-        )
-        @click.option(
-            "--parts",
-            type=click.IntRange(min=1),
-            metavar="N",
-            help="Number of parts; every connected component has at least one.  [default: automatic]",
-        )
-        @click.option(
-            "--joint-width",
-            type=click.IntRange(min=1),
-            default=3,
-            show_default=True,
-            metavar="N",
-            help="Largest width of joints, in strips of triangles on each side of a boundary.",
-        )
-        @click.option(
-            "--placement",
-            type=click.Choice(["anchored", "free"]),
-            default=placement,
-            show_default=True,
-            help="How parts are placed: by a pose each, or by registration.",
-        )
-        @click.option(
-            "--shrink",
-            type=click.FloatRange(min=0, min_open=True),
-            default=shrink,
-            show_default=shrink is not None,
-            metavar="X",
-            help="Let joints go on inside parts where blending shortens edges by more than this share.",
-        )
-        @click.option(
-            "--projection",
-            type=click.Choice(["dso", "msgi"]),
-            help="How the edge space finds meshes: all at once, or patch by patch.  [default: dso]",
-        )
-        @click.option(
-            "--volume",
-            type=click.FloatRange(min=0),
-            metavar="W",
-            help="Weight of the volume in the edge space.  [default: 0]",
-        )
-        @click.option(
-            "--coarse",
-            type=click.IntRange(min=4),
-            metavar="N",
-            help="Solve the edge space on a mesh of N vertices first.  [default: at full resolution only]",
-        )
-        @wraps(command)
-        def with_options(*args: Any, **settings: Any) -> None:
-            making = {name: settings.pop(name) for name in _MAKING}
-            edge = _those_given({name: settings.pop(name) for name in ("projection", "volume", "coarse")})
-            if edge and making["space"] != "edge":
-                raise SettingsError(
-                    f"--{next(iter(edge))} is for the edge space; leave it out, or give --space edge"
-                )
-            command(*args, making=making | ({"edge": edge} if edge else {}), **settings)
-
-        return with_options
-
-    return add
+    return with_options
 
 
 _MAKING = ("space", "parts", "joint_width", "placement", "shrink")

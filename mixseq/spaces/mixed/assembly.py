@@ -143,9 +143,9 @@ class Assembly(Remade):
         return node
 
     @cached_property
-    def _loose(self) -> Mask:
-        """Mark the faces ``(F,)`` that no part holds."""
-        return np.asarray(self._layout.faces[:, 0] < 0)
+    def held(self) -> Mask:
+        """Mark the faces ``(F,)`` with all corners in one part."""
+        return np.asarray(self._layout.faces[:, 0] >= 0)
 
     @cached_property
     def _crossing(self) -> Index:
@@ -156,7 +156,7 @@ class Assembly(Remade):
     @cached_property
     def _count(self) -> int:
         """Number of all that turn by themselves."""
-        return len(self.decomposition.parts) + int(np.count_nonzero(self._loose))
+        return len(self.decomposition.parts) + int(np.count_nonzero(~self.held))
 
     @cached_property
     def posed(self) -> Index:
@@ -246,7 +246,7 @@ class Assembly(Remade):
 
     def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
         """Return the vertices ``(V, 3)``, anywhere, that frames tell."""
-        t, loose, crossing = self.topology, self._loose, self._crossing
+        t, loose, crossing = self.topology, ~self.held, self._crossing
         flat = flat_triangles(lengths[t.face_edges])
         own = np.zeros((len(t.faces), 4))
         own[:, 0] = 1.0

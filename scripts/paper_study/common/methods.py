@@ -19,6 +19,7 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.geometry.rigid import mean_shape
 from mixseq.operations.interpolation import FAR
@@ -133,6 +134,12 @@ class Mixed:
         """The space of the poses."""
         raise NotImplementedError
 
+    @property
+    def rigid(self) -> NDArray[np.bool_]:
+        """Mark the faces ``(F,)`` that parts hold: whose lengths are not stored, but follow from vertices."""
+        topology = self.poses.topology
+        return np.asarray(~np.isin(topology.face_edges, self.space.edge_ids).all(axis=1))
+
     def prepare(self) -> None:
         """Do what is done once."""
         raise NotImplementedError
@@ -196,6 +203,11 @@ class Free(Mixed):
     def prepare(self) -> None:
         self.space.prepare()
         _ = self.vectors
+
+    @property
+    def rigid(self) -> NDArray[np.bool_]:
+        """Mark the faces ``(F,)`` with all corners in one part."""
+        return self.space.projection.held
 
     def frame(self, weights: Float) -> FreeFrame:
         """Blend parts, lengths and angles."""

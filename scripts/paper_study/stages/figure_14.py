@@ -26,8 +26,8 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     cuts = {
         f"strips, {FEW} parts": strips(poses, few),
         "strips, found parts": strips(poses, usual),
-        f"MixIT, {FEW} parts": softened(poses, few),
-        "MixIT, found parts": softened(poses, usual),
+        f"MixIT, free, {FEW} parts": softened(poses, few),
+        "MixIT, free, found parts": softened(poses, usual),
     }
     found: Json = {}
     rows: list[list[Panel]] = [[], [], []]

@@ -119,10 +119,10 @@ def page(results: Results) -> list[str]:
                     "parts",
                     "valid",
                     "segmentation, s",
-                    "MixIT, strips: ms",
-                    "MixIT: ms",
-                    "MixIT, strips: errors",
-                    "MixIT: errors",
+                    "free, strips: ms",
+                    "free: ms",
+                    "free, strips: errors",
+                    "free: errors",
                     "MSGI",
                     "DSO",
                 ),
@@ -151,7 +151,7 @@ def verdict(results: Results) -> list[str]:
         counts = [
             f"{shown} {sum(clear(pair, kind, name, edges) for pair in pairs for name in SEGMENTATIONS)}"
             for edges in (("DSO", "MSGI"), ("DSO",))
-            for kind, shown in (("softened", "MixIT"), ("strips", "MixIT, strips"))
+            for kind, shown in (("softened", "MixIT, free"), ("strips", "MixIT, free, strips"))
         ]
         skeletons = ", ".join(f"{each['file']} {each['agreement']:.2f}" for each in result["skeletons"])
         lines.append(
