@@ -32,6 +32,7 @@ from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
 from mixseq.segmentation import MotionSettings, SilhouetteSettings, SpanningTreeSettings
 from mixseq.shells.fitting import ShellSettings
+from mixseq.shells.shell import Relaxation
 from mixseq.spaces import AnchoredSpace, EdgeSettings, MixedSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq_io import FORMATS
@@ -326,10 +327,11 @@ def test_specification_has_every_array_of_surfaces() -> None:
         ("docs/segmentation.md", "Parts by motion", MotionSettings()),
         ("docs/segmentation.md", "Augmented silhouettes", SilhouetteSettings()),
         ("docs/segmentation.md", "Spanning-tree cut", SpanningTreeSettings()),
+        ("docs/reconstruction.md", "Frames, vertices, steps", Relaxation()),
         ("docs/reconstruction.md", "Gauss-Newton", ShellSettings()),
         ("docs/spaces.md", "Edge", EdgeSettings()),
     ],
-    ids=["motion", "silhouettes", "spanning tree", "shell", "edge"],
+    ids=["motion", "silhouettes", "spanning tree", "relaxation", "shell", "edge"],
 )
 def test_defaults_are_those_of_the_code(name: str, heading: str, settings: Any) -> None:
     table = {row[0]: row[1] for row in rows_of(section(name, heading))}

@@ -98,12 +98,15 @@ class AnchoredPlacement:
         return list(zip(rows.joints, rows.patches, *slices, self._blends, strict=True))
 
     def prepare(self) -> None:
-        """Implement `Placement.prepare`."""
+        """Compute what all frames share."""
         self.rows.prepare()
         self._solved, self._copies, self._reference_poses  # noqa: B018 - cached properties
 
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `Placement.assemble`; a vertex that several parts share is where they put it on average."""
+        """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
+
+        A vertex that several parts share is where they put it on average.
+        """
         points = self._on_average(self._turned(frame.rotations, frame.parts), frame.translations)
         moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []

@@ -1,16 +1,15 @@
-"""What a placement of parts and joints is: the contract, and the rows of a vector that belong to the joints."""
+"""Frames that joints are solved in between placed parts, and the rows of a vector that belong to the joints."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.segmentation.joints import Joint
-from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.patch import Patch
 
 Float = NDArray[np.float64]
@@ -43,28 +42,6 @@ class MixedFrame(NamedTuple):
     translations: Float
     offsets: Float
     holds: Float
-
-
-class Placement(Protocol):
-    """What a placement stores of a frame, and how it puts a frame together."""
-
-    @property
-    def edge_ids(self) -> Index:
-        """Global edges ``(E',)`` whose lengths are stored, joint by joint."""
-
-    @property
-    def hinge_ids(self) -> Index:
-        """Global hinges ``(H',)`` whose angles are stored, joint by joint."""
-
-    @property
-    def posed(self) -> Index:
-        """Parts ``(g,)`` whose poses are stored."""
-
-    def prepare(self) -> None:
-        """Compute what all frames share."""
-
-    def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Turn one frame of S_m into vertex positions ``(V, 3)``, with a report for each joint that was solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +85,6 @@ class JointRows:
                 np.add.at(sums[free], end[inside], lengths[edges][inside])
                 np.add.at(counts[free], end[inside], 1.0)
         return np.asarray(sums / counts)
-
-    def across_edges(self, values: Float) -> Float:
-        """Differences ``(T, E', c)`` along the stored edges of values ``(T, F, c)`` at free vertices, else zero."""
-        differences = []
-        for patch, free in zip(self.patches, self.free_slices, strict=True):
-            padded = np.pad(values[:, free], ((0, 0), (0, 1), (0, 0)))  # fixed vertices have number -1
-            ends = patch.free_number[patch.edges[patch.free_edges]]
-            differences.append(padded[:, ends[:, 1]] - padded[:, ends[:, 0]])
-        return np.concatenate(differences, axis=1)
 
     @cached_property
     def free_slices(self) -> list[slice]:

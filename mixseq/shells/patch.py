@@ -13,6 +13,7 @@ from mixseq.segmentation.joints import Joint
 from mixseq.shells.block_pattern import BlockPattern
 from mixseq.shells.equations import Equations
 from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.triangles import Hinges
 from mixseq.topology import Topology
 
 Index = NDArray[np.int64]
@@ -86,11 +87,9 @@ class Patch:
         return np.asarray(self.fixed[self.faces].all(axis=1))
 
     @cached_property
-    def reversed_hinges(self) -> Mask:
-        """Mark the hinges ``(h,)`` whose second face runs along the edge a -> b as the first one does."""
-        second = self.faces[self.hinge_faces[:, 1]]
-        a, b = self.hinges[:, 0, None], self.hinges[:, 1, None]
-        return np.asarray(((second == a) & (np.roll(second, -1, axis=1) == b)).any(axis=1))
+    def hinge_frames(self) -> Hinges:
+        """The hinges, as seen from the frames of their faces."""
+        return Hinges(self.faces, self.hinges, self.hinge_faces)
 
     @cached_property
     def equations(self) -> Equations:

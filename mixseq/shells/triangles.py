@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from mixseq.polygons import IntArray
 from mixseq.shells import rotation_kernels as kernels
-from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,17 +58,28 @@ def frames_of(x: Float, faces: IntArray) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Hinges:
-    """The hinges of a mesh, as seen from the frames of their faces."""
+    """Hinges, as seen from the frames of their faces.
 
-    topology: Topology
+    Attributes
+    ----------
+    faces : (m, 3) int
+        Triangles.
+    hinges : (h, 4) int64
+        Hinges a, b, c, d: edge ab, opposite vertices c and d.
+    hinge_faces : (h, 2) int64
+        Their faces.
+    """
+
+    faces: IntArray
+    hinges: Index
+    hinge_faces: Index
 
     @cached_property
     def _sides(self) -> tuple[Index, Float]:
         """Side ``(h, 2)`` of both faces that a hinge's edge is, and half a turn where it runs against the edge."""
-        topology = self.topology
-        faces = topology.faces[topology.hinge_faces]  # (h, 2, 3)
-        start = (faces == topology.hinges[:, None, :1]).argmax(axis=2)
-        end = (faces == topology.hinges[:, None, 1:2]).argmax(axis=2)
+        faces = self.faces[self.hinge_faces]  # (h, 2, 3)
+        start = (faces == self.hinges[:, None, :1]).argmax(axis=2)
+        end = (faces == self.hinges[:, None, 1:2]).argmax(axis=2)
         forward = (start + 1) % 3 == end
         return np.where(forward, start, end), np.where(forward, 0.0, np.pi)
 
@@ -84,13 +94,13 @@ class Hinges:
 
         Parameters
         ----------
-        flat : (F, 3, 2) float64
+        flat : (m, 3, 2) float64
             Triangles, laid into the plane.
         angles : (h,) float64
             Dihedral angles in radians.
         """
         side = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(side[..., 1], side[..., 0])
-        (which, back), faces = self._sides, self.topology.hinge_faces
-        seen = directions[faces, which] + back
+        which, back = self._sides
+        seen = directions[self.hinge_faces, which] + back
         return np.asarray(kernels.transitions(seen[:, 0], seen[:, 1], angles + self._reversed))

@@ -70,7 +70,9 @@ def test_frames_differ_by_what_lengths_and_angles_tell(mesh: Mesh) -> None:
     topology = topology_of(mesh)
     x = mesh[0] + 0.05 * np.random.default_rng(1).normal(size=mesh[0].shape)
     flat = flat_triangles(edge_lengths(x, topology.edges)[topology.face_edges])
-    turns = Hinges(topology).turns(flat, dihedral_angles(x, topology.hinges))
+    turns = Hinges(topology.faces, topology.hinges, topology.hinge_faces).turns(
+        flat, dihedral_angles(x, topology.hinges)
+    )
     frames = frames_of(x, topology.faces)
     expected = product(frames[topology.hinge_faces[:, 0]], turns)
     same = np.abs((expected * frames[topology.hinge_faces[:, 1]]).sum(axis=1))

@@ -97,7 +97,7 @@ class Leaf:
         """Analyse and factor all that depends on connectivity only."""
         for pattern in (self.patch.frame_pattern, self.patch.equations.pattern):
             _ = pattern.analysis
-        _ = self.patch.laplacian_factor, self.patch.reversed_hinges
+        _ = self.patch.laplacian_factor, self.patch.hinge_frames
 
     def rebuilt(
         self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings

@@ -176,7 +176,7 @@ class Assembly(Remade):
     @cached_property
     def hinges(self) -> Hinges:
         """The hinges of the mesh."""
-        return Hinges(self.topology)
+        return Hinges(self.topology.faces, self.topology.hinges, self.topology.hinge_faces)
 
     @cached_property
     def shell(self) -> Shell:

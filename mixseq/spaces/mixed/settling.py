@@ -72,7 +72,8 @@ class Settling:
         sound, everything = shell.bend > THIN, np.ones(len(topology.faces), dtype=bool)
         pairs = topology.hinge_faces[sound]
         graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, HOLD)
-        return cls(edge_ids, hinge_ids, shell, graph, Hinges(topology), relaxation)
+        hinges = Hinges(topology.faces, topology.hinges, topology.hinge_faces)
+        return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation)
 
     @cached_property
     def _sound(self) -> Mask:
