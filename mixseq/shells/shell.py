@@ -114,6 +114,8 @@ class Shell(Remade):
     holds : (V,) float64
         How much vertices stay where they are expected, against the sides of faces, relative to these: positive for
         one, at least, of all that are connected.
+    bending : float
+        Weight of an angle in radians against a relative length.
     """
 
     topology: Topology
@@ -121,6 +123,7 @@ class Shell(Remade):
     typical: Float
     ties: Index
     holds: Float
+    bending: float
 
     @cached_property
     def _faces(self) -> Index:
@@ -199,7 +202,7 @@ class Shell(Remade):
         np.add.at(right, self.ties[:, 0], -self._tie_weight * tied)
         return self.factor.solve(right)
 
-    def relaxed(self, start: Float, lengths: Float, angles: Float, settings: Relaxation) -> Relaxed:
+    def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:
         """Make lengths and angles agree.
 
         Parameters
@@ -208,57 +211,50 @@ class Shell(Remade):
             Where the steps start.
         lengths, angles : (E,), (H,) float64
             What edges and hinges should have.
-        settings : Relaxation
-            How many steps, and what angles weigh.
+        steps : int
+            How many steps are taken.
 
         Raises
         ------
         ReconstructionError
             If lengths, angles or the start are not finite.
         """
-        gradient, energy = self._gradient(start, lengths, angles, settings.bending)
+        gradient, energy = self._gradient(start, lengths, angles)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
-        if not settings.steps or energy <= 0.5 * EXACT**2 * (len(lengths) + len(angles)):
+        if not steps or energy <= 0.5 * EXACT**2 * (len(lengths) + len(angles)):
             return Relaxed(start, energy)
-        largest = SAFE * self._largest(settings.bending)
+        largest = SAFE * self.largest
         middle, half = 0.5 * (largest + largest / RANGE), 0.5 * (largest - largest / RANGE)
         ratio = half / middle
         step = self.factor.solve(gradient) / -middle
         x, left = start + step, energy
-        for number in range(settings.steps):
-            gradient, left = self._gradient(x, lengths, angles, settings.bending)
-            if number == settings.steps - 1:
+        for number in range(steps):
+            gradient, left = self._gradient(x, lengths, angles)
+            if number == steps - 1:
                 break
             before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
             step = ratio * before * step - 2.0 * ratio / half * self.factor.solve(gradient)
             x = x + step
         return Relaxed(x, left) if left < energy else Relaxed(start, energy)
 
-    def _gradient(self, x: Float, lengths: Float, angles: Float, bending: float) -> tuple[Float, float]:
+    def _gradient(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, float]:
         """The gradient ``(V, 3)`` of the energy, and the energy."""
         topology, gradient = self.topology, np.empty_like(x)
-        weights = self.stretch, bending * self.bend, self._smallest
+        weights = self.stretch, self.bending * self.bend, self._smallest
         energy = kernels.energy(x, topology.edges, topology.hinges, lengths, angles, *weights, gradient)
         return gradient, float(energy)
 
-    def _largest(self, bending: float) -> float:
-        """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
-        if bending not in self._curvatures:
-            x, count = self.reference, self.topology.vertex_count
-            lengths, angles = edge_lengths(x, self.topology.edges), dihedral_angles(x, self.topology.hinges)
-            way, curvature = np.random.default_rng(0).normal(size=(count, 3)), 0.0
-            size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(count)
-            for _ in range(ROUNDS):
-                way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
-                ahead, behind = (
-                    self._gradient(x + sign * way, lengths, angles, bending)[0] for sign in (1, -1)
-                )
-                way = self.factor.solve(0.5 * (ahead - behind))
-                curvature = float(np.linalg.norm(way)) / size
-            self._curvatures[bending] = max(curvature, NO_LENGTH)
-        return self._curvatures[bending]
-
     @cached_property
-    def _curvatures(self) -> dict[float, float]:
-        return {}
+    def largest(self) -> float:
+        """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
+        x, topology = self.reference, self.topology
+        lengths, angles = edge_lengths(x, topology.edges), dihedral_angles(x, topology.hinges)
+        way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
+        size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
+        for _ in range(ROUNDS):
+            way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
+            ahead, behind = (self._gradient(x + sign * way, lengths, angles)[0] for sign in (1, -1))
+            way = self.factor.solve(0.5 * (ahead - behind))
+            curvature = float(np.linalg.norm(way)) / size
+        return max(curvature, NO_LENGTH)

@@ -16,9 +16,16 @@ import numpy as np
 import mixseq
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.operations.interpolation import Blend
-from mixseq.spaces.making import SpaceName
 
-PAIRS = (("lion_poses", 2, 5), ("cat_poses", 1, 3), ("horse_poses", 1, 3), ("horse_gallop", 0, 12))
+PAIRS = (
+    ("lion_poses", 2, 5),
+    ("lion_poses", 4, 6),
+    ("cat_poses", 1, 3),
+    ("cat_poses", 4, 6),
+    ("horse_poses", 1, 3),
+    ("horse_poses", 6, 10),
+    ("horse_gallop", 0, 12),
+)
 
 
 def main() -> int:
@@ -49,15 +56,13 @@ def measure(path: Path, first: int, second: int) -> None:
         )
 
     show("vertices", ends.mean(axis=0), 0.0, [])
-    for placement in ("free", "anchored"):
-        model = mixseq.fit(sequence, exact=True, placement=placement)
-        blend = Blend(sequence.header, model.space, model.space.encode(ends))
-        start = time.perf_counter()
-        points, reports = blend.at_with_reports([0.5, 0.5])
-        show(f"S_m {placement}", points, time.perf_counter() - start, reports)
-    spaces: tuple[tuple[SpaceName, str], ...] = (("mixed", "interpolate"), ("edge", "interpolate, edge"))
-    for space, method in spaces:
-        blend = Blend.of(sequence, space, among=[first, second])
+    spaces: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("interpolate", {}),
+        ("interpolate, free", {"placement": "free", "shrink": 0.03}),
+        ("interpolate, edge", {"space": "edge"}),
+    )
+    for method, told in spaces:
+        blend = Blend.of(sequence, among=[first, second], **told)
         blend.space.prepare()
         start = time.perf_counter()
         point, report = blend.at_with_reports([0.5, 0.5])

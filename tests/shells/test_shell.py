@@ -17,12 +17,12 @@ from tests.meshes import Float, Mesh, grid, rotation, topology_of, torus, tube
 MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]
 
 
-def shell_of(mesh: Mesh, hold: float = 0.0) -> Shell:
+def shell_of(mesh: Mesh, hold: float = 0.0, bending: float = 0.25) -> Shell:
     topology = topology_of(mesh)
     holds = np.full(topology.vertex_count, hold)
     holds[0] = max(hold, 1.0)
     nothing = np.zeros((0, 2), dtype=np.int64)
-    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), nothing, holds)
+    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), nothing, holds, bending)
 
 
 def shaken(mesh: Mesh, size: float, seed: int = 0) -> Float:
@@ -83,7 +83,7 @@ def test_ties_hold_what_no_edge_does() -> None:
     mesh = np.concatenate([points, [[5.0, 5.0, 5.0]]]), faces
     topology = topology_of(mesh)
     holds, ties = np.eye(1, len(mesh[0]))[0], np.array([[2, len(points)]])
-    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), ties, holds)
+    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), ties, holds, 0.25)
     found = shell.integrated(sides_of(mesh, mesh[0]), np.array([[0.0, 1.0, 2.0]]), np.zeros_like(mesh[0]))
     np.testing.assert_allclose(found[-1] - found[2], [0, 1, 2], atol=1e-12)
 
@@ -92,7 +92,7 @@ def test_ties_hold_what_no_edge_does() -> None:
 def test_a_mesh_with_its_lengths_and_angles_stays(mesh: Mesh) -> None:
     shell, x = shell_of(mesh), shaken(mesh, 0.1)
     moved = x @ rotation((1.0, 2.0, 3.0)).T + 5.0
-    result = shell.relaxed(moved, *measured(shell, x), Relaxation())
+    result = shell.relaxed(moved, *measured(shell, x), 10)
     np.testing.assert_allclose(result.points, moved, atol=1e-12)
 
 
@@ -100,8 +100,8 @@ def test_a_mesh_with_its_lengths_and_angles_stays(mesh: Mesh) -> None:
 def test_steps_find_a_mesh_that_has_the_lengths_and_angles(mesh: Mesh) -> None:
     shell, wanted = shell_of(mesh), shaken(mesh, 0.05, 1)
     lengths, angles = measured(shell, wanted)
-    few, many = (shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=n)) for n in (9, 200))
-    first = shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=0))
+    few, many = (shell.relaxed(mesh[0], lengths, angles, n) for n in (9, 200))
+    first = shell.relaxed(mesh[0], lengths, angles, 0)
     assert many.energy < 1e-8 * first.energy and few.energy < 0.1 * first.energy
     turn, shift = kabsch(many.points, wanted)
     np.testing.assert_allclose(many.points @ turn.T + shift, wanted, atol=1e-3)
@@ -122,7 +122,7 @@ def test_steps_go_where_gauss_newton_goes() -> None:
     problem = ShellProblem(patch, lengths, angles, shell.stretch, 0.25)
     assert (shell.bend > 0.9).all()
     _, report = fit_shell(problem, mesh[0], ShellSettings(tolerance=1e-10))
-    ours = shell.relaxed(mesh[0], lengths, angles, Relaxation(steps=300))
+    ours = shell.relaxed(mesh[0], lengths, angles, 300)
     assert 0.5 * report.energy < 2 * ours.energy < 1.01 * report.energy
 
 
@@ -140,7 +140,7 @@ def test_what_is_not_finite_is_refused() -> None:
     lengths, angles = measured(shell, mesh[0])
     lengths[3] = np.inf
     with pytest.raises(ReconstructionError, match="not finite"):
-        shell.relaxed(mesh[0], lengths, angles, Relaxation())
+        shell.relaxed(mesh[0], lengths, angles, 10)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.quaternions import inverse, product, rotations_of
+from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
 from mixseq.pickling import Remade
 from mixseq.polygons import IntArray
@@ -55,7 +55,7 @@ class FreeFrame(NamedTuple):
     parts : (N, 3) float64
         Aligned vertices of all parts.
     rotations, centres : (r, 4), (r, 3) float64
-        Poses.
+        Poses; quaternions of any length.
     """
 
     lengths: Float
@@ -89,6 +89,8 @@ class Assembly(Remade):
         A frame of the sequence.
     typical : (E',) float64
         Typical lengths of the stored edges.
+    relaxation : Relaxation
+        How lengths and angles are made to agree.
     """
 
     topology: Topology
@@ -96,6 +98,7 @@ class Assembly(Remade):
     shapes: Float
     reference: Float
     typical: Float
+    relaxation: Relaxation
 
     @cached_property
     def _layout(self) -> _Layout:
@@ -188,7 +191,7 @@ class Assembly(Remade):
         component = connected(t.vertex_count, np.concatenate([t.edges, ties]))
         holds = np.zeros(t.vertex_count)
         holds[np.unique(component, return_index=True)[1]] = 1.0
-        return Shell(t, self.reference, typical, ties, holds)
+        return Shell(t, self.reference, typical, ties, holds, self.relaxation.bending)
 
     @cached_property
     def _ties(self) -> Index:
@@ -220,7 +223,7 @@ class Assembly(Remade):
     def prepare(self) -> None:
         """Compute what all frames share."""
         self.graph.prepare()
-        self.shell.factor, self._bodies, self._tied_rows  # noqa: B018 - cached properties
+        self.shell.largest, self._bodies, self._tied_rows  # noqa: B018 - cached properties
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
@@ -231,7 +234,7 @@ class Assembly(Remade):
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 
-    def assemble(self, frame: FreeFrame, settings: Relaxation) -> Relaxed:
+    def assemble(self, frame: FreeFrame) -> Relaxed:
         """Return the mesh of a point of S_m, and what is left of its energy.
 
         Raises
@@ -241,7 +244,7 @@ class Assembly(Remade):
         """
         lengths, angles = self.targets(frame)
         start = self.start(frame, lengths, angles)
-        relaxed = self.shell.relaxed(start, lengths, angles, settings)
+        relaxed = self.shell.relaxed(start, lengths, angles, self.relaxation.steps)
         return relaxed._replace(points=self.placed(frame, relaxed.points))
 
     def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
@@ -255,7 +258,8 @@ class Assembly(Remade):
         first, second = own[t.hinge_faces[crossing]].transpose(1, 0, 2)
         across = self.hinges.turns(flat, angles)[crossing]
         turns = product(product(first, across), inverse(second))
-        frames = self.graph.averaged(self.graph.chained(turns, frame.rotations), turns, ROUNDS)
+        frames = self.graph.chained(turns, normalised(frame.rotations))
+        frames = self.graph.averaged(frames, turns, ROUNDS)
         sides = np.empty((len(t.faces), 3, 3))
         sides[loose] = turned_sides(frames[self._node[loose]], flat[loose])
         matrices = rotations_of(frames[: len(self.decomposition.parts)])

@@ -73,7 +73,12 @@ class FreeSpace(MixedSpace):
     def projection(self) -> Assembly:
         """What puts decoded parts and joints together."""
         return Assembly(
-            self.topology, self.decomposition, self.shapes, self.reference, self.reference_lengths
+            self.topology,
+            self.decomposition,
+            self.shapes,
+            self.reference,
+            self.reference_lengths,
+            self.relaxation,
         )
 
     def prepare(self) -> None:
@@ -185,7 +190,7 @@ class FreeSpace(MixedSpace):
         points = np.empty((len(vectors), self.topology.vertex_count, 3))
         with one_blas_thread():
             for number, frame in enumerate(self.frames(vectors)):
-                points[number] = self.projection.assemble(frame, self.relaxation).points
+                points[number] = self.projection.assemble(frame).points
                 progress(number + 1, len(vectors), "decoding frames")
         points *= self.scale
         return points

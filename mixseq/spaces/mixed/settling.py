@@ -50,8 +50,8 @@ class Settling:
         Frames of its faces.
     hinges : Hinges
         Its hinges.
-    relaxation : Relaxation
-        The steps.
+    steps : int
+        How many steps are taken.
     """
 
     edge_ids: Index
@@ -59,7 +59,7 @@ class Settling:
     shell: Shell
     graph: FrameGraph
     hinges: Hinges
-    relaxation: Relaxation
+    steps: int
 
     @classmethod
     def of(
@@ -68,12 +68,13 @@ class Settling:
         """Make it for a mesh whose reference frame ``(V, 3)`` has typical lengths."""
         nothing = np.zeros((0, 2), dtype=np.int64)
         holds = np.full(topology.vertex_count, HOLD)
-        shell = Shell(topology, reference, edge_lengths(reference, topology.edges), nothing, holds)
+        typical = edge_lengths(reference, topology.edges)
+        shell = Shell(topology, reference, typical, nothing, holds, relaxation.bending)
         sound, everything = shell.bend > THIN, np.ones(len(topology.faces), dtype=bool)
         pairs = topology.hinge_faces[sound]
         graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, HOLD)
         hinges = Hinges(topology.faces, topology.hinges, topology.hinge_faces)
-        return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation)
+        return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation.steps)
 
     @cached_property
     def _sound(self) -> Mask:
@@ -90,7 +91,7 @@ class Settling:
 
     def prepare(self) -> None:
         """Compute what all frames share."""
-        self.shell.factor, self.graph.factor  # noqa: B018 - cached properties
+        self.shell.largest, self.graph.factor  # noqa: B018 - cached properties
 
     def settled(self, x: Float, lengths: Float, angles: Float) -> Float:
         """Return where vertices, posed at ``(V, 3)``, are with lengths ``(E',)`` and angles ``(H',)``."""
@@ -103,4 +104,4 @@ class Settling:
         corners = x[topology.faces[self._thin]]
         sides[self._thin] = np.roll(corners, -1, axis=1) - corners
         start = self.shell.integrated(sides, np.zeros((0, 3)), x)
-        return self.shell.relaxed(start, all_lengths, all_angles, self.relaxation).points
+        return self.shell.relaxed(start, all_lengths, all_angles, self.steps).points

@@ -25,22 +25,29 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FullMesh:
-    """A mesh between two of its poses ``(2, V, 3)``, in diagonals; rslab works on `threads` threads."""
+    """A mesh between two of its poses ``(2, V, 3)``, in diagonals; rslab works on `threads` threads.
+
+    The second pose has a weight.
+    """
 
     topology: Topology
     ends: Float
     threads: int
     settings: ShellSettings
+    weight: float = 0.5
 
     @cached_property
     def lengths(self) -> Float:
         """Mean edge lengths of the two."""
-        return np.asarray(edge_lengths(self.ends, self.topology.edges).mean(axis=0))
+        return self._between(edge_lengths(self.ends, self.topology.edges))
 
     @cached_property
     def angles(self) -> Float:
         """Mean dihedral angles of the two, by the shorter way round."""
-        return np.asarray(unwrap_angles(dihedral_angles(self.ends, self.topology.hinges)).mean(axis=0))
+        return self._between(unwrap_angles(dihedral_angles(self.ends, self.topology.hinges)))
+
+    def _between(self, both: Float) -> Float:
+        return np.asarray((1.0 - self.weight) * both[0] + self.weight * both[1])
 
     @cached_property
     def problem(self) -> ShellProblem:

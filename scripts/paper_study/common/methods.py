@@ -222,7 +222,7 @@ class Free(Mixed):
             lengths, angles = assembly.targets(frame)
             start = assembly.start(frame, lengths, angles)
             first = clock.lap()
-            relaxed = assembly.shell.relaxed(start, lengths, angles, self.space.relaxation)
+            relaxed = assembly.shell.relaxed(start, lengths, angles, assembly.relaxation.steps)
             points = assembly.placed(frame, relaxed.points)
         return Blended(points * self.space.scale, []), (first, 0.0, clock.lap())
 

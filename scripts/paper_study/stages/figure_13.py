@@ -20,7 +20,9 @@ WIDTHS = (3, 5)
 
 def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     labels = poses.segmented()
-    cuts = {f"MixIT, free, strips, width {width}": strips(poses, labels, width, full=True) for width in WIDTHS}
+    cuts = {
+        f"MixIT, free, strips, width {width}": strips(poses, labels, width, full=True) for width in WIDTHS
+    }
     cuts |= {f"MixIT, free, width {width}": softened(poses, labels, width) for width in WIDTHS}
     results = {name: along(poses, Free(poses, cut)) for name, cut in cuts.items()}
     bands = {name: result.bands for name, result in results.items()}
@@ -54,7 +56,8 @@ def verdict(results: Results) -> list[str]:
     changes = []
     for mesh, result in results.items():
         three, five = (
-            result["methods"][f"MixIT, free, strips, width {width}"]["worst"]["lengths"][1] for width in WIDTHS
+            result["methods"][f"MixIT, free, strips, width {width}"]["worst"]["lengths"][1]
+            for width in WIDTHS
         )
         changes.append(f"{mesh} {three:.2g} to {five:.2g}")
     return [f"Length errors at 99.9 %, worst of all weights, from width 3 to 5: {', '.join(changes)}."]
