@@ -31,7 +31,7 @@ from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths
-from mixseq.spaces.mixed import FAR, MixedSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import NEVER, MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
@@ -74,7 +74,7 @@ class SpaceSettings:
     joint_width: int = 3
     motion: MotionSettings | None = None
     shrink: float | None = None
-    far: float = FAR
+    far: float = NEVER
     shell: ShellSettings | None = None
     edge: EdgeSettings | None = None
 

@@ -35,9 +35,9 @@ LOOKED_AT = 16
 MOST = 0.99
 """So many edges, at least, have to be right half-way."""
 
-FAR = 1.0 / 3.0
-"""By so much of its length an edge may be wrong half-way between frames of an animation. Up to there frames in between
-know better what became of it than lengths and angles do. Ours."""
+NEVER = float("inf")
+"""Frames of an animation are never far apart: frames in between do not have mean lengths and angles, and models of few
+modes do not know lengths and angles well enough to be told by them."""
 
 STRETCH = 0.015
 """Where frames are far apart, faces with edges that are wrong by more of their length half-way are joints; ours."""
@@ -57,7 +57,7 @@ def mixed_space(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
-    far: float = FAR,
+    far: float = NEVER,
     workers: OrderedMap = serially,
     progress: Progress = silent,
 ) -> MixedSpace:
@@ -75,7 +75,8 @@ def mixed_space(
         How parts are placed.
     far : float
         Anchored placement: frames are far apart, and lengths and angles are made to agree between them, if edges
-        half-way are wrong by more than this share of their length.
+        half-way are wrong by more than this share of their length. That is for blends of poses; by default they never
+        are.
     workers : OrderedMap, optional
         Who looks at the frames.
     progress : callable, optional
@@ -109,7 +110,7 @@ def mixed_space(
         )
         near = replace(stiff, free=_free(stiff, some))
         progress(2, 2, "registering parts")
-        if how_far_apart(near, points) <= far:
+        if far == NEVER or how_far_apart(near, points) <= far:
             return near
         return replace(near, turning=_wrong_half_way(near, some), relaxation=Relaxation())
     space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())

@@ -64,8 +64,8 @@ def measure(say: Say) -> Section:
     for name, first, second, factor in PAIRS:
         _measure_pair(section, rows, name, first, second, factor, say)
     section.notes.append(
-        "`MixIT` is what `mixseq.interpolate` does: poses agree with what neighbours see of each other, and lengths and "
-        "angles are made to agree from there. `MixIT, free` is the paper's placement, with joints inside parts "
+        "`MixIT` is what `mixseq.interpolate` does: poses agree with what neighbours see of each other, and lengths "
+        "and angles are made to agree from there. `MixIT, free` is the paper's placement, with joints inside parts "
         "(`shrink=0.03`). Both take a fixed number of steps with constant matrices. "
         "`vertex means` takes no time worth measuring and shows the errors of no method at all. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
