@@ -131,8 +131,8 @@ def page(results: Results) -> list[str]:
         "same systems with a sparse direct solver whose pattern is analysed once, and from the linear start "
         "it needs few iterations. So what MixIT gains over DSO is far less here than in the paper: the paper "
         "compares with a slow DSO, and says so itself (Section 3).\n"
-        "- Interp. of *strips* and *MixIT* is the linear start of the joints only; their Gauss-Newton is "
-        "Settle, of parts and joints together. *Printed* has the paper's steps.\n"
+        "- Interp. of *free* is the mesh that frames of faces tell, Settle the steps from there; of *MixIT* "
+        "Interp. is all. *Printed* has the paper's steps.\n"
         "- Our Init. is large beside the interpolation: the analysis of sparse patterns, in Python. It is "
         "done once for any number of frames; the paper's is not.",
     ]

@@ -83,7 +83,7 @@ def page(results: Results) -> list[str]:
         "What parts and joints share counts twice by the definition. We store an edge or hinge only if no "
         "part has all its vertices: the others follow from the part.",
         "More, and other, parts than the paper's, and joints that follow the motion, make our S_m differ "
-        "from the printed one; joints that go on into parts that bend (*MixIT*) cost lengths and angles "
+        "from the printed one; joints that go on into parts that bend (*MixIT, free*) cost lengths and angles "
         "there.",
     ]
 
