@@ -75,19 +75,17 @@ def page(results: Results) -> list[str]:
             f"## {result['far']['title']}",
             "Chosen for it: of all 45 pairs of the cat's poses (the earlier one first) the one where *DSO, "
             "from a pose* ends with the highest energy. The paper does not tell its poses.",
-            "Chosen for it: of all 45 pairs of the cat's poses (the earlier one first) the one where *DSO, "
-            "from a pose* ends with the highest energy. The paper does not tell its poses.",
             f"![Two far poses and blends, {mesh}](figure-17-{mesh}.png)",
             _table(result["far"]),
             "The paper shows one picture of DSO that got trapped, and of MixIT that did not. So it is here "
-            "when DSO starts from a pose: the cat stays curled up. *MixIT* ends near the energy of DSO from "
-            "the linear start, which is not trapped: the trap is in the start, not in the space S_e. With "
-            "strips as joints, *MixIT, printed* too comes out of the trap, but its rigid parts cost more "
-            "energy than the trap does; what it gains is the shape, not the energy.",
+            "when DSO starts from a pose: the cat stays curled up. *MixIT* ends with less energy. From the linear "
+            "start DSO is not trapped and ends with less still: the trap is in the start, not in the space S_e. "
+            "*MixIT, printed* too comes out of the trap, but its rigid parts cost more energy than the trap does; "
+            "what it gains is the shape, not the energy.",
             f"## {result['other']['title']}",
             _table(result["other"]),
             "The linear start is no guarantee. We compared it with the start from a pose on eight pairs of "
-            "the cat; on this one it ends higher, for DSO and for MixIT, whose joints start alike.",
+            "the cat; on this one, the farthest of all, it ends higher. So does *MixIT*, whose poses are blended.",
         ]
     return blocks
 
