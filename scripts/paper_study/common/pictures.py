@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mixseq.plots import CLAY, broadside, draw_mesh, segmentation_colours, shared_limits
 from mixseq.plots.camera import Limits, View, y_up
 from mixseq.plots.charts import LINES, chart_style, new_page
 from mixseq.plots.layout import Sheet
 from mixseq.segmentation.joints import Decomposition
-from scripts.paper_study.common.poses import Float, Poses
+from scripts.paper_study.common.poses import Float, Index, Poses
 
 DPI = 80
 CLOSE = 0.13
@@ -33,6 +33,11 @@ class Panel(NamedTuple):
 def cut(decomposition: Decomposition) -> Float:
     """Return colours ``(F, 3)`` of parts, and of joints in red."""
     return segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
+
+
+def held(part_of_face: Index, rigid: NDArray[np.bool_]) -> Float:
+    """Return colours ``(F, 3)`` of parts where they hold faces ``(F,)``, and of the others in red."""
+    return segmentation_colours(part_of_face, np.where(rigid, -1, 0))
 
 
 def heat(poses: Poses, values: Float, most: float) -> Float:

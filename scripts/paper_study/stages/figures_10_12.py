@@ -11,7 +11,7 @@ from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.along import along, weights_of
 from scripts.paper_study.common.errors import text
 from scripts.paper_study.common.methods import METHODS, Mixed
-from scripts.paper_study.common.pictures import Panel, cut, envelopes, gallery
+from scripts.paper_study.common.pictures import Panel, envelopes, gallery, held
 from scripts.paper_study.common.poses import MESHES as ALL
 from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.record import Json, Results
@@ -40,7 +40,13 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
         if isinstance(method, Mixed):
             found[name]["rigid"] = rigid_share(method)
         if isinstance(method, Mixed) and name != "MixIT, printed":
-            top.append(Panel(f"joints of {name}", poses.points[0], cut(method.decomposition)))
+            top.append(
+                Panel(
+                    f"joints of {name}",
+                    poses.points[0],
+                    held(method.decomposition.part_of_face, method.rigid),
+                )
+            )
         say(f"{name}: 99.9 % {text([found[name]['worst'][kind][1] for kind in ('lengths', 'degrees')])}")
     weights = weights_of(poses)
     rows = [top, middles[:3], middles[3:]]
