@@ -91,6 +91,26 @@ def energy(
 
 
 @compiled
+def measured(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
+    """Return lengths ``(e,)`` and angles ``(h,)`` of edges ``(e, 2)`` and hinges ``(h, 4)``."""
+    lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
+    for k in range(len(edges)):
+        a, b = edges[k, 0], edges[k, 1]
+        lengths[k] = math.sqrt((x[b, 0] - x[a, 0]) ** 2 + (x[b, 1] - x[a, 1]) ** 2 + (x[b, 2] - x[a, 2]) ** 2)
+    for k in range(len(hinges)):
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        e0, e1, e2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        c0, c1, c2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        d0, d1, d2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
+        n0, n1, n2 = e1 * c2 - e2 * c1, e2 * c0 - e0 * c2, e0 * c1 - e1 * c0
+        m0, m1, m2 = d1 * e2 - d2 * e1, d2 * e0 - d0 * e2, d0 * e1 - d1 * e0
+        sine = (n1 * m2 - n2 * m1) * e0 + (n2 * m0 - n0 * m2) * e1 + (n0 * m1 - n1 * m0) * e2
+        cosine = (n0 * m0 + n1 * m1 + n2 * m2) * math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        angles[k] = math.atan2(sine, cosine)
+    return lengths, angles
+
+
+@compiled
 def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
     """Add the weighted ``(F, 3)`` sides 01, 12, 20 ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)``."""
     for f in range(len(faces)):

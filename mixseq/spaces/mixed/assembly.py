@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
 from mixseq.pickling import Remade
 from mixseq.polygons import IntArray
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.frames import FrameGraph, connected
-from mixseq.shells.relaxation_kernels import turned_sides
+from mixseq.shells.relaxation_kernels import measured, turned_sides
 from mixseq.shells.shell import Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
@@ -228,8 +228,7 @@ class Assembly(Remade):
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
         rows = self._layout
-        lengths = edge_lengths(frame.parts, np.maximum(rows.edges, 0))
-        angles = dihedral_angles(frame.parts, np.maximum(rows.hinges, 0))
+        lengths, angles = measured(frame.parts, np.maximum(rows.edges, 0), np.maximum(rows.hinges, 0))
         lengths[self.edge_ids] = np.maximum(frame.lengths, SHORTEST * self.typical)
         angles[self.hinge_ids] = frame.angles
         return lengths, angles

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.shells.frames import FrameGraph
-from mixseq.shells.relaxation_kernels import turned_sides
+from mixseq.shells.relaxation_kernels import measured, turned_sides
 from mixseq.shells.shell import Relaxation, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
@@ -96,7 +96,7 @@ class Settling:
     def settled(self, x: Float, lengths: Float, angles: Float) -> Float:
         """Return where vertices, posed at ``(V, 3)``, are with lengths ``(E',)`` and angles ``(H',)``."""
         topology = self.shell.topology
-        all_lengths, all_angles = edge_lengths(x, topology.edges), dihedral_angles(x, topology.hinges)
+        all_lengths, all_angles = measured(x, topology.edges, topology.hinges)
         all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
         flat = flat_triangles(all_lengths[topology.face_edges])
         turns = self.hinges.turns(flat, all_angles)[self._sound]
