@@ -1,23 +1,19 @@
 """The inner loops of `mixseq.shells.fitting`, compiled: residuals, normal equations, conjugate gradients.
 
 They release the interpreter's lock and add in a fixed order, so that frames can be solved on any number of threads
-with the same bits. Formulas are those of `mixseq.geometry.lengths_angles`, which the tests hold them against.
+with the same bits.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compiled import compiled, inlined
+from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient, wrapped
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-TINY = 2.2250738585072014e-308
-TURN = 2.0 * math.pi
 
 
 @compiled
@@ -37,24 +33,13 @@ def shell_residuals(
     """Write the residuals of lengths, angles, and of the pull; return the sum of their squares."""
     energy = 0.0
     for k in range(len(edges)):
-        a, b = edges[k, 0], edges[k, 1]
-        e0, e1, e2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        r = weights[k] * (math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) - lengths[k])
+        r = weights[k] * (length(x, edges[k, 0], edges[k, 1]) - lengths[k])
         residuals[k] = r
         energy += r * r
     first = len(edges)
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        e0, e1, e2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        c0, c1, c2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-        d0, d1, d2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
-        n0, n1, n2 = e1 * c2 - e2 * c1, e2 * c0 - e0 * c2, e0 * c1 - e1 * c0
-        m0, m1, m2 = d1 * e2 - d2 * e1, d2 * e0 - d0 * e2, d0 * e1 - d1 * e0
-        sine = (n1 * m2 - n2 * m1) * e0 + (n2 * m0 - n0 * m2) * e1 + (n0 * m1 - n1 * m0) * e2
-        cosine = (n0 * m0 + n1 * m1 + n2 * m2) * math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
-        off = math.atan2(sine, cosine) - angles[k]
-        off -= TURN * math.ceil((off - math.pi) / TURN)  # wrapped to (-pi, pi]
-        r = bending * off
+        r = bending * wrapped(angle(x, a, b, c, d) - angles[k])
         residuals[first + k] = r
         energy += r * r
     first += len(hinges)
@@ -113,11 +98,7 @@ def shell_equations(
     gradient[:] = 0.0
     g = np.empty((4, 3))
     for k in range(len(edges)):
-        a, b = edges[k, 0], edges[k, 1]
-        e0, e1, e2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        w = weights[k] / max(math.sqrt(e0 * e0 + e1 * e1 + e2 * e2), TINY)
-        g[1, 0], g[1, 1], g[1, 2] = w * e0, w * e1, w * e2
-        g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
+        length_gradient(x, edges[k, 0], edges[k, 1], weights[k], g)
         for p in range(2):
             v = number[edges[k, p]]
             if v >= 0:
@@ -129,22 +110,7 @@ def shell_equations(
     first = len(edges)
     for k in range(len(hinges)):
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        e0, e1, e2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        c0, c1, c2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-        d0, d1, d2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
-        n0, n1, n2 = e1 * c2 - e2 * c1, e2 * c0 - e0 * c2, e0 * c1 - e1 * c0
-        m0, m1, m2 = d1 * e2 - d2 * e1, d2 * e0 - d0 * e2, d0 * e1 - d1 * e0
-        square = max(e0 * e0 + e1 * e1 + e2 * e2, TINY)
-        length = bending * math.sqrt(square)
-        near = -length / max(n0 * n0 + n1 * n1 + n2 * n2, TINY)
-        far = -length / max(m0 * m0 + m1 * m1 + m2 * m2, TINY)
-        g[2, 0], g[2, 1], g[2, 2] = near * n0, near * n1, near * n2
-        g[3, 0], g[3, 1], g[3, 2] = far * m0, far * m1, far * m2
-        tc = (c0 * e0 + c1 * e1 + c2 * e2) / square
-        td = (d0 * e0 + d1 * e1 + d2 * e2) / square
-        for i in range(3):
-            g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
-            g[1, i] = -tc * g[2, i] - td * g[3, i]
+        angle_gradient(x, a, b, c, d, bending, 0.0, 0.0, g)
         r = residuals[first + k]
         pair = 0
         for p in range(4):

@@ -26,7 +26,8 @@ from mixseq.pickling import Remade
 from mixseq.polygons import IntArray
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.frames import FrameGraph, connected
-from mixseq.shells.relaxation_kernels import measured, turned_sides
+from mixseq.shells.hinge_kernels import measured
+from mixseq.shells.relaxation_kernels import turned_sides
 from mixseq.shells.shell import Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.shells.frames import FrameGraph
-from mixseq.shells.relaxation_kernels import measured, turned_sides
+from mixseq.shells.hinge_kernels import measured
+from mixseq.shells.relaxation_kernels import turned_sides
 from mixseq.shells.shell import Relaxation, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
