@@ -37,9 +37,6 @@ from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
 
-FAR = 1e-3
-"""Half-way between poses that are nearer nothing is gained by making lengths and angles agree: edges are less wrong."""
-
 SUM = 1e-6
 """Weights may add up to one with this error, that of single precision; they are divided by their sum."""
 
@@ -86,8 +83,8 @@ class Blend(Remade):
         among : (n,) int array_like, optional
             The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
-        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, FAR, shell, edge)
-        check_space(space, settings, usual=SpaceSettings(far=FAR))
+        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, True, shell, edge)
+        check_space(space, settings, usual=SpaceSettings(settling=True))
         check_frames(poses)
         count = poses.header.frame_count
         blended = np.arange(count) if among is None else np.asarray(among)

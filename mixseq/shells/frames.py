@@ -28,7 +28,7 @@ from scipy.sparse import csgraph
 
 from mixseq.pickling import Remade
 from mixseq.shells import rotation_kernels as kernels
-from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.solvers import Factor, factored_laplacian
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -70,12 +70,7 @@ class FrameGraph(Remade):
     @cached_property
     def factor(self) -> Factor:
         """Factor of the matrix of all averages."""
-        i, j = self.pairs.T
-        degrees = np.bincount(self.pairs.reshape(-1), np.repeat(self.weights, 2), minlength=self.count)
-        places = np.concatenate([i, j]), np.concatenate([j, i])
-        size = self.count, self.count
-        coupled = sparse.coo_array((np.tile(self.weights, 2), places), shape=size)
-        return factorise((sparse.diags_array(degrees + self.hold * self.known) - coupled).tocsr())
+        return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.hold, 0.0))
 
     def prepare(self) -> None:
         """Compute what all frames of a sequence share."""

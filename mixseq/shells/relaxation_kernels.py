@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compiled import compiled
-from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient, wrapped
+from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -24,7 +26,7 @@ def energy(
     smallest: Float,
     gradient: Float,
 ) -> float:
-    """Return half the sum of squared residuals ``stretch (l - l*)`` and ``bend wrap(theta - theta*)``.
+    """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
 
     Its gradient is written to ``gradient (V, 3)``; where the square of a normal is less than ``smallest (H, 2)`` it is
     taken to be that.
@@ -47,9 +49,10 @@ def energy(
         if w == 0.0:
             continue
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        r = w * wrapped(angle(x, a, b, c, d) - angles[k])
+        half = 0.5 * (angle(x, a, b, c, d) - angles[k])
+        r = 2.0 * w * math.sin(half)
         total += r * r
-        angle_gradient(x, a, b, c, d, w * r, smallest[k, 0], smallest[k, 1], g)
+        angle_gradient(x, a, b, c, d, w * math.cos(half) * r, smallest[k, 0], smallest[k, 1], g)
         for p in range(4):
             for i in range(3):
                 gradient[hinges[k, p], i] += g[p, i]

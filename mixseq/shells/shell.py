@@ -3,12 +3,13 @@ r"""A mesh as a shell: vertices from sides of its faces, and steps that make len
 The energy is that of discrete shells (Froehlich and Botsch 2011), with weights that count relative changes,
 
 .. math:: E(x) = \tfrac12 \sum_e \frac{(l_e - l_e^*)^2}{\bar l_e^2}
-               + \tfrac12 \sum_h \beta^2\, \mathrm{wrap}(\theta_h - \theta_h^*)^2 .
+               + \tfrac12 \sum_h \beta^2 \Bigl( 2 \sin \frac{\theta_h - \theta_h^*}{2} \Bigr)^2 .
 
-It is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
-:math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range
-of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
-for, and the result is as smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
+The sine is as good as the angle where that is small, and smooth where a hinge is half a turn off. The energy is lowered
+by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights :math:`1 / \bar l_e^2` (after
+Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range of curvatures in that metric,
+which is found once. A step costs a gradient and a back-substitution, nothing is searched for, and the result is as
+smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
 """
 
 from __future__ import annotations
@@ -19,18 +20,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.pickling import Remade
 from mixseq.shells import relaxation_kernels as kernels
-from mixseq.shells.solvers import Factor, factorise
+from mixseq.shells.joint import NO_LENGTH, length_weights
+from mixseq.shells.solvers import Factor, factored_laplacian
 from mixseq.shells.triangles import flat_triangles
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 ROUNDS = 15
 """So often the largest curvature is looked for."""
@@ -41,12 +43,15 @@ SAFE = 1.3
 RANGE = 30.0
 """Steps lower what has curvatures down to this share of the largest. What is softer is where the start has it. Ours."""
 
-NO_LENGTH = 1e-12
-"""Edges that are shorter, in diagonals, have no direction to be moved along, and do not count; the value is ours."""
-
 SLENDER = 0.25
-"""Hinges of triangles whose height is below this share of their sides count less: noise would turn them. And triangles
-that have shrunk to this share of their area are turned as if they had not shrunk further."""
+"""Hinges of triangles whose height is below this share of their sides count less: noise would turn them."""
+
+SHRUNK = 0.7
+"""Triangles with less than this share of their area are turned as if they had that: the smaller they are the larger is
+the curvature, and steps that are too long for it shake vertices. Ours."""
+
+THIN = 1e-6
+"""Triangles that are less high, relative to their sides, have no area."""
 
 STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
@@ -132,30 +137,42 @@ class Shell(Remade):
     @cached_property
     def stretch(self) -> Float:
         """Weights ``(E,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
-        return np.divide(1.0, self.typical, out=np.zeros(len(self.typical)), where=self.typical > NO_LENGTH)
+        return length_weights(self.typical)
 
     @cached_property
-    def bend(self) -> Float:
-        """Weights ``(H,)`` of angles, at most 1: less where a triangle is `SLENDER`."""
-        longest = (
-            self.typical[self.topology.face_edges]
-            .max(axis=1)[self.topology.hinge_faces]
-            .max(axis=1, initial=0)
-        )
-        edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
-        height = self._normals.min(axis=1, initial=np.inf) / edge
-        return np.asarray(np.minimum(1.0, height / (SLENDER * np.maximum(longest, NO_LENGTH))))
+    def _longest(self) -> Float:
+        """Typical lengths ``(F,)`` of the longest sides of faces."""
+        return np.asarray(np.maximum(self.typical[self.topology.face_edges].max(axis=1), NO_LENGTH))
 
     @cached_property
     def _normals(self) -> Float:
-        """Typical lengths ``(H, 2)`` of the normals of both faces of the hinges: twice their areas."""
+        """Typical lengths ``(F,)`` of the normals of faces: twice their areas."""
         flat = flat_triangles(self.typical[self.topology.face_edges])
-        return np.asarray((flat[:, 1, 0] * flat[:, 2, 1])[self.topology.hinge_faces])
+        return np.asarray(flat[:, 1, 0] * flat[:, 2, 1])
 
     @cached_property
-    def _smallest(self) -> Float:
-        """Squares ``(H, 2)`` of what normals are taken to have at least."""
-        return np.square(SLENDER * self._normals)
+    def thin(self) -> Index:
+        """Faces without area, whose frames say nothing of their sides."""
+        return np.flatnonzero(self._normals <= THIN * np.square(self._longest))
+
+    @cached_property
+    def bend(self) -> Float:
+        """Weights ``(H,)`` of angles against each other, at most 1: less where a triangle is `SLENDER`."""
+        faces = self.topology.hinge_faces
+        edge = np.maximum(self.typical[self.topology.hinge_edges], NO_LENGTH)
+        height = self._normals[faces].min(axis=1, initial=np.inf) / edge
+        return np.asarray(np.minimum(1.0, height / (SLENDER * self._longest[faces].max(axis=1, initial=0.0))))
+
+    @cached_property
+    def sound(self) -> Mask:
+        """Mark the hinges ``(H,)`` that say something: those of triangles with area."""
+        return np.asarray(self.bend > THIN)
+
+    @cached_property
+    def _weights(self) -> tuple[Float, Float, Float]:
+        """Weights of lengths ``(E,)`` and angles ``(H,)``, and squares ``(H, 2)`` that normals have at least."""
+        smallest = np.square(SHRUNK * self._normals[self.topology.hinge_faces])
+        return self.stretch, self.bending * self.bend, smallest
 
     @cached_property
     def _side_weights(self) -> Float:
@@ -175,14 +192,10 @@ class Shell(Remade):
     @cached_property
     def factor(self) -> Factor:
         """Factor of the Laplacian."""
-        faces, count = self._faces, self.topology.vertex_count
-        i = np.concatenate([faces.reshape(-1), self.ties[:, 0]])
-        j = np.concatenate([np.roll(faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
+        i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
+        j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
         weights = np.concatenate([self._side_weights.reshape(-1), np.full(len(self.ties), self._tie_weight)])
-        degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
-        places = np.concatenate([i, j]), np.concatenate([j, i])
-        coupled = sparse.coo_array((np.tile(weights, 2), places), shape=(count, count))
-        return factorise((sparse.diags_array(degrees + self._held) - coupled).tocsr())
+        return factored_laplacian(np.stack([i, j], axis=1), weights, self._held)
 
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
         """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
@@ -241,8 +254,7 @@ class Shell(Remade):
     def _gradient(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, float]:
         """The gradient ``(V, 3)`` of the energy, and the energy."""
         topology, gradient = self.topology, np.empty_like(x)
-        weights = self.stretch, self.bending * self.bend, self._smallest
-        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, angles, *weights, gradient)
+        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, angles, *self._weights, gradient)
         return gradient, float(energy)
 
     @cached_property

@@ -82,7 +82,7 @@ DATASETS = {
     "mixed": PARTS
     | {
         "space/free",
-        "space/turning",
+        "space/known",
         "space/shares/sizes",
         "space/shares/parts",
         "space/shares/weights",
@@ -236,7 +236,7 @@ def assert_equal_spaces(first: Any, second: Any) -> None:
         assert getattr(first, name) == getattr(second, name)
     if isinstance(first, AnchoredSpace):
         np.testing.assert_array_equal(first.free, second.free)
-        np.testing.assert_array_equal(first.turning, second.turning)
+        np.testing.assert_array_equal(first.known, second.known)
         assert first.shares.shape == second.shares.shape
         for name in ("indptr", "indices", "data"):
             np.testing.assert_array_equal(getattr(first.shares, name), getattr(second.shares, name))
@@ -376,7 +376,7 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
     assert not norms.size or np.abs(norms - 1.0).max() < 0.05  # curves with few knots cut corners
     if isinstance(model.space, AnchoredSpace):
         np.testing.assert_array_equal(found["space/free"], np.flatnonzero(model.space.free))
-        np.testing.assert_array_equal(found["space/turning"], np.flatnonzero(model.space.turning))
+        np.testing.assert_array_equal(found["space/known"], np.flatnonzero(model.space.known))
         starts = np.cumsum([0, *found["space/shares/sizes"]])
         shares = model.space.shares
         np.testing.assert_array_equal(starts, shares.indptr)
@@ -589,7 +589,7 @@ def test_datasets_of_another_size_or_type_are_refused_or_do_no_harm(
                 "polygons",
                 "segmentation",
                 "space/free",
-                "space/turning",
+                "space/known",
                 "space/shares/sizes",
                 "space/shares/parts",
             )

@@ -130,10 +130,10 @@ def test_settings_are_used() -> None:
 def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> None:
     """In an animation of the same frames there is no need to."""
     space = Blend.of(POSES, among=[0, 3]).space
-    assert isinstance(space, AnchoredSpace) and space.relaxation.steps > 0 and space.turning.any()
+    assert isinstance(space, AnchoredSpace) and space.relaxation.steps > 0 and space.known.any()
     near = MeshSequence.from_arrays(POSES.points[[0, 0]] + np.array([0.0, 1.0])[:, None, None], POSES.faces)
     for other in (mixseq.fit(POSES).space, Blend.of(near).space):
-        assert isinstance(other, AnchoredSpace) and not (other.relaxation.steps or other.turning.any())
+        assert isinstance(other, AnchoredSpace) and not (other.relaxation.steps or other.known.any())
 
 
 def test_fits_are_reported() -> None:

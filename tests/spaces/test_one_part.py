@@ -21,7 +21,7 @@ def frames() -> Float:
     rng = np.random.default_rng(5)
     moved = []
     for number in range(4):
-        bulged = points * (1.0 + 0.03 * rng.normal(size=(len(points), 1)))
+        bulged = points * (1.0 + 0.1 * rng.normal(size=(len(points), 1)))
         moved.append(bulged @ rotation(rng.normal(size=3)).T + number * np.array([1.0, -2.0, 0.5]))
     return np.stack(moved)
 

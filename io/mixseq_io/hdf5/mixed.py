@@ -42,7 +42,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
         put_lists(file, "space/shares", "parts", np.split(shares.indices, shares.indptr[1:-1]))
         put(file, "space/shares/weights", shares.data)
         put(file, "space/free", np.flatnonzero(space.free).astype(np.int32))
-        put(file, "space/turning", np.flatnonzero(space.turning).astype(np.int32))
+        put(file, "space/known", np.flatnonzero(space.known).astype(np.int32))
     _write_segmentation(file, space.decomposition)
 
 
@@ -69,7 +69,7 @@ def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> Mix
         reference=reference,
         shares=shares,
         free=_read_marks(path, file, "space/free", header.vertex_count),
-        turning=_read_marks(path, file, "space/turning", len(topology.faces)),
+        known=_read_marks(path, file, "space/known", len(topology.faces)),
         relaxation=read_relaxation(path, file),
     )
 

@@ -30,11 +30,16 @@ def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -
 
 def read_settings(path: Path, file: h5py.File, about: str, known: Mapping[str, Any]) -> dict[str, Any]:
     """Read settings of what they are about, which are among those that are known."""
-    found: dict[str, Any] = json.loads(str(file.attrs["settings"]))[about]
+    found: dict[str, Any] = _all_settings(file)[about]
     unknown = sorted(set(found) - set(known))
     if unknown:
         raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
     return found
+
+
+def _all_settings(file: h5py.File) -> dict[str, dict[str, Any]]:
+    settings: dict[str, dict[str, Any]] = json.loads(str(file.attrs["settings"]))
+    return settings
 
 
 def read_shell(path: Path, file: h5py.File) -> ShellSettings:
@@ -45,7 +50,7 @@ def read_shell(path: Path, file: h5py.File) -> ShellSettings:
 
 def read_relaxation(path: Path, file: h5py.File) -> Relaxation:
     """Read how lengths and angles are made to agree; older models, where they were fitted to, do as new ones."""
-    if "relaxation" not in str(file.attrs["settings"]):
+    if "relaxation" not in _all_settings(file):
         read_shell(path, file)
         return Relaxation()
     return Relaxation(**read_settings(path, file, "relaxation", Relaxation.__dataclass_fields__))

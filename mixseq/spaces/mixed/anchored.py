@@ -91,31 +91,31 @@ class AnchoredSpace(MixedSpace):
         How much vertices follow parts; rows add up to one.
     free : (V,) bool
         Vertices of joints: those of faces that bend, as `VertexFrames.bent` tells.
-    turning : (F,) bool
-        Further faces whose lengths and angles are known: where frames are far apart, those that turn against the
-        frames of their vertices.
+    known : (F,) bool
+        Further faces whose lengths and angles are known: where meshes settle, those whose vertices would be wrong
+        half-way between frames.
     relaxation : Relaxation
         How lengths and angles are made to agree; where frames are near each other no steps are taken.
     """
 
     shares: sparse.csr_array
     free: Mask
-    turning: Mask
+    known: Mask
     relaxation: Relaxation
     placement = "anchored"
 
     @cached_property
     def edge_ids(self) -> Index:
-        """Edges with a free vertex, or of a turning face; ascending."""
-        known = np.asarray(self.free[self.topology.edges].any(axis=1))
-        known[self.topology.face_edges[self.turning]] = True
-        return np.flatnonzero(known)
+        """Edges with a free vertex, or of a face that is known; ascending."""
+        stored = np.asarray(self.free[self.topology.edges].any(axis=1))
+        stored[self.topology.face_edges[self.known]] = True
+        return np.flatnonzero(stored)
 
     @cached_property
     def hinge_ids(self) -> Index:
-        """Hinges with a free vertex, or of a turning face; ascending."""
-        turning = self.turning[self.topology.hinge_faces].any(axis=1)
-        return np.flatnonzero(turning | self.free[self.topology.hinges].any(axis=1))
+        """Hinges with a free vertex, or of a face that is known; ascending."""
+        known = self.known[self.topology.hinge_faces].any(axis=1)
+        return np.flatnonzero(known | self.free[self.topology.hinges].any(axis=1))
 
     @cached_property
     def frames(self) -> VertexFrames:

@@ -27,8 +27,9 @@ from mixseq.polygons import IntArray
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.frames import FrameGraph, connected
 from mixseq.shells.hinge_kernels import measured
+from mixseq.shells.joint import sound_lengths
 from mixseq.shells.relaxation_kernels import turned_sides
-from mixseq.shells.shell import Relaxation, Relaxed, Shell
+from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
 
@@ -38,12 +39,6 @@ Mask = NDArray[np.bool_]
 
 ROUNDS = 3
 """So often what does not fit between frames is divided among them."""
-
-THIN = 1e-6
-"""Hinges that count less say nothing, unless nothing else connects two: they are of triangles without area."""
-
-SHORTEST = 1e-6
-"""Shortest length of an edge, relative to its typical length: curves that swing past their keys may ask for less."""
 
 
 class FreeFrame(NamedTuple):
@@ -106,6 +101,11 @@ class Assembly(Remade):
         t = self.topology
         return _Layout(*(self._rows_in_one_part(table) for table in (t.edges, t.hinges, t.faces)))
 
+    @cached_property
+    def _inside(self) -> tuple[Index, Index]:
+        """Rows ``(E, 2)`` and ``(H, 4)`` of part vertices that edges and hinges connect, any where none has them."""
+        return np.maximum(self._layout.edges, 0), np.maximum(self._layout.hinges, 0)
+
     def _rows_in_one_part(self, vertices: IntArray) -> Index:
         """Rows of vertices ``(n, k)`` in the first part that has all k of them, -1 where none has."""
         result = np.full(vertices.shape, -1, dtype=np.int64)
@@ -154,7 +154,7 @@ class Assembly(Remade):
     @cached_property
     def _crossing(self) -> Index:
         """Hinges between two that turn by themselves."""
-        pairs, sound = self._node[self.topology.hinge_faces], self.shell.bend > THIN
+        pairs, sound = self._node[self.topology.hinge_faces], self.shell.sound
         return np.flatnonzero(_kept(self._count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
 
     @cached_property
@@ -185,8 +185,8 @@ class Assembly(Remade):
     @cached_property
     def shell(self) -> Shell:
         """The mesh, whose lengths and angles are to agree."""
-        t, rows = self.topology, self._layout.edges
-        typical = edge_lengths(self.shapes, np.maximum(rows, 0)) if len(self.shapes) else np.zeros(len(rows))
+        t = self.topology
+        typical = edge_lengths(self.shapes, self._inside[0])
         typical[self.edge_ids] = self.typical
         ties = self._ties
         component = connected(t.vertex_count, np.concatenate([t.edges, ties]))
@@ -224,13 +224,12 @@ class Assembly(Remade):
     def prepare(self) -> None:
         """Compute what all frames share."""
         self.graph.prepare()
-        self.shell.largest, self._bodies, self._tied_rows  # noqa: B018 - cached properties
+        self.shell.largest, self._inside, self._bodies, self._tied_rows  # noqa: B018 - cached properties
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
-        rows = self._layout
-        lengths, angles = measured(frame.parts, np.maximum(rows.edges, 0), np.maximum(rows.hinges, 0))
-        lengths[self.edge_ids] = np.maximum(frame.lengths, SHORTEST * self.typical)
+        lengths, angles = measured(frame.parts, *self._inside)
+        lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.stretch[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +28,8 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 
-LOOKED_AT = 16
-"""At so many pairs of frames it is found out how far apart frames are."""
-
-MOST = 0.99
-"""So many edges, at least, have to be right half-way."""
-
-NEVER = float("inf")
-"""Frames of an animation are never far apart: frames in between do not have mean lengths and angles, and models of few
-modes do not know lengths and angles well enough to be told by them."""
-
 STRETCH = 0.015
-"""Where frames are far apart, faces with edges that are wrong by more of their length half-way are joints; ours."""
+"""Where meshes settle, faces with edges that are wrong by more of their length half-way are joints; ours."""
 
 BEND = 4.0
 """So are those with hinges that are wrong by more degrees."""
@@ -57,7 +46,7 @@ def mixed_space(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
-    far: float = NEVER,
+    settling: bool = False,
     workers: OrderedMap = serially,
     progress: Progress = silent,
 ) -> MixedSpace:
@@ -73,10 +62,10 @@ def mixed_space(
         Parts and joints.
     placement : {"anchored", "free"}
         How parts are placed.
-    far : float
-        Anchored placement: frames are far apart, and lengths and angles are made to agree between them, if edges
-        half-way are wrong by more than this share of their length. That is for blends of poses; by default they never
-        are.
+    settling : bool
+        Anchored placement: lengths and angles are made to agree between frames that are far apart. That is for blends
+        of poses: true frames of an animation do not have mean lengths and angles, and models of few modes do not know
+        them well enough to be told by them.
     workers : OrderedMap, optional
         Who looks at the frames.
     progress : callable, optional
@@ -105,30 +94,18 @@ def mixed_space(
             reference=reference,
             shares=shares,
             free=np.zeros(topology.vertex_count, dtype=bool),
-            turning=np.zeros(len(topology.faces), dtype=bool),
+            known=np.zeros(len(topology.faces), dtype=bool),
             relaxation=Relaxation(steps=0),
         )
         near = replace(stiff, free=_free(stiff, some))
         progress(2, 2, "registering parts")
-        if far == NEVER or how_far_apart(near, points) <= far:
+        if not settling:
             return near
-        return replace(near, turning=_wrong_half_way(near, some), relaxation=Relaxation())
+        known = _wrong_half_way(near, some)
+        return replace(near, known=known, relaxation=Relaxation()) if known.any() else near
     space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
     edges = topology.edges[space.edge_ids]
     return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
-
-
-def how_far_apart(space: AnchoredSpace, points: Table) -> float:
-    """Return by how much of their length edges are wrong half-way between frames ``(T, V, 3)``.
-
-    All but one in a hundred are less wrong than that, between most pairs of some that are spread over the sequence.
-    """
-    count = len(points)
-    if count < 2 or not len(space.topology.edges):
-        return 0.0
-    firsts = np.unique(np.linspace(0, count - 2, LOOKED_AT).astype(np.int64))
-    pairs = (np.asarray(points[first : first + 2]) for first in firsts)
-    return float(np.median([np.quantile(_half_way(space, pair)[0], MOST) for pair in pairs]))
 
 
 def _half_way(space: AnchoredSpace, pair: FloatArray) -> tuple[Float, Float]:
@@ -148,8 +125,9 @@ def _half_way(space: AnchoredSpace, pair: FloatArray) -> tuple[Float, Float]:
 def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
     """Mark the vertices ``(V,)`` of faces that bend in some of the frames ``(S, V, 3)``."""
     bent = np.zeros(len(space.topology.faces), dtype=bool)
-    for _, motions in _moving(space, frames):
-        bent |= space.frames.bent(motions)
+    for frame in frames:
+        _, rotations, centres = space.registered(frame.astype(np.float64) / space.scale)
+        bent |= space.frames.bent(space.frames.motions(quaternions(rotations), centres))
     free = np.zeros(space.topology.vertex_count, dtype=bool)
     free[space.topology.faces[bent]] = True
     return free
@@ -158,22 +136,10 @@ def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
 def _wrong_half_way(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
     """Mark the faces ``(F,)`` whose lengths or angles are wrong half-way between some of the frames ``(S, V, 3)``."""
     topology, count = space.topology, len(frames)
-    pairs = (
-        combinations(range(count), 2)
-        if count <= ALL_PAIRS
-        else zip(range(count), range(1, count), strict=False)
-    )
+    pairs = combinations(range(count), 2) if count <= ALL_PAIRS else pairwise(range(count))
     wrong = np.zeros(len(topology.faces), dtype=bool)
     for first, second in pairs:
         stretch, bend = _half_way(space, frames[[first, second]])
         wrong |= (stretch > STRETCH)[topology.face_edges].any(axis=1)
         wrong[topology.hinge_faces[bend > BEND]] = True
     return wrong
-
-
-def _moving(space: AnchoredSpace, frames: FloatArray) -> Iterator[tuple[Float, Float]]:
-    """Yield frames ``(V, 3)`` in diagonals, and the motions ``(V, 7)`` of their vertices."""
-    for frame in frames:
-        x = frame.astype(np.float64) / space.scale
-        _, rotations, centres = space.registered(x)
-        yield x, space.frames.motions(quaternions(rotations), centres)

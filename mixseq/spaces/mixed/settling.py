@@ -9,7 +9,6 @@ fixed number of steps. All matrices are constant, and where lengths and angles a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 ROUNDS = 2
 """So often what does not fit between frames is divided among them."""
@@ -32,9 +30,6 @@ ROUNDS = 2
 HOLD = 1e-4
 """How much frames and vertices stay where they are expected, against hinges and sides: enough to keep a mesh in its
 place, too little to bend it. Ours."""
-
-THIN = 1e-6
-"""Triangles that are less high, relative to their sides, have no area, and their hinges say nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,24 +66,11 @@ class Settling:
         holds = np.full(topology.vertex_count, HOLD)
         typical = edge_lengths(reference, topology.edges)
         shell = Shell(topology, reference, typical, nothing, holds, relaxation.bending)
-        sound, everything = shell.bend > THIN, np.ones(len(topology.faces), dtype=bool)
+        sound, everything = shell.sound, np.ones(len(topology.faces), dtype=bool)
         pairs = topology.hinge_faces[sound]
         graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, HOLD)
         hinges = Hinges(topology.faces, topology.hinges, topology.hinge_faces)
         return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation.steps)
-
-    @cached_property
-    def _sound(self) -> Mask:
-        """Mark the hinges ``(H,)`` that tell something."""
-        return np.asarray(self.shell.bend > THIN)
-
-    @cached_property
-    def _thin(self) -> Index:
-        """Faces without area, whose frames say nothing of their sides."""
-        topology = self.shell.topology
-        flat = flat_triangles(self.shell.typical[topology.face_edges])
-        height = flat[:, 2, 1] * flat[:, 1, 0]
-        return np.flatnonzero(height <= THIN * np.square(self.shell.typical[topology.face_edges]).max(axis=1))
 
     def prepare(self) -> None:
         """Compute what all frames share."""
@@ -100,9 +82,9 @@ class Settling:
         all_lengths, all_angles = measured(x, topology.edges, topology.hinges)
         all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
         flat = flat_triangles(all_lengths[topology.face_edges])
-        turns = self.hinges.turns(flat, all_angles)[self._sound]
+        turns = self.hinges.turns(flat, all_angles)[self.shell.sound]
         sides = turned_sides(self.graph.averaged(frames_of(x, topology.faces), turns, ROUNDS), flat)
-        corners = x[topology.faces[self._thin]]
-        sides[self._thin] = np.roll(corners, -1, axis=1) - corners
+        corners = x[topology.faces[self.shell.thin]]
+        sides[self.shell.thin] = np.roll(corners, -1, axis=1) - corners
         start = self.shell.integrated(sides, np.zeros((0, 3)), x)
         return self.shell.relaxed(start, all_lengths, all_angles, self.steps).points

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.geometry.rigid import mean_shape
-from mixseq.operations.interpolation import FAR
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.softness import Softening
 from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
@@ -140,9 +139,15 @@ class Mixed:
         topology = self.poses.topology
         return np.asarray(~np.isin(topology.face_edges, self.space.edge_ids).all(axis=1))
 
+    @cached_property
+    def vectors(self) -> Float:
+        """The poses."""
+        return self.space.encode(self.poses.points)
+
     def prepare(self) -> None:
         """Do what is done once."""
-        raise NotImplementedError
+        self.space.prepare()
+        _ = self.vectors
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step: seconds to a first mesh, of registration and stitching, and of steps from there."""
@@ -165,17 +170,9 @@ class Anchored(Mixed):
 
     @cached_property
     def space(self) -> AnchoredSpace:
-        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, far=FAR)
+        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, settling=True)
         assert isinstance(space, AnchoredSpace)
         return space
-
-    @cached_property
-    def vectors(self) -> Float:
-        return self.space.encode(self.poses.points)
-
-    def prepare(self) -> None:
-        self.space.prepare()
-        _ = self.vectors
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend; all of it is one step."""
@@ -195,14 +192,6 @@ class Free(Mixed):
         space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, "free")
         assert isinstance(space, FreeSpace)
         return space
-
-    @cached_property
-    def vectors(self) -> Float:
-        return self.space.encode(self.poses.points)
-
-    def prepare(self) -> None:
-        self.space.prepare()
-        _ = self.vectors
 
     @property
     def rigid(self) -> NDArray[np.bool_]:
