@@ -367,7 +367,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixseq.save(path / "walk.h5", mixseq.fit(walk))
     mixseq.save(path / "free.h5", mixseq.fit(walk, placement="free"))
     mixseq.save(path / "vertex.h5", mixseq.fit(walk, space="vertex"))
-    small, edge = bar(sides=5, rings=13, frames=3), EdgeSettings(volume=1.0, coarse=20)
+    small, edge = bar(sides=5, rings=13, frames=3), EdgeSettings("dso", volume=1.0)
     mixseq.save(path / "gradient.h5", mixseq.fit(small, rank=1, space="gradient"))
     mixseq.save(path / "lri.h5", mixseq.fit(small, rank=1, space="lri"))
     mixseq.save(path / "edge.h5", mixseq.fit(small, rank=1, space="edge", edge=edge))

@@ -25,7 +25,7 @@ _SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 _OF_FITTING = (
     *("exact", "tolerance", "rank", "space", "parts", "joint_width", "placement", "shrink", "projection"),
-    *("volume", "coarse", "labels", "label_source", "knots", "pose"),
+    *("volume", "labels", "label_source", "knots", "pose"),
 )
 """Options of ``mixseq encode`` that are about models that are not compressed."""
 

@@ -177,25 +177,19 @@ def space_options(command: Command) -> Command:
     )
     @click.option(
         "--projection",
-        type=click.Choice(["dso", "msgi"]),
-        help="How the edge space finds meshes: all at once, or patch by patch.  [default: dso]",
+        type=click.Choice(["steps", "dso"]),
+        help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
     )
     @click.option(
         "--volume",
         type=click.FloatRange(min=0),
         metavar="W",
-        help="Weight of the volume in the edge space.  [default: 0]",
-    )
-    @click.option(
-        "--coarse",
-        type=click.IntRange(min=4),
-        metavar="N",
-        help="Solve the edge space on a mesh of N vertices first.  [default: at full resolution only]",
+        help="Weight of the volume in the edge space, with --projection dso.  [default: 0]",
     )
     @wraps(command)
     def with_options(*args: Any, **settings: Any) -> None:
         making = {name: settings.pop(name) for name in _MAKING}
-        edge = _those_given({name: settings.pop(name) for name in ("projection", "volume", "coarse")})
+        edge = _those_given({name: settings.pop(name) for name in ("projection", "volume")})
         if edge and making["space"] != "edge":
             raise SettingsError(
                 f"--{next(iter(edge))} is for the edge space; leave it out, or give --space edge"

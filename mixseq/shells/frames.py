@@ -127,3 +127,9 @@ def connected(count: int, pairs: Index) -> Index:
     places = pairs[:, 0], pairs[:, 1]
     graph = sparse.coo_array((np.ones(len(pairs)), places), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def bridging(count: int, pairs: Index, sound: Mask) -> Mask:
+    """Mark the sound pairs ``(h, 2)`` of ``count``, and of the others those that connect what the sound ones do not."""
+    component = connected(count, pairs[sound])
+    return np.asarray(sound | (component[pairs[:, 0]] != component[pairs[:, 1]]))

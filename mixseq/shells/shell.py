@@ -235,7 +235,7 @@ class Shell(Remade):
         gradient, energy = self._gradient(start, lengths, angles)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
-        if not steps or energy <= 0.5 * EXACT**2 * (len(lengths) + len(angles)):
+        if not steps or self.agree(energy):
             return Relaxed(start, energy)
         largest = SAFE * self.largest
         middle, half = 0.5 * (largest + largest / RANGE), 0.5 * (largest - largest / RANGE)
@@ -250,6 +250,10 @@ class Shell(Remade):
             step = ratio * before * step - 2.0 * ratio / half * self.factor.solve(gradient)
             x = x + step
         return Relaxed(x, left) if left < energy else Relaxed(start, energy)
+
+    def agree(self, energy: float) -> bool:
+        """Whether lengths and angles with this energy are those of the mesh."""
+        return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
     def _gradient(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, float]:
         """The gradient ``(V, 3)`` of the energy, and the energy."""

@@ -131,7 +131,7 @@ def fit(
     stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
     work = workers or on_threads()
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-    if space == "edge" and shell is None:
+    if edge is not None and edge.projection == "dso" and shell is None:
         settings = replace(settings, shell=ShellSettings(accuracy=wanted / _MARGIN))
     with one_blas_thread():
         frames = stored(sequence, stages.at(0))

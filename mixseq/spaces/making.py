@@ -64,7 +64,7 @@ class SpaceSettings:
     settling : bool
         Mixed space: lengths and angles are made to agree between far poses, see `mixseq.spaces.mixed_space`.
     shell : ShellSettings, optional
-        Edge space: the Gauss-Newton fit to lengths and angles.
+        Edge space, projection "dso": the weight of angles, and when Gauss-Newton stops.
     edge : EdgeSettings, optional
         Edge space: which projection, and what else it keeps.
     """
@@ -159,9 +159,10 @@ def make_space(
     if name == "lri":
         return LRISpace(topology, scale, reference)
     shell, edge = settings.shell or ShellSettings(), settings.edge or EdgeSettings()
-    if edge.coarse is not None and edge.coarse >= header.vertex_count:
+    if settings.shell is not None and edge.projection != "dso":
         raise SettingsError(
-            f"coarse is {edge.coarse}; the mesh has {header.vertex_count} vertices, a coarse one has fewer"
+            f"projection {edge.projection!r} has no use for shell; leave it out, or choose "
+            "edge=EdgeSettings('dso')"
         )
     lengths = mean_lengths(points, topology.edges, scale, workers, progress)
     return EdgeSpace(topology, scale, reference, lengths, shell, edge)

@@ -80,7 +80,7 @@ def test_settings_are_used(run: Run, bent_bar: MeshSequence) -> None:
     succeed(run("interpolate", "bar.npz", "new.npz", *arguments, "--joint-width", "2"))
     expected = mixseq.interpolate(bent_bar, [0.5, 0, 0, 0.5], placement="anchored", parts=2, joint_width=2)
     np.testing.assert_allclose(mixseq.read("new.npz").points[0], expected, atol=1e-6)
-    edge = ["--space", "edge", "--volume", "1", "--coarse", "30", "--pose", "0=1"]
+    edge = ["--space", "edge", "--projection", "dso", "--volume", "1", "--pose", "0=1"]
     succeed(run("interpolate", "bar.npz", "new.npz", *edge))
 
 
@@ -124,7 +124,7 @@ HALVES = "--pose 0=1/2 --pose 1=1/2"
             f"bar.npz new.npz {HALVES} --volume 1",
             "--volume is for the edge space; leave it out, or give --space edge",
         ),
-        (f"bar.npz new.npz {HALVES} --space edge --projection msgi --volume 1", "has no use for volume"),
+        (f"bar.npz new.npz {HALVES} --space edge --projection steps --volume 1", "has no use for volume"),
         (f"bar.npz bar.npz {HALVES}", "bar.npz is the source itself"),
         (f"notes.txt new.npz {HALVES}", "notes.txt"),
         (f"nowhere.npz new.npz {HALVES}", "nowhere.npz does not exist"),

@@ -54,14 +54,14 @@ def test_pictures_of_parts_need_parts(run: Run, folder: Path, space: str) -> Non
 
 
 def test_settings_of_the_edge_space(run: Run) -> None:
-    succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--projection", "msgi"))
+    succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--projection", "dso"))
     space = mixseq.load("new.h5").space
     assert isinstance(space, EdgeSpace)
-    assert space.settings == EdgeSettings("msgi")
-    succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--volume", "2", "--coarse", "30"))
+    assert space.settings == EdgeSettings("dso")
+    succeed(run("encode", "bar.npz", "new.h5", "--space", "edge", "--projection", "dso", "--volume", "2"))
     space = mixseq.load("new.h5").space
     assert isinstance(space, EdgeSpace)
-    assert space.settings == EdgeSettings(volume=2.0, coarse=30)
+    assert space.settings == EdgeSettings("dso", volume=2.0)
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,11 @@ def test_settings_of_the_edge_space(run: Run) -> None:
             "the vertex space has no use for parts; leave it out, or choose space='mixed'",
         ),
         ("--space lri --placement free", "the lri space has no use for placement"),
-        ("--projection msgi", "--projection is for the edge space; leave it out, or give --space edge"),
-        ("--space edge --projection msgi --coarse 30", "projection 'msgi' has no use for coarse"),
-        ("--space edge --coarse 3", "3 is not in the range x>=4"),
+        ("--projection dso", "--projection is for the edge space; leave it out, or give --space edge"),
+        (
+            "--space edge --volume 2",
+            "projection 'steps' has no use for volume; leave it out, or choose 'dso'",
+        ),
     ],
 )
 def test_settings_for_nothing_are_refused(run: Run, folder: Path, options: str, message: str) -> None:
@@ -84,13 +86,25 @@ def test_settings_for_nothing_are_refused(run: Run, folder: Path, options: str, 
 
 
 def test_a_batch_remembers_settings_of_the_edge_space(run: Run) -> None:
-    arguments = ["batch", "bar.npz", "--out", "models", "--space", "edge", "--volume", "1"]
+    arguments = [
+        "batch",
+        "bar.npz",
+        "--out",
+        "models",
+        "--space",
+        "edge",
+        "--projection",
+        "dso",
+        "--volume",
+        "1",
+    ]
     assert run(*arguments).exit_code == 0
     made = Path("models/bar.h5").stat().st_mtime_ns
     assert json.loads(Path("models/report.json").read_text())["assets"][0]["settings"]["edge"] == {
-        "volume": 1.0
+        "projection": "dso",
+        "volume": 1.0,
     }
     assert run(*arguments).exit_code == 0
     assert Path("models/bar.h5").stat().st_mtime_ns == made
-    assert run(*arguments, "--projection", "dso", "--volume", "2").exit_code == 0
+    assert run(*arguments, "--volume", "2").exit_code == 0
     assert Path("models/bar.h5").stat().st_mtime_ns > made

@@ -94,14 +94,7 @@ DATASETS = {
     "gradient": COMMON | {"space/reference", "signals/shape/turns", "signals/shape/stretches"},
     "lri": COMMON | {"space/reference", "signals/shape/connections", "signals/shape/ends"},
     "edge": EDGE,
-    "coarse": EDGE
-    | {
-        "space/coarse/vertices",
-        "space/coarse/faces",
-        "signals/shape/coarse_lengths",
-        "signals/shape/coarse_angles",
-        "signals/shape/coarse_volumes",
-    },
+    "volume": EDGE,
 }
 """By the names of `models`."""
 
@@ -109,7 +102,7 @@ SETTINGS = {
     "mixed": {"relaxation"},
     "free": {"relaxation"},
     "edge": {"shell", "edge"},
-    "coarse": {"shell", "edge"},
+    "volume": {"shell", "edge"},
 }
 
 EACH_DATASET = [(space, name) for space, names in DATASETS.items() for name in sorted(names)]
@@ -124,7 +117,7 @@ SHAPES = {
     "gradient": ["turns", "stretches"],
     "lri": ["connections", "ends"],
     "edge": ["lengths", "angles", "volumes"],
-    "coarse": ["lengths", "angles", "volumes", "coarse_lengths", "coarse_angles", "coarse_volumes"],
+    "volume": ["lengths", "angles", "volumes"],
 }
 """Key shapes: datasets in the order of the vector."""
 
@@ -150,15 +143,15 @@ def models() -> dict[str, Model]:
     """Models of seven frames with three key shapes and five knots, in all spaces."""
     sequence = bar(sides=5, rings=13, frames=7)
     shell = ShellSettings(bending=0.4, iterations=77)
-    coarse = EdgeSettings(volume=0.5, coarse=20, steps=2)
+    volume = EdgeSettings("dso", volume=0.5)
     return {
         "mixed": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3),
         "free": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3, placement="free"),
         "vertex": mixseq.fit(sequence, rank=2, knots=1, space="vertex", pose="keys"),
         "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),
         "lri": mixseq.fit(sequence, rank=2, knots=1, space="lri"),
-        "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=EdgeSettings("msgi")),
-        "coarse": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=coarse),
+        "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge"),
+        "volume": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=volume),
     }
 
 
@@ -320,7 +313,7 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     )
     sequence = replace_fields(sequence, surface=surface)
     shell = ShellSettings(bending=1 / 3, iterations=5, tolerance=1e-3, exact=1e-7)
-    original = mixseq.fit(sequence, shell=shell, space="edge")
+    original = mixseq.fit(sequence, shell=shell, space="edge", edge=EdgeSettings("dso"))
     mixseq.save(tmp_path / "model.h5", original)
     loaded = mixseq.load(str(tmp_path / "model.h5"))
     assert_equal(original, loaded)
@@ -357,7 +350,7 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
         assert file.attrs["space"] == models[space].space.name
         settings = json.loads(file.attrs["settings"])
         assert settings.keys() == SETTINGS.get(space, set())
-        assert "shell" not in settings or settings["shell"]["bending"] == 0.4
+        assert space != "volume" or settings["shell"]["bending"] == 0.4
         for item in (file[name] for name in DATASETS[space]):
             assert item.fletcher32 or not item.size, item.name
     assert set(found) == DATASETS[space]
@@ -1036,6 +1029,28 @@ def test_reference_lengths_of_another_segmentation_are_refused(free: Path) -> No
 
 
 @pytest.mark.parametrize(
+    ("space", "old", "projection"),
+    [
+        ("edge", {"projection": "msgi", "volume": 0.0, "coarse": None, "steps": 5}, "steps"),
+        ("volume", {"projection": "dso", "volume": 0.5, "coarse": 20, "steps": 2}, "dso"),
+    ],
+)
+def test_projections_that_are_no_more_are_read(
+    files: Path, tmp_path: Path, space: str, old: dict[str, Any], projection: str
+) -> None:
+    """Small patches, and a coarse mesh, whose lengths and angles such files have, too."""
+    copy = shutil.copy(files / f"{space}.h5", tmp_path / "bar.h5")
+    with h5py.File(copy, "r+") as file:
+        file.attrs["settings"] = json.dumps(json.loads(file.attrs["settings"]) | {"edge": old})
+        if old["coarse"]:
+            file["signals/shape/coarse_lengths"] = np.ones((3, 54))
+            file["space/coarse/vertices"] = np.arange(20, dtype=np.int32)
+    read, made = mixseq.load(copy), mixseq.load(files / f"{space}.h5")
+    assert isinstance(read.space, EdgeSpace) and read.space.settings.projection == projection
+    np.testing.assert_array_equal(read.sample().points, made.sample().points)
+
+
+@pytest.mark.parametrize(
     ("space", "change", "message"),
     [
         ("edge", {"edge": {"projection": "glue"}}, "projection is 'glue'"),
@@ -1044,11 +1059,6 @@ def test_reference_lengths_of_another_segmentation_are_refused(free: Path) -> No
         ("edge", {"shell": {"iterations": "many"}}, "iterations is 'many'; a whole number of 0 or more"),
         ("edge", {"shell": {"bending": -1.0}}, r"bending is -1\.0; a number of 0 or more"),
         ("edge", {"edge": {"projection": "dso", "volume": 1.0}}, r"signals/shape/volumes .*shape \(3, 1\)"),
-        (
-            "coarse",
-            {"edge": {"coarse": 16}},
-            "space/coarse/vertices is not the coarse mesh .*encode it again",
-        ),
     ],
 )
 def test_settings_of_edge_spaces_are_checked(

@@ -25,9 +25,8 @@ POSES = bar(sides=5, rings=13, frames=4)
 KINDS: list[tuple[SpaceName, dict[str, Any]]] = [
     *((space, {}) for space in SPACES),
     ("mixed", {"placement": "free"}),
-    ("edge", {"edge": EdgeSettings("msgi")}),
-    ("edge", {"edge": EdgeSettings(volume=1.0)}),
-    ("edge", {"edge": EdgeSettings(coarse=20)}),
+    ("edge", {"edge": EdgeSettings("dso")}),
+    ("edge", {"edge": EdgeSettings("dso", volume=1.0)}),
 ]
 
 

@@ -117,7 +117,7 @@ def test_all_spaces_move(space: SpaceName) -> None:
 
 
 def test_settings_of_the_edge_space_are_used() -> None:
-    shell, edge = ShellSettings(bending=0.7), EdgeSettings("msgi")
+    shell, edge = ShellSettings(bending=0.7), EdgeSettings("dso")
     space = fit(SMALL, exact=True, space="edge", shell=shell, edge=edge).space
     assert isinstance(space, EdgeSpace)
     assert (space.shell, space.settings) == (shell, edge)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
@@ -82,7 +81,7 @@ def test_reference_lengths_are_means_over_all_frames() -> None:
     """A tube that is twice as large in one of four frames: lengths are 1.25 times those of the first."""
     points, faces = tube(4, 5)
     sequence = MeshSequence.from_arrays(np.stack([points, points, 2 * points, points]), faces)
-    space = make_space(sequence, "edge", SpaceSettings(edge=EdgeSettings(volume=0.25)))
+    space = make_space(sequence, "edge", SpaceSettings(edge=EdgeSettings("dso", volume=0.25)))
     assert isinstance(space, EdgeSpace)
     ends = points[space.topology.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / sequence.diagonal
@@ -118,11 +117,3 @@ def test_the_first_frame_is_the_unit_in_every_space() -> None:
     points = bending(tube(4, 5), frames=3).astype(np.float32)
     sequence = MeshSequence.from_arrays(points, tube(4, 5)[1])
     assert {make_space(sequence, name).scale for name in SPACES} == {sequence.diagonal}
-
-
-def test_a_coarse_mesh_is_coarser() -> None:
-    settings = SpaceSettings(edge=EdgeSettings(coarse=LONG.vertex_count))
-    with pytest.raises(
-        SettingsError, match=f"the mesh has {LONG.vertex_count} vertices, a coarse one has fewer"
-    ):
-        make_space(LONG, "edge", settings)

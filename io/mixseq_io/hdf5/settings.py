@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -
     file.attrs["settings"] = json.dumps(settings, sort_keys=True)
 
 
-def read_settings(path: Path, file: h5py.File, about: str, known: Mapping[str, Any]) -> dict[str, Any]:
+def read_settings(path: Path, file: h5py.File, about: str, known: Collection[str]) -> dict[str, Any]:
     """Read settings of what they are about, which are among those that are known."""
     found: dict[str, Any] = _all_settings(file)[about]
     unknown = sorted(set(found) - set(known))

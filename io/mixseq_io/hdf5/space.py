@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import h5py
-import numpy as np
 
 from mixseq.errors import FormatError, OutputError
 from mixseq.sequence import SequenceHeader
@@ -24,7 +23,7 @@ from mixseq.spaces import (
 )
 from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
-from mixseq_io.hdf5.arrays import Float, floats, integers, put
+from mixseq_io.hdf5.arrays import Float, floats, put
 from mixseq_io.hdf5.mixed import mixed_blocks, read_mixed_space, write_mixed_space
 from mixseq_io.hdf5.settings import read_scale, read_settings, read_shell, write_settings
 
@@ -34,6 +33,9 @@ Blocks = dict[str, tuple[int, ...]]
 
 FIRST_WITH_QUATERNIONS = 5
 """Version from which on rotations in placements are quaternions; before they were rotation vectors."""
+
+GONE = ("coarse", "steps")
+"""Settings of the edge space in older files: of a coarse mesh, whose lengths and angles are not read any more."""
 
 KNOWN = (*SPACES, BasisSpace.name)
 """Names of the spaces that files can hold."""
@@ -77,7 +79,10 @@ def shape_blocks(space: StoredSpace) -> Blocks:
         case LRISpace():
             return {"connections": (len(space.edges), 3, 3), "ends": (len(space.edges), 2, 3)}
         case EdgeSpace():
-            return _edge_blocks(space)
+            return {
+                name: (size,)
+                for name, size in zip(("lengths", "angles", "volumes"), space.sizes, strict=True)
+            }
         case MixedSpace():
             return mixed_blocks(space)
 
@@ -87,13 +92,6 @@ def placement_blocks(space: StoredSpace) -> Blocks:
     turning = space.rotation_count
     # Where nothing turns there are no rotations, as older mixseqs know it.
     return {"rotations": (turning, 4 if turning else 3), "translations": (space.centre_count, 3)}
-
-
-def _edge_blocks(space: EdgeSpace) -> Blocks:
-    names = [f"{of}{what}" for of in ("", "coarse_") for what in ("lengths", "angles", "volumes")]
-    return {
-        name: (size,) for name, size in zip(names, space.sizes, strict=False)
-    }  # there may be no coarse mesh
 
 
 def write_space(file: h5py.File, space: StoredSpace) -> None:
@@ -117,9 +115,6 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
         case EdgeSpace():
             put(file, "space/reference", space.reference)
             put(file, "space/reference_lengths", space.reference_lengths)
-            for level in space.levels[1:]:
-                put(file, "space/coarse/vertices", level.vertices.astype(np.int32))
-                put(file, "space/coarse/faces", level.shell.topology.faces.astype(np.int32))
 
 
 def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpace:
@@ -163,13 +158,15 @@ def _read_edge_space(
     lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
         raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
-    settings = EdgeSettings(**read_settings(path, file, "edge", EdgeSettings.__dataclass_fields__))
-    space = EdgeSpace(topology, scale, reference, lengths, read_shell(path, file), settings)
-    for level in space.levels[1:]:
-        for name, ours in (("vertices", level.vertices), ("faces", level.shell.topology.faces)):
-            stored = integers(path, file, f"space/coarse/{name}", (None,) * ours.ndim, 0)
-            if not np.array_equal(stored, ours):  # what the lengths and angles of key shapes belong to
-                raise FormatError(
-                    f"{path}: space/coarse/{name} is not the coarse mesh that this mixseq finds; encode it again"
-                )
-    return space
+    return EdgeSpace(topology, scale, reference, lengths, read_shell(path, file), _edge_settings(path, file))
+
+
+def _edge_settings(path: Path, file: h5py.File) -> EdgeSettings:
+    """Read the settings of the edge space; projections that are no more were ways to what steps find."""
+    known = {*EdgeSettings.__dataclass_fields__, *GONE}
+    found = {
+        name: value for name, value in read_settings(path, file, "edge", known).items() if name not in GONE
+    }
+    if found["projection"] == "msgi":
+        found["projection"] = "steps"
+    return EdgeSettings(**found)

@@ -7,7 +7,6 @@ Figure 17), the linear start looks at no pose and is exact where there is a mesh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -21,32 +20,13 @@ from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_
 from mixseq.shells.joint import sound_lengths
 from mixseq.shells.patch import Patch
 from mixseq.shells.unfold import unfold
+from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.edge.volume import VolumeTerm, is_sheet, surface_area, volume
+from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-
-class Wanted(NamedTuple):
-    """What a mesh should have, and how much of it counts.
-
-    Attributes
-    ----------
-    lengths, weights : (E,) float64
-        Lengths of all edges, and their weights: one over the typical length.
-    angles : (H,) float64
-        Dihedral angles of all hinges, radians.
-    volumes, volume_weights : (p,) float64
-        Volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
-        volume term at all.
-    """
-
-    lengths: Float
-    angles: Float
-    weights: Float
-    volumes: Float
-    volume_weights: Float
 
 
 class ShellPiece(NamedTuple):
@@ -66,39 +46,32 @@ class DiscreteShell:
     ----------
     topology : Topology
         Connectivity of the mesh.
-    vertices, faces : sequences of (n_k,) and (m_k,) int64
-        Vertices and faces of the pieces, ascending.
+    pieces : Pieces
+        Its hinge-connected pieces.
     """
 
     topology: Topology
-    vertices: Sequence[Index]
-    faces: Sequence[Index]
+    pieces: Pieces
 
     @cached_property
-    def row_count(self) -> int:
-        """Number of rows N, the vertices of all pieces."""
-        return sum(len(each) for each in self.vertices)
-
-    @cached_property
-    def pieces(self) -> tuple[ShellPiece | None, ...]:
+    def shells(self) -> tuple[ShellPiece | None, ...]:
         """All pieces; None for a vertex that no face uses."""
-        ends = np.cumsum([len(each) for each in self.vertices])
         nowhere = np.zeros(self.topology.vertex_count, dtype=bool)
-        pieces: list[ShellPiece | None] = []
-        for end, vertices, faces in zip(ends.tolist(), self.vertices, self.faces, strict=True):
+        shells: list[ShellPiece | None] = []
+        for rows, faces in zip(self.pieces.slices, self.pieces.faces, strict=True):
             if not len(faces):
-                pieces.append(None)
+                shells.append(None)
                 continue
             mask = np.zeros(len(self.topology.faces), dtype=bool)
             mask[faces] = True
             whole = make_joint(self.topology, mask, nowhere)
-            patch = Patch.of_joint(self.topology, whole, np.zeros(len(vertices), dtype=bool))
-            pieces.append(ShellPiece(slice(end - len(vertices), end), patch, whole.edge_ids, whole.hinge_ids))
-        return tuple(pieces)
+            patch = Patch.of_joint(self.topology, whole, np.zeros(len(whole.vertices), dtype=bool))
+            shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
+        return tuple(shells)
 
     def prepare(self) -> None:
         """Implement `EdgeProjection.prepare`."""
-        for piece in self.pieces:
+        for piece in self.shells:
             if piece is not None:
                 patch = piece.patch
                 patch.equations.pattern.analysis, patch.frame_pattern.analysis  # noqa: B018 - cached properties
@@ -106,34 +79,28 @@ class DiscreteShell:
 
     def volumes(self, x: FloatArray) -> Float:
         """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of a vertex; see `volume`."""
-        pairs = zip(self.vertices, self.pieces, strict=True)
+        pairs = zip(self.pieces.vertices, self.shells, strict=True)
         return np.array([0.0 if piece is None else volume(x[own], piece.patch.faces) for own, piece in pairs])
 
     def volume_weights(self, x: FloatArray) -> Float:
         """Return one over the volumes ``(p,)`` of the pieces of a typical frame ``(V, 3)``, 0 where `is_sheet`."""
-        weights = np.zeros(len(self.pieces))
-        for number, (own, piece) in enumerate(zip(self.vertices, self.pieces, strict=True)):
+        weights = np.zeros(len(self.shells))
+        for number, (own, piece) in enumerate(zip(self.pieces.vertices, self.shells, strict=True)):
             if piece is not None and not is_sheet(x[own], piece.patch.faces):
                 weights[number] = 1.0 / abs(volume(x[own], piece.patch.faces))
         return weights
 
     def areas(self, x: FloatArray) -> Float:
         """Return the areas ``(p,)`` of the pieces of a frame ``(V, 3)``."""
-        pairs = zip(self.vertices, self.pieces, strict=True)
+        pairs = zip(self.pieces.vertices, self.shells, strict=True)
         return np.array(
             [0.0 if piece is None else surface_area(x[own], piece.patch.faces) for own, piece in pairs]
         )
 
-    def rebuild(
-        self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
-    ) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.rebuild`."""
-        return self.fit(Wanted(lengths, angles, weights, np.zeros(0), np.zeros(0)), settings)
-
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Do what `rebuild` does, also for volumes."""
-        rows, reports = np.zeros((self.row_count, 3)), []
-        for number, piece in enumerate(self.pieces):
+        """Implement `EdgeProjection.fit`."""
+        rows, reports = np.zeros_like(self.pieces.shapes), []
+        for number, piece in enumerate(self.shells):
             if piece is None:
                 continue
             problem = self.problem(number, piece, wanted, settings)

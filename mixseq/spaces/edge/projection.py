@@ -1,12 +1,12 @@
 """What turns lengths and angles that no mesh may have into a mesh: the projections of the space S_e.
 
-Blends of the lengths and angles of meshes are those of no mesh. A projection finds one that has nearly these; two are
-known, `mixseq.spaces.edge.discrete_shell` and `mixseq.spaces.edge.multiscale`.
+Blends of the lengths and angles of meshes are those of no mesh. A projection finds one that has nearly these; there are
+two, `mixseq.spaces.edge.relaxed_shell` and `mixseq.spaces.edge.discrete_shell`.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +16,43 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 Float = NDArray[np.float64]
 
 
+class Wanted(NamedTuple):
+    """What a mesh should have, and how much of it counts.
+
+    Attributes
+    ----------
+    lengths, weights : (E,) float64
+        Lengths of all edges, and their weights: one over the typical length.
+    angles : (H,) float64
+        Dihedral angles of all hinges in radians, whole turns do not matter.
+    volumes, volume_weights : (p,) float64
+        Volumes of all pieces, and their weights: over the typical volume, 0 where it does not count. Empty for no
+        volume term at all.
+    """
+
+    lengths: Float
+    weights: Float
+    angles: Float
+    volumes: Float
+    volume_weights: Float
+
+
 class EdgeProjection(Protocol):
     """Rebuilds the hinge-connected pieces of one mesh.
 
-    It is made of the `Topology` and of the pieces' vertices, ``(n_k,)`` each, ascending, and faces, ``(m_k,)`` each,
-    ascending: ``Projection(topology, vertices, faces)``. A piece without faces is one vertex that none uses. *Rows*
-    are the vertices of all pieces, piece after piece.
+    *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
 
     def prepare(self) -> None:
         """Compute what all frames share."""
 
-    def rebuild(
-        self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
-    ) -> tuple[Float, list[ShellReport]]:
+    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Find the mesh with nearly these lengths and angles.
 
         Parameters
         ----------
-        lengths : (E,) float64
-            Lengths of all edges.
-        angles : (H,) float64
-            Dihedral angles of all hinges in radians, whole turns do not matter.
-        weights : (E,) float64
-            Weights of the lengths: one over the typical length of every edge.
+        wanted : Wanted
+            What the mesh should have.
         settings : ShellSettings
             Weight of the angles, and when to stop.
 
@@ -48,7 +61,7 @@ class EdgeProjection(Protocol):
         rows : (N, 3) float64
             Vertices of all pieces, every piece anywhere.
         reports : list of ShellReport
-            How the fits went, at least one for every piece with faces.
+            How the fits went.
 
         Raises
         ------

@@ -1,8 +1,8 @@
 """The space S_e of edge lengths and dihedral angles (Winkler et al. 2010; Froehlich and Botsch 2011).
 
-A vector is ``[edge lengths | dihedral angles | volumes | the same of the coarse mesh | pose]``, in diagonals, radians
-and cubic diagonals; volumes and the coarse mesh are there only where settings ask for them. The paper counts
-``2 E + 6`` numbers: a closed surface has as many hinges as edges.
+A vector is ``[edge lengths | dihedral angles | volumes | pose]``, in diagonals, radians and cubic diagonals; volumes
+are there only where settings ask for them. The paper counts ``2 E + 6`` numbers: a closed surface has as many hinges as
+edges.
 
 Lengths and angles fix a mesh up to its pose, unless a triangle has no area: its normal is anything, and what it joins
 may come back bent.
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +22,16 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap
 from mixseq.progress import Progress, silent
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.joint import length_weights
-from mixseq.spaces.edge.coarse import CoarseShell
-from mixseq.spaces.edge.discrete_shell import DiscreteShell, Wanted
-from mixseq.spaces.edge.multiscale import MultiScale
+from mixseq.shells.shell import Relaxation
+from mixseq.spaces.edge.discrete_shell import DiscreteShell
+from mixseq.spaces.edge.projection import EdgeProjection, Wanted
+from mixseq.spaces.edge.relaxed_shell import RelaxedShell
 from mixseq.spaces.mixed.space import ANGLE
 from mixseq.spaces.posed import PosedSpace
 from mixseq.threads import one_blas_thread
 
 Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-ProjectionName = Literal["dso", "msgi"]
+ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 
 
@@ -41,16 +41,11 @@ class EdgeSettings:
 
     Attributes
     ----------
-    projection : {"dso", "msgi"}
-        Gauss-Newton on the whole mesh (Froehlich and Botsch 2011), or small patches that are merged hierarchically
-        (after Winkler et al. 2010).
+    projection : {"steps", "dso"}
+        A fixed number of steps by constant matrices, or Gauss-Newton until it converges (Froehlich and Botsch 2011).
     volume : float
         DSO: weight of a relative change of volume against that of a length; 0 for no volume term. There are thousands
         of lengths for one volume: half way between poses of animals 10 halves its error, 100 leaves less than 0.1 %.
-    coarse : int, optional
-        DSO: solve on a mesh of about so many vertices, at least 4, and carry the solution over.
-    steps : int
-        With `coarse`: at most so many Gauss-Newton steps on the whole mesh afterwards. The default is ours.
 
     Raises
     ------
@@ -58,10 +53,8 @@ class EdgeSettings:
         If a setting is out of range, or does not go with the projection.
     """
 
-    projection: ProjectionName = "dso"
+    projection: ProjectionName = "steps"
     volume: float = 0.0
-    coarse: int | None = None
-    steps: int = 5
 
     def __post_init__(self) -> None:
         if self.projection not in PROJECTIONS:
@@ -71,53 +64,10 @@ class EdgeSettings:
             raise SettingsError(
                 f"volume is {self.volume}; a weight of 0 (no volume term) or more is expected"
             )
-        if self.coarse is not None and self.coarse < 4:
-            raise SettingsError(f"coarse is {self.coarse}; the coarse mesh has at least 4 vertices")
-        if self.steps < 0:
-            raise SettingsError(f"steps is {self.steps}; 0 or more are expected")
-        if self.projection == "msgi":
-            for name in ("volume", "coarse"):
-                if getattr(self, name):
-                    raise SettingsError(
-                        f"projection 'msgi' has no use for {name}; leave it out, or choose 'dso'"
-                    )
-
-
-class Level(NamedTuple):
-    """The mesh, or its coarse mesh.
-
-    Attributes
-    ----------
-    shell : DiscreteShell
-        Connectivity and pieces.
-    vertices : (n,) int64
-        The vertices of the mesh that those of the level are.
-    weights : (E,) float64
-        Weights of the lengths.
-    angles : (H,) float64
-        Angles of the reference.
-    volume_weights : (p,) float64
-        Weights of the volumes, 0 where a piece has none; empty where no volumes are told.
-    metric : (E + H + p,) float64
-        By how many diagonals vertices move when a number of the level changes by one.
-    """
-
-    shell: DiscreteShell
-    vertices: Index
-    weights: Float
-    angles: Float
-    volume_weights: Float
-    metric: Float
-
-    def measured(self, x: Float) -> tuple[Float, Float, Float]:
-        """Return lengths, angles and volumes of a frame ``(V, 3)``."""
-        own, topology = x[self.vertices], self.shell.topology
-        volumes = self.shell.volumes(own) if self.volume_weights.size else np.zeros(0)
-        return edge_lengths(own, topology.edges), dihedral_angles(own, topology.hinges), volumes
-
-    def wanted(self, lengths: Float, angles: Float, volumes: Float) -> Wanted:
-        """Return what the mesh is fitted to."""
-        return Wanted(lengths, angles, self.weights, volumes, self.volume_weights)
+        if self.volume and self.projection != "dso":
+            raise SettingsError(
+                f"projection {self.projection!r} has no use for volume; leave it out, or choose 'dso'"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +79,7 @@ class EdgeSpace(PosedSpace):
     reference_lengths : (E,) float64
         Mean lengths of all edges; their inverses weigh lengths in the fits.
     shell : ShellSettings
-        Settings of Gauss-Newton.
+        DSO: weight of the angles, and when Gauss-Newton stops.
     settings : EdgeSettings
         Which projection, and what else it is told.
     """
@@ -140,56 +90,27 @@ class EdgeSpace(PosedSpace):
     name = "edge"
 
     @cached_property
-    def projection(self) -> DiscreteShell | CoarseShell | MultiScale:
+    def projection(self) -> EdgeProjection:
         """What turns lengths and angles into a mesh."""
-        if self.settings.projection == "msgi":
-            return MultiScale(self.topology, self.pieces.vertices, self.pieces.faces)
-        if self.settings.coarse is None:
-            return self._whole
-        return CoarseShell.of(self._whole, self.reference, self.settings.coarse)
+        if self.settings.projection == "dso":
+            return self.discrete
+        return RelaxedShell(self.topology, self.pieces, self.reference_lengths, Relaxation().bending)
 
     @cached_property
-    def _whole(self) -> DiscreteShell:
-        return DiscreteShell(self.topology, self.pieces.vertices, self.pieces.faces)
+    def discrete(self) -> DiscreteShell:
+        """The mesh for Gauss-Newton, which knows volumes."""
+        return DiscreteShell(self.topology, self.pieces)
 
     @cached_property
-    def levels(self) -> tuple[Level, ...]:
-        """The mesh, and its coarse mesh if there is one."""
-        levels = [self._level(self._whole, np.arange(self.topology.vertex_count), self.reference_lengths)]
-        if isinstance(self.projection, CoarseShell):
-            kept, coarse = self.projection.kept, self.projection.coarse
-            levels.append(
-                self._level(coarse, kept, edge_lengths(self.reference[kept], coarse.topology.edges))
-            )
-        return tuple(levels)
+    def _volume_weights(self) -> Float:
+        """Weights ``(p,)`` of the volumes of all pieces, 0 where there is none; empty where no volumes are told."""
+        told = self.settings.volume > 0
+        return self.settings.volume * self.discrete.volume_weights(self.reference) if told else np.zeros(0)
 
-    def _level(self, shell: DiscreteShell, vertices: Index, typical: Float) -> Level:
-        x, topology = self.reference[vertices], shell.topology
-        volume_weights = volume_metric = np.zeros(0)
-        if self.settings.volume:
-            volume_weights = self.settings.volume * shell.volume_weights(x)
-            areas = shell.areas(x)
-            volume_metric = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
-        lengths = edge_lengths(x, topology.edges)
-        return Level(
-            shell=shell,
-            vertices=vertices,
-            weights=length_weights(typical),
-            angles=dihedral_angles(x, topology.hinges),
-            volume_weights=volume_weights,
-            metric=np.concatenate(
-                [np.ones(len(lengths)), ANGLE * lengths[topology.hinge_edges], volume_metric]
-            ),
-        )
-
-    @cached_property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of lengths, angles and volumes of every level, one after the other."""
-        return tuple(
-            size
-            for level in self.levels
-            for size in (len(level.weights), len(level.angles), len(level.volume_weights))
-        )
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of lengths, angles and volumes."""
+        return len(self.topology.edges), len(self.topology.hinges), len(self._volume_weights)
 
     @property
     def shape_dim(self) -> int:
@@ -204,25 +125,31 @@ class EdgeSpace(PosedSpace):
     @property
     def shape_metric(self) -> Float:
         """Implement `PosedSpace.shape_metric`; a volume moves vertices by its change over the area."""
-        return np.concatenate([level.metric for level in self.levels])
+        lengths, volumes = edge_lengths(self.reference, self.topology.edges), np.zeros(0)
+        if len(self._volume_weights):
+            areas = self.discrete.areas(self.reference)
+            volumes = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
+        return np.concatenate([np.ones(len(lengths)), ANGLE * lengths[self.topology.hinge_edges], volumes])
 
     def prepare(self) -> None:
         """Implement `ShapeSpace.prepare`."""
         self.projection.prepare()
-        self.levels, self.pieces.radii  # noqa: B018 - cached properties
+        self._volume_weights, self.pieces.radii  # noqa: B018 - cached properties
 
     def shape_of(self, x: Float) -> Float:
         """Implement `PosedSpace.shape_of`."""
-        return np.concatenate([block for level in self.levels for block in level.measured(x)])
+        volumes = self.discrete.volumes(x) if len(self._volume_weights) else np.zeros(0)
+        lengths, angles = edge_lengths(x, self.topology.edges), dihedral_angles(x, self.topology.hinges)
+        return np.concatenate([lengths, angles, volumes])
 
     def shapes_without_jumps(self, shapes: Float, previous: Float | None) -> Float:
         """Implement `PosedSpace.shapes_without_jumps`."""
-        result = np.array(shapes)
-        ends = np.cumsum(self.sizes)
-        for number, level in enumerate(self.levels):
-            angles = slice(ends[3 * number], ends[3 * number + 1])
-            before = level.angles if previous is None else previous[angles]
-            result[:, angles] = unwrap_angles(result[:, angles], before)
+        result, start = np.array(shapes), len(self.topology.edges)
+        angles = slice(start, start + len(self.topology.hinges))
+        before = (
+            dihedral_angles(self.reference, self.topology.hinges) if previous is None else previous[angles]
+        )
+        result[:, angles] = unwrap_angles(result[:, angles], before)
         return result
 
     def rebuilt(self, shape: Float) -> Float:
@@ -233,17 +160,13 @@ class EdgeSpace(PosedSpace):
         self, shape: Float, shell: ShellSettings | None = None
     ) -> tuple[Float, list[ShellReport]]:
         """Return what `rebuilt` does, or what other settings make of it, and how the fits went."""
-        shell = shell or self.shell
-        blocks = np.split(shape, np.cumsum(self.sizes)[:-1])
-        whole, *coarse = (
-            level.wanted(*blocks[3 * number : 3 * number + 3]) for number, level in enumerate(self.levels)
-        )
-        projection = self.projection
-        if isinstance(projection, CoarseShell):
-            return projection.fit(whole, coarse[0], shell, self.settings.steps)
-        if isinstance(projection, DiscreteShell):
-            return projection.fit(whole, shell)
-        return projection.rebuild(whole.lengths, whole.angles, whole.weights, shell)
+        return self.projection.fit(self.wanted(shape), shell or self.shell)
+
+    def wanted(self, shape: Float) -> Wanted:
+        """Return what the mesh of a shape ``(S,)`` should have."""
+        lengths, angles, volumes = np.split(shape, np.cumsum(self.sizes)[:-1])
+        weights = length_weights(self.reference_lengths)
+        return Wanted(lengths, weights, angles, volumes, self._volume_weights)
 
     def decode_for_differences(self, vectors: Float) -> Float:
         """Implement `ShapeSpace.decode_for_differences`."""

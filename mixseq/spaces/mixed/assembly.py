@@ -25,7 +25,7 @@ from mixseq.geometry.rigid import kabsch
 from mixseq.pickling import Remade
 from mixseq.polygons import IntArray
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.frames import FrameGraph, connected
+from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.hinge_kernels import measured
 from mixseq.shells.joint import sound_lengths
 from mixseq.shells.relaxation_kernels import turned_sides
@@ -155,7 +155,7 @@ class Assembly(Remade):
     def _crossing(self) -> Index:
         """Hinges between two that turn by themselves."""
         pairs, sound = self._node[self.topology.hinge_faces], self.shell.sound
-        return np.flatnonzero(_kept(self._count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
+        return np.flatnonzero(bridging(self._count, pairs, sound) & (pairs[:, 0] != pairs[:, 1]))
 
     @cached_property
     def _count(self) -> int:
@@ -286,12 +286,6 @@ class Assembly(Remade):
             ]
             result[vertices] += np.mean(shifts, axis=0)
         return result
-
-
-def _kept(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark the sound pairs ``(h, 2)``, and of the others those without which nothing would connect the two."""
-    component = connected(count, pairs[sound])
-    return np.asarray(sound | (component[pairs[:, 0]] != component[pairs[:, 1]]))
 
 
 def _stored(unknown: Mask, of_joints: list[Index]) -> Index:

@@ -35,6 +35,7 @@ from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
 from scripts.paper_study.common.poses import Float, Index, Poses
 from scripts.paper_study.common.registered import Registered
+from scripts.paper_study.msgi.multiscale import MultiScale
 
 WIDTH = 3
 SHRINK = 0.03
@@ -101,6 +102,25 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
+class ManyScales(Edge):
+    """Blends in S_e as Winkler et al. (2010) do."""
+
+    @cached_property
+    def projection(self) -> MultiScale:
+        return MultiScale(self.poses.topology, self.space.pieces)
+
+    def prepare(self) -> None:
+        super().prepare()
+        self.projection.prepare()
+
+    def at(self, weights: Float) -> Blended:
+        shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
+        with one_blas_thread():
+            rows, reports = self.projection.fit(self.space.wanted(shapes[0]), self.space.shell)
+            return Blended(self.space.placed(rows, turns[0], centres[0]), reports)
+
+
+@dataclass(frozen=True, eq=False)
 class FromPose(Edge):
     """Gauss-Newton in S_e that starts from the first pose."""
 
@@ -109,10 +129,10 @@ class FromPose(Edge):
         shell = space.projection
         assert isinstance(shell, DiscreteShell)
         shapes, turns, centres = space.split((weights @ self.vectors)[None])
-        wanted = space.levels[0].wanted(*np.split(shapes[0], np.cumsum(space.sizes)[:-1]))
-        rows, reports = np.zeros((shell.row_count, 3)), []
+        wanted = space.wanted(shapes[0])
+        rows, reports = np.zeros_like(shell.pieces.shapes), []
         with one_blas_thread():
-            for number, (own, piece) in enumerate(zip(shell.vertices, shell.pieces, strict=True)):
+            for number, (own, piece) in enumerate(zip(shell.pieces.vertices, shell.shells, strict=True)):
                 if piece is not None:
                     problem = shell.problem(number, piece, wanted, space.shell)
                     start = self.poses.points[0][own] / space.scale
@@ -270,7 +290,7 @@ def softened(poses: Poses, labels: Index, width: int = WIDTH, shrink: float = SH
 
 
 METHODS: dict[str, Callable[[Poses, Index], Method]] = {
-    "MSGI": lambda poses, _: Edge(poses, EdgeSettings("msgi")),
+    "MSGI": lambda poses, _: ManyScales(poses, EdgeSettings("dso")),
     "DSO, from a pose": lambda poses, _: FromPose(poses, EdgeSettings("dso")),
     "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import transform
-from mixseq.spaces.edge.registration import Overlaps, register
-from mixseq.spaces.edge.stitching import Seams, stitch
 from mixseq.spaces.mixed import FreeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
+from scripts.paper_study.common.registration import Overlaps, register
+from scripts.paper_study.common.stitching import Seams, stitch
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -25,12 +25,10 @@ from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, Float, bent, rotation, torus, tube
 
-DSO = EdgeSettings()
-MSGI = EdgeSettings("msgi")
-VOLUME = EdgeSettings(volume=10.0)
-COARSE = EdgeSettings(coarse=30)
-CARRIED = EdgeSettings(coarse=30, steps=0, volume=10.0)
-ALL = {"dso": DSO, "msgi": MSGI, "volume": VOLUME, "coarse": COARSE, "carried": CARRIED}
+STEPS = EdgeSettings()
+DSO = EdgeSettings("dso")
+VOLUME = EdgeSettings("dso", volume=10.0)
+ALL = {"steps": STEPS, "dso": DSO, "volume": VOLUME}
 
 EXACT = sorted(SEQUENCES.keys() - {"zero area"})
 """Angles at a triangle without area say nothing."""
@@ -46,7 +44,7 @@ def sequence_of(name: str) -> MeshSequence:
 
 
 def space_of(
-    sequence: MeshSequence, settings: EdgeSettings = DSO, shell: ShellSettings | None = None
+    sequence: MeshSequence, settings: EdgeSettings = STEPS, shell: ShellSettings | None = None
 ) -> EdgeSpace:
     points = sequence.points.astype(np.float64)
     topology, scale = Topology(sequence.faces, sequence.vertex_count), bounding_diagonal(points[0])
@@ -80,8 +78,6 @@ def test_dimensions() -> None:
     edges = len(space.topology.edges)
     assert space.dim - 1 == space.paper_dimension == 2 * edges + 6  # a quaternion has a number more
     assert space_of(sequence, VOLUME).dim == space.dim + 1
-    coarse = space_of(sequence, CARRIED)
-    assert coarse.dim == 2 * edges + 1 + 2 * (3 * 30 - 6) + 1 + 7  # a closed surface of 30 vertices
     open_space = space_of(sequence_of("several components"))
     assert open_space.dim == len(open_space.topology.edges) + len(open_space.topology.hinges) + 3 * 7
 
@@ -124,7 +120,7 @@ def test_blocks_are_as_the_whole() -> None:
     points, faces = tube(8, 21)
     # The two sides of a sharp bend pass each other: angles go over half a turn.
     frames = np.stack([bent(points, angle, 2.0, 0.01) for angle in np.linspace(0, 4.0, 9)])
-    space = space_of(MeshSequence.from_arrays(frames, faces), COARSE)
+    space = space_of(MeshSequence.from_arrays(frames, faces))
     whole = space.encode(frames)
     first = space.encode(frames[:4])
     second = space.encode(frames[4:], first[-1])
@@ -137,7 +133,7 @@ def test_velocities_are_those_of_meshes_that_fit_best() -> None:
     """Fits that end early are as good to look at, but not to be subtracted from each other."""
     mesh = tube(8, 17)
     sequence = two(mesh[0], bent(mesh[0], 2.5) * [1.3, 0.8, 1.0], mesh[1])
-    early = space_of(sequence, shell=ShellSettings(accuracy=1e-2, tolerance=0.1))
+    early = space_of(sequence, DSO, ShellSettings(accuracy=1e-2, tolerance=0.1))
     best = replace(early, shell=ShellSettings(accuracy=1e-12, tolerance=1e-12))
     first, last = early.encode(sequence.points)
     middle, rate, step = (first + last)[None] / 2, (last - first)[None], 1e-5
@@ -154,7 +150,7 @@ def test_volume_is_kept_better_with_its_term() -> None:
     sequence = two(bent(points, -1.4, 4.0, 1.0), bent(points, 1.4, 4.0, 1.0), faces)
     off = []
     for weight in (0.0, 1.0, 10.0, 100.0):
-        space = space_of(sequence, EdgeSettings(volume=weight))
+        space = space_of(sequence, EdgeSettings("dso", volume=weight))
         vectors = space.encode(sequence.points)
         (half,) = space.decode(vectors.mean(axis=0, keepdims=True))
         wanted = np.mean([volume(frame, faces) for frame in sequence.points])
@@ -207,13 +203,10 @@ def test_angles_of_triangles_without_area_say_nothing() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"projection": "gauss"}, "projection is 'gauss'; 'dso' or 'msgi' is expected"),
+        ({"projection": "gauss"}, "projection is 'gauss'; 'steps' or 'dso' is expected"),
         ({"volume": -1.0}, "volume is -1.0; a weight of 0"),
         ({"volume": np.nan}, "volume is nan"),
-        ({"coarse": 3}, "coarse is 3; the coarse mesh has at least 4 vertices"),
-        ({"steps": -1}, "steps is -1"),
-        ({"projection": "msgi", "coarse": 100}, "projection 'msgi' has no use for coarse"),
-        ({"projection": "msgi", "volume": 1.0}, "projection 'msgi' has no use for volume"),
+        ({"volume": 1.0}, "projection 'steps' has no use for volume; leave it out, or choose 'dso'"),
     ],
 )
 def test_settings_out_of_range_are_refused(settings: Any, message: str) -> None:
@@ -230,7 +223,7 @@ def test_vectors_that_are_not_of_the_space_are_refused() -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("settings", [DSO, EdgeSettings(coarse=800, steps=0)], ids=["dso", "carried"])
+@pytest.mark.parametrize("settings", [STEPS, DSO], ids=["steps", "dso"])
 @pytest.mark.parametrize("name", ["lion_poses", "cat_poses", "horse_poses"])
 def test_animals_come_back(data: Path, name: str, settings: EdgeSettings) -> None:
     whole = mixseq.read(data / "npz" / f"{name}.npz")

@@ -11,6 +11,7 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
 from mixseq.spaces.edge.volume import VolumeTerm, is_sheet, surface_area, volume, volume_gradient
+from mixseq.spaces.pieces import Pieces
 from tests.meshes import Float, Mesh, flipped, grid, rotation, tetrahedron, topology_of, torus, tube
 
 
@@ -58,8 +59,7 @@ def inflated(weight: float) -> tuple[ShellProblem, Float]:
     mesh = torus(12, 8)
     points, faces = mesh[0] / 5.0, mesh[1]
     topology = topology_of(mesh)
-    shell = DiscreteShell(topology, [np.arange(len(points))], [np.arange(len(faces))])
-    (piece,) = shell.pieces
+    (piece,) = DiscreteShell(topology, Pieces.of(topology, points)).shells
     assert piece is not None
     lengths, angles = edge_lengths(points, topology.edges), dihedral_angles(points, topology.hinges)
     before = volume(points, faces)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.spaces.edge.hierarchy import Region, divide
 from mixseq.topology import Topology, face_patches
+from scripts.paper_study.msgi.hierarchy import Region, divide
 from tests import meshes
 
 MESHES = {

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 
 from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.spaces.edge.stitching import Seams, stitch
 from mixseq.topology import Topology
+from scripts.paper_study.common.stitching import Seams, stitch
 from tests.meshes import Float, Index, bent, joined, seeds, tetrahedron, topology_of, tube
 
 BAR = tube(6, 9)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.geometry.rigid import transform
-from mixseq.spaces.edge.registration import Overlaps, register
+from scripts.paper_study.common.registration import Overlaps, register
 from tests.meshes import Float, Index, rotation, seeds
 
 Pieces = list[Index]

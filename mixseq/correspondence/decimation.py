@@ -47,7 +47,7 @@ def decimate(points: Float, faces: Index, count: int) -> tuple[Index, Index]:
     coarse : (k, 3) int64
         Triangles between them, by their place in `kept`.
     """
-    from mixseq.spaces.edge.decimation_kernels import collapse
+    from mixseq.correspondence.decimation_kernels import collapse
 
     topology = Topology(faces, len(points))
     locked, border = np.zeros((2, len(points)), dtype=bool)

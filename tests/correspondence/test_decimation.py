@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.spaces.edge.decimation import decimate
+from mixseq.correspondence.decimation import decimate
 from mixseq.spaces.edge.volume import volume
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, pages, tetrahedron, topology_of, torus, tube

@@ -14,10 +14,10 @@ from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.geometry.rigid import kabsch
 from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.spaces.edge.multiscale import MultiScale
-from mixseq.spaces.edge.projection import EdgeProjection
+from mixseq.spaces.edge.projection import EdgeProjection, Wanted
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
+from scripts.paper_study.msgi.multiscale import MultiScale
 from tests import meshes
 
 Float = NDArray[np.float64]
@@ -26,13 +26,17 @@ SMALL = {"leaf": 24, "group": 4}
 """Numbers that give small meshes several levels."""
 
 
+def wanted(lengths: Float, angles: Float, weights: Float) -> Wanted:
+    return Wanted(lengths, weights, angles, np.zeros(0), np.zeros(0))
+
+
 class Rebuilder:
     """A projection and the pieces of a reference ``(V, 3)``."""
 
     def __init__(self, points: Float, faces: NDArray[np.int64], **numbers: int) -> None:
         self.topology = Topology(faces, len(points))
         self.pieces = Pieces.of(self.topology, points)
-        projection = MultiScale(self.topology, self.pieces.vertices, self.pieces.faces, **numbers)
+        projection = MultiScale(self.topology, self.pieces, **numbers)
         self.projection: EdgeProjection = projection
         self.multiscale = projection
         projection.prepare()
@@ -47,7 +51,7 @@ class Rebuilder:
 
     def rebuild(self, lengths: Float, angles: Float) -> tuple[Float, list[ShellReport]]:
         weights = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 1e-12)
-        return self.projection.rebuild(lengths, angles, weights, ShellSettings())
+        return self.projection.fit(wanted(lengths, angles, weights), ShellSettings())
 
     def distance(self, rows: Float, points: Float) -> float:
         """Largest distance of a vertex from a mesh ``(V, 3)``, when every piece is moved rigidly onto it."""
@@ -202,7 +206,7 @@ def test_seams_do_not_turn_edges_round() -> None:
     below[::9], short[::9] = -0.5 * lengths[::9], 1e-6 * lengths[::9]
     weights = 1.0 / lengths
     first, second = (
-        this.projection.rebuild(each, angles, weights, ShellSettings())[0] for each in (below, short)
+        this.projection.fit(wanted(each, angles, weights), ShellSettings())[0] for each in (below, short)
     )
     np.testing.assert_allclose(first, second, atol=1e-9)
 

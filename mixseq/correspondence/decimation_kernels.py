@@ -1,4 +1,4 @@
-"""The inner loop of `mixseq.spaces.edge.decimation`, compiled: half-edge collapses in the order of their costs.
+"""The inner loop of `mixseq.correspondence.decimation`, compiled: half-edge collapses in the order of their costs.
 
 The faces of a vertex are a chain of corners ``3 f + k``; collapsing joins two chains. A heap holds half-edges
 ``v -> u`` with the times at which the surroundings of both ends were last changed: older entries are skipped. What

@@ -35,10 +35,12 @@ from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.joint import rebuild, sound_lengths
 from mixseq.shells.patch import Patch
-from mixseq.spaces.edge.hierarchy import Region, divide
-from mixseq.spaces.edge.registration import Overlaps, register
-from mixseq.spaces.edge.stitching import Seams, stitch
+from mixseq.spaces.edge.projection import Wanted
+from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
+from scripts.paper_study.common.registration import Overlaps, register
+from scripts.paper_study.common.stitching import Seams, stitch
+from scripts.paper_study.msgi.hierarchy import Region, divide
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -182,8 +184,8 @@ class MultiScale:
     ----------
     topology : Topology
         Connectivity of the mesh.
-    vertices, faces : tuple of (n_k,) int64, tuple of (m_k,) int64
-        Vertices and faces of the hinge-connected pieces, ascending; a piece without faces is one vertex.
+    pieces : Pieces
+        Its hinge-connected pieces.
     leaf : int
         Leaves have at most so many faces before they grow.
     group : int
@@ -198,8 +200,7 @@ class MultiScale:
     """
 
     topology: Topology
-    vertices: tuple[Index, ...]
-    faces: tuple[Index, ...]
+    pieces: Pieces
     leaf: int = LEAF
     group: int = GROUP
     strips: int = STRIPS
@@ -208,7 +209,7 @@ class MultiScale:
     def steps(self) -> tuple[tuple[Leaf | Merge, ...], ...]:
         """What is done for every piece, children before those they are merged to."""
         steps = []
-        for faces in self.faces:
+        for faces in self.pieces.faces:
             whole = [divide(self.topology, faces, self.leaf, self.group, self.strips)] if len(faces) else []
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
@@ -219,17 +220,16 @@ class MultiScale:
             for step in steps:
                 step.prepare()
 
-    def rebuild(
-        self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
-    ) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.rebuild`, with a report for every leaf."""
+    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+        """Implement `EdgeProjection.fit`, with a report for every leaf."""
+        lengths, angles, weights = wanted.lengths, wanted.angles, wanted.weights
         for name, values, of in (("length", lengths, "edge"), ("angle", angles, "hinge")):
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:
                 raise ReconstructionError(f"the {name} of {of} {wrong[0]} is {values[wrong[0]]}")
         lengths = sound_lengths(lengths, weights)  # also of the seams: an edge has no negative length
         pieces, reports = [], []
-        for vertices, steps in zip(self.vertices, self.steps, strict=True):
+        for vertices, steps in zip(self.pieces.vertices, self.steps, strict=True):
             made: list[Float] = [] if steps else [np.zeros((len(vertices), 3))]
             for step in steps:
                 if isinstance(step, Leaf):

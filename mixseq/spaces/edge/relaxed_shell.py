@@ -1,0 +1,182 @@
+"""Steps by a constant matrix: what the space S_e makes meshes of lengths and angles with.
+
+Faces are rebuilt from their lengths and turned as angles tell: frames are chained from the middle of every piece, and
+what does not fit is divided among them (`mixseq.shells.frames`). Vertices follow from their sides, and steps make
+lengths and angles agree (`mixseq.shells.shell`). From there frames and steps are taken once more, a few times: frames
+pass on what is wrong over long ways, and steps do what is near. Where there is a mesh with these lengths and angles
+the first one is it. All matrices are constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.pickling import Remade
+from mixseq.shells.frames import FrameGraph, bridging, connected
+from mixseq.shells.gauss_newton import ShellReport, ShellSettings
+from mixseq.shells.joint import sound_lengths
+from mixseq.shells.relaxation_kernels import turned_sides
+from mixseq.shells.shell import THIN, Shell
+from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
+from mixseq.spaces.edge.projection import Wanted
+from mixseq.spaces.pieces import Pieces
+from mixseq.topology import Topology
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ROUNDS = 10
+"""So often what does not fit is divided among frames that were chained; ours, as the numbers below."""
+
+CYCLES = 4
+"""So often, at most, steps are taken; in between frames are those of the mesh, and what does not fit is divided once."""
+
+STEPS = 20
+"""So many steps at a time."""
+
+GAIN = 0.01
+"""The last ones are those that lower the energy by less than this share."""
+
+NOTHING = np.zeros((0, 3))
+
+
+class _Rows(NamedTuple):
+    """The mesh with pieces that share no vertices; its faces are those of the mesh.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the rows.
+    edge_ids, hinge_ids : (E,), (H,) int64
+        Which of the mesh its edges and hinges are.
+    """
+
+    topology: Topology
+    edge_ids: Index
+    hinge_ids: Index
+
+
+@dataclass(frozen=True, eq=False)
+class RelaxedShell(Remade):
+    """An `EdgeProjection` by constant matrices.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    pieces : Pieces
+        Its hinge-connected pieces, with shapes that have typical lengths.
+    typical : (E,) float64
+        Typical lengths of all edges.
+    bending : float
+        Weight of an angle in radians against a relative length.
+    """
+
+    topology: Topology
+    pieces: Pieces
+    typical: Float
+    bending: float
+
+    @cached_property
+    def _rows(self) -> _Rows:
+        mesh, faces = self.topology, np.zeros((len(self.topology.faces), 3), dtype=np.int64)
+        pieces = zip(self.pieces.slices, self.pieces.vertices, self.pieces.faces, strict=True)
+        for rows, vertices, own in pieces:
+            faces[own] = rows.start + np.searchsorted(vertices, mesh.faces[own])
+        topology = Topology(faces, len(self.pieces.shapes))
+        vertex = np.concatenate(self.pieces.vertices)
+        # Both tables of edges have the same ones, as pieces share none; so have those of hinges.
+        edge_ids = _places(vertex[topology.edges], mesh.edges)
+        hinges = np.column_stack([edge_ids[topology.hinge_edges], topology.hinge_faces])
+        hinge_ids = _places(hinges, np.column_stack([mesh.hinge_edges, mesh.hinge_faces]))
+        return _Rows(topology, edge_ids, hinge_ids)
+
+    @cached_property
+    def shell(self) -> Shell:
+        """The mesh, whose lengths and angles are to agree; one vertex of every piece is held."""
+        topology, edge_ids, _ = self._rows
+        holds = np.zeros(topology.vertex_count)
+        holds[[rows.start for rows in self.pieces.slices]] = 1.0
+        ties = np.zeros((0, 2), dtype=np.int64)
+        return Shell(topology, self.pieces.shapes, self.typical[edge_ids], ties, holds, self.bending)
+
+    @cached_property
+    def _told(self) -> Index:
+        """Hinges ``(h,)`` that tell how frames are turned: the sound ones, and others where there is no other."""
+        hinge_faces = self._rows.topology.hinge_faces
+        return np.flatnonzero(bridging(len(self.topology.faces), hinge_faces, self.shell.sound))
+
+    @cached_property
+    def graph(self) -> FrameGraph:
+        """Frames of all faces; chains start in the middle of every piece."""
+        count, pairs = len(self.topology.faces), self._rows.topology.hinge_faces[self._told].astype(np.int64)
+        known = np.zeros(count, dtype=bool)
+        known[_middles(count, pairs)] = True
+        return FrameGraph(count, pairs, np.maximum(self.shell.bend[self._told], THIN), known, 1.0)
+
+    @cached_property
+    def hinges(self) -> Hinges:
+        """The hinges of the mesh."""
+        topology = self._rows.topology
+        return Hinges(topology.faces, topology.hinges, topology.hinge_faces)
+
+    def prepare(self) -> None:
+        """Implement `EdgeProjection.prepare`."""
+        if len(self.topology.faces):
+            self.graph.prepare()
+            self.shell.largest  # noqa: B018 - a cached property
+
+    def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+        """Implement `EdgeProjection.fit`; of the settings nothing is used."""
+        topology, edge_ids, hinge_ids = self._rows
+        if not len(topology.faces):
+            return np.zeros_like(self.pieces.shapes), []
+        lengths = sound_lengths(wanted.lengths, wanted.weights)[edge_ids]
+        angles = wanted.angles[hinge_ids]
+        flat = flat_triangles(lengths[topology.face_edges])
+        turns = self.hinges.turns(flat, angles)[self._told]
+        known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.graph.known)), 1))
+        frames, x = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS), self.pieces.shapes
+        left = np.inf
+        for cycle in range(1, CYCLES + 1):
+            start = self.shell.integrated(turned_sides(frames, flat), NOTHING, x)
+            found, energy = self.shell.relaxed(start, lengths, angles, STEPS)
+            done = self.shell.agree(energy) or energy > (1.0 - GAIN) * left
+            if energy < left:
+                x, left = found, energy
+            if done:
+                break
+            frames = self.graph.averaged(frames_of(x, topology.faces), turns, 1)
+        return x, [ShellReport(2.0 * left, cycle * STEPS, True)]
+
+
+def _places(rows: Index, table: Index) -> Index:
+    """Return where in a table ``(n, k)`` rows ``(n, k)`` are, which are all of it in another order."""
+    places = np.empty(len(rows), dtype=np.int64)
+    places[np.lexsort(rows.T)] = np.lexsort(table.T)
+    return places
+
+
+def _middles(count: int, pairs: Index) -> Index:
+    """One of ``count`` for everything that pairs ``(h, 2)`` connect, in the middle of the longest way through it."""
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    component = connected(count, pairs)
+
+    def best(distances: Float) -> Index:
+        order = np.lexsort((np.arange(count), distances, component))
+        return order[np.unique(component[order], return_index=True)[1]]
+
+    def away(sources: Index) -> Float:
+        return np.asarray(
+            csgraph.dijkstra(graph, directed=False, indices=sources, unweighted=True, min_only=True)
+        )
+
+    one = away(best(-away(best(np.zeros(count)))))
+    return best(np.maximum(one, away(best(-one))))
