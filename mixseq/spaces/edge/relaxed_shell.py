@@ -23,7 +23,7 @@ from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.shells.joint import sound_lengths
 from mixseq.shells.relaxation_kernels import turned_sides
-from mixseq.shells.shell import THIN, Shell
+from mixseq.shells.shell import THIN, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.pieces import Pieces
@@ -36,7 +36,7 @@ ROUNDS = 10
 """So often what does not fit is divided among frames that were chained; ours, as the numbers below."""
 
 CYCLES = 4
-"""So often, at most, steps are taken; in between frames are those of the mesh, and what does not fit is divided once."""
+"""So often, at most, steps are taken; between, frames are those of the mesh, and what does not fit is divided once."""
 
 STEPS = 20
 """So many steps at a time."""
@@ -144,17 +144,17 @@ class RelaxedShell(Remade):
         turns = self.hinges.turns(flat, angles)[self._told]
         known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.graph.known)), 1))
         frames, x = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS), self.pieces.shapes
-        left = np.inf
-        for cycle in range(1, CYCLES + 1):
-            start = self.shell.integrated(turned_sides(frames, flat), NOTHING, x)
-            found, energy = self.shell.relaxed(start, lengths, angles, STEPS)
-            done = self.shell.agree(energy) or energy > (1.0 - GAIN) * left
-            if energy < left:
-                x, left = found, energy
+        best = Relaxed(x, np.inf)
+        steps = 0
+        for _ in range(CYCLES):
+            start = self.shell.integrated(turned_sides(frames, flat), NOTHING, best.points)
+            found, steps = self.shell.relaxed(start, lengths, angles, STEPS), steps + STEPS
+            done = self.shell.agree(found.energy) or found.energy > (1.0 - GAIN) * best.energy
+            best = min(found, best, key=lambda each: each.energy)
             if done:
                 break
-            frames = self.graph.averaged(frames_of(x, topology.faces), turns, 1)
-        return x, [ShellReport(2.0 * left, cycle * STEPS, True)]
+            frames = self.graph.averaged(frames_of(best.points, topology.faces), turns, 1)
+        return best.points, [ShellReport(2.0 * best.energy, steps, True)]
 
 
 def _places(rows: Index, table: Index) -> Index:

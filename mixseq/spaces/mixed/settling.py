@@ -17,7 +17,7 @@ from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.shells.frames import FrameGraph
 from mixseq.shells.hinge_kernels import measured
 from mixseq.shells.relaxation_kernels import turned_sides
-from mixseq.shells.shell import Relaxation, Shell
+from mixseq.shells.shell import Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
 
@@ -78,13 +78,22 @@ class Settling:
 
     def settled(self, x: Float, lengths: Float, angles: Float) -> Float:
         """Return where vertices, posed at ``(V, 3)``, are with lengths ``(E',)`` and angles ``(H',)``."""
+        return self.from_start(x, *self.targets(x, lengths, angles)).points
+
+    def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
+        """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
         topology = self.shell.topology
         all_lengths, all_angles = measured(x, topology.edges, topology.hinges)
         all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
-        flat = flat_triangles(all_lengths[topology.face_edges])
-        turns = self.hinges.turns(flat, all_angles)[self.shell.sound]
+        return all_lengths, all_angles
+
+    def from_start(self, x: Float, lengths: Float, angles: Float) -> Relaxed:
+        """Return the mesh near ``(V, 3)`` with nearly these lengths ``(E,)`` and angles ``(H,)``, and what is left."""
+        topology = self.shell.topology
+        flat = flat_triangles(lengths[topology.face_edges])
+        turns = self.hinges.turns(flat, angles)[self.shell.sound]
         sides = turned_sides(self.graph.averaged(frames_of(x, topology.faces), turns, ROUNDS), flat)
         corners = x[topology.faces[self.shell.thin]]
         sides[self.shell.thin] = np.roll(corners, -1, axis=1) - corners
         start = self.shell.integrated(sides, np.zeros((0, 3)), x)
-        return self.shell.relaxed(start, all_lengths, all_angles, self.steps).points
+        return self.shell.relaxed(start, lengths, angles, self.steps)

@@ -4,6 +4,7 @@
 MSGI               S_e, patches merged hierarchically (after Winkler et al. 2010)
 DSO, from a pose   S_e, Gauss-Newton on the whole mesh that starts from the first pose, as the paper ran it
 DSO                S_e, the same from the linear start (ours)
+S_e, steps         S_e, frames averaged and steps by constant matrices (ours)
 MixIT, printed     S_m as printed: strips as joints, every joint by itself, registration, stitching
 MixIT, free        S_m, free placement: frames averaged, one back-substitution, steps (ours)
 MixIT              S_m, anchored placement, settled: what `mixseq.interpolate` does (ours)
@@ -293,6 +294,7 @@ METHODS: dict[str, Callable[[Poses, Index], Method]] = {
     "MSGI": lambda poses, _: ManyScales(poses, EdgeSettings("dso")),
     "DSO, from a pose": lambda poses, _: FromPose(poses, EdgeSettings("dso")),
     "DSO": lambda poses, _: Edge(poses, EdgeSettings("dso")),
+    "S_e, steps": lambda poses, _: Edge(poses, EdgeSettings("steps")),
     "MixIT, printed": lambda poses, labels: Printed(poses, strips(poses, labels)),
     "MixIT, free": lambda poses, labels: Free(poses, softened(poses, labels)),
     "MixIT": lambda poses, labels: Anchored(poses, strips(poses, labels)),

@@ -16,7 +16,7 @@ from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation import MotionSettings, segment_by_motion
 from mixseq.sequence import bounding_diagonal
 from mixseq.topology import Topology
-from scripts.benchmarks.common.animations import animation
+from scripts.benchmarks.common.animations import animation, subdivided
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,7 +28,9 @@ class Source(NamedTuple):
     Attributes
     ----------
     printed : str
-        What the paper calls the mesh, empty if it has no such mesh.
+        What the paper calls the mesh, or one with as many vertices; empty if it has no such mesh.
+    fine : bool
+        Every triangle is split into four.
     """
 
     animation: str
@@ -36,6 +38,7 @@ class Source(NamedTuple):
     six: tuple[int, ...]
     steps: int
     printed: str
+    fine: bool = False
 
 
 MESHES = {
@@ -47,6 +50,13 @@ MESHES = {
 }
 """The four meshes of the paper that there are data of, and a second pair of its horse. Which frames the paper blends
 is not told. Those of the gallops and of the horse are the farthest; `Poses.rank` tells of all."""
+
+FINE = {
+    "elephant_fine": Source("elephant_gallop", (0, 5), (0, 4, 8, 12, 16, 20), 8, "armadillo", fine=True),
+}
+"""As large as the paper's largest mesh, for times."""
+
+ALL = MESHES | FINE
 
 ARTICULATED = (
     "horse_poses", "cat_poses", "lion_poses", "camel_poses", "cheburashka", "cow", "fox_run", "fox_survey",
@@ -69,7 +79,7 @@ class Poses:
     Attributes
     ----------
     mesh : str
-        A key of `MESHES`, or the name of an animation.
+        A key of `ALL`, or the name of an animation.
     frames : tuple of int
         Frames of the animation.
     points : (n, V, 3) float64
@@ -85,8 +95,12 @@ class Poses:
     @classmethod
     def of(cls, mesh: str, frames: tuple[int, ...] | None = None) -> Poses:
         """Take poses out of an animation, by default the pair of `MESHES`."""
-        sequence = animation(MESHES[mesh].animation)
-        frames = MESHES[mesh].pair if frames is None else frames
+        source = ALL[mesh]
+        sequence = animation(source.animation)
+        if source.fine:
+            points, faces = subdivided(sequence)
+            sequence = mixseq.MeshSequence.from_arrays(points, faces)
+        frames = source.pair if frames is None else frames
         points = sequence.points[list(frames)].astype(np.float64)
         return cls(mesh, frames, points, sequence, Topology(sequence.faces, sequence.vertex_count))
 
@@ -119,7 +133,7 @@ class Poses:
     @property
     def title(self) -> str:
         """Name of the animation and frames."""
-        name = MESHES[self.mesh].animation if self.mesh in MESHES else self.mesh
+        name = ALL[self.mesh].animation if self.mesh in MESHES else self.mesh
         return f"{name} {'-'.join(map(str, self.frames))}"
 
     @property

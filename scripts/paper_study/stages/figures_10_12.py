@@ -18,7 +18,7 @@ from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(ALL)
 MIXED = ("MixIT, printed", "MixIT, free", "MixIT")
-EDGE = ("MSGI", "DSO, from a pose", "DSO")
+EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 FOUR = ("lion", "cat", "horse", "elephant_gallop")
 MINE = ("MixIT", "MixIT, printed")
 MEASURES = {"middle": "w = 0.5", "worst": "worst w"}

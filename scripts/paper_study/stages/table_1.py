@@ -9,8 +9,7 @@ import numpy as np
 
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
-from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Index, Poses, between
+from scripts.paper_study.common.poses import ALL, Index, Poses, between
 from scripts.paper_study.common.printed import TABLE_1
 from scripts.paper_study.common.record import Json, Results
 
@@ -18,7 +17,7 @@ MESHES = tuple(ALL)
 RUNS, BUDGET = 5, 25.0
 """Times are medians of so many runs, or fewer where the seconds are spent."""
 
-EDGE = ("MSGI", "DSO, from a pose", "DSO")
+EDGE = ("MSGI", "DSO, from a pose", "DSO", "S_e, steps")
 MIXED = ("MixIT, printed", "MixIT, free", "MixIT")
 STEPS = ("align", "init", "interpolation", "stitching", "settling")
 
@@ -84,7 +83,7 @@ def page(results: Results) -> list[str]:
             mixed.append(
                 (f"**{mesh}**", "the paper",
                  *map(str, (printed.align, printed.init, printed.interpolation, printed.stitching)), "",
-                 str(printed.total), str(printed.speed_up), f"{printed.dso_total / printed.total:.0f}", "")
+                 str(printed.total), str(printed.speed_up), f"{printed.dso_total / printed.total:.0f}", "", "")
             )  # fmt: skip
         for name in EDGE:
             row = result[name]
@@ -120,6 +119,7 @@ def page(results: Results) -> list[str]:
                 "MSGI / this",
                 "DSO from a pose / this",
                 "DSO / this",
+                "S_e, steps / this",
             ),
             mixed,
         ),
@@ -147,6 +147,9 @@ def verdict(results: Results) -> list[str]:
         ]
         lines.append(f"{name}: {', '.join(gains)}")
     return [
-        "Times of MSGI / DSO from a pose / DSO from the linear start over that of " + "; ".join(lines) + ". "
-        "The paper prints 3.2 to 8.0 for MSGI on these meshes, and 30 to 98 for DSO."
+        "Times of MSGI / DSO from a pose / DSO from the linear start / S_e in steps over that of "
+        + "; ".join(lines)
+        + ". "
+        "The paper prints 3.2 to 8.0 for MSGI on these meshes, 11.7 on its armadillo, which is as large as our fine elephant, "
+        "and 30 to 98 for DSO."
     ]

@@ -1,0 +1,154 @@
+"""Random starts: whether it matters where the search for a mesh starts, in S_e and in S_m.
+
+The paper (its Section 5) has not observed local minima in S_m. Here starts are shaken: every vertex is moved by
+Gaussian noise. What every method should find, the blended lengths and angles, stays what it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
+from mixseq.shells.shell import Relaxation
+from mixseq.spaces.edge import EdgeSettings
+from mixseq.spaces.edge.discrete_shell import DiscreteShell
+from scripts.benchmarks.common.section import markdown_table
+from scripts.paper_study.common.methods import Anchored, Edge, Printed, strips
+from scripts.paper_study.common.poses import Float, Index, Poses, between
+from scripts.paper_study.common.record import Json, Results
+
+MESHES = ("lion", "cat", "horse")
+NOISE = (0.3, 1.0)
+"""Standard deviations of the noise, in mean lengths of edges."""
+
+STARTS = 5
+"""So many starts for each."""
+
+SAME = 0.01
+"""Energies that differ by less than this share are the same."""
+
+Search = Callable[[float, np.random.Generator], float]
+"""Returns the energy that is found from a start with so much noise."""
+
+
+def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
+    labels = poses.segmented()
+    searches = {
+        "DSO, from a pose": whole(poses, from_pose=True),
+        "DSO": whole(poses, from_pose=False),
+        "MixIT, printed": joints(poses, labels),
+        "MixIT": settled(poses, labels),
+    }
+    found: Json = {}
+    for name, search in searches.items():
+        rng = np.random.default_rng(0)
+        found[name] = {"0": [search(0.0, rng)]} | {
+            f"{size:g}": [search(size, rng) for _ in range(STARTS)] for size in NOISE
+        }
+        say(f"{name}: " + ", ".join(f"{size}: {spread(each)}" for size, each in found[name].items()))
+    return {"title": poses.title, "methods": found}
+
+
+def shaken(x: Float, edge: float, size: float, rng: np.random.Generator) -> Float:
+    """Move vertices ``(n, 3)``."""
+    return np.asarray(x + size * edge * rng.normal(size=x.shape))
+
+
+def whole(poses: Poses, from_pose: bool) -> Search:
+    """Gauss-Newton on the whole mesh; without noise from the first pose, or from the linear start."""
+    edge = Edge(poses, EdgeSettings("dso"))
+    space, length = edge.space, float(poses.lengths.mean()) / poses.diagonal
+    shell = space.discrete
+    (shape,), _, _ = space.split((between(0.5) @ edge.vectors)[None])
+    wanted = space.wanted(shape)
+    (piece, *_) = (each for each in shell.shells if each is not None)
+    problem = shell.problem(0, piece, wanted, space.shell)
+    start = poses.points[0][shell.pieces.vertices[0]] / space.scale
+    if not from_pose:
+        linear = DiscreteShell(shell.topology, shell.pieces).fit(wanted, ShellSettings(iterations=0))[0]
+        start = linear[piece.rows]
+
+    def search(size: float, rng: np.random.Generator) -> float:
+        return fit_shell(problem, shaken(start, length, size, rng), ShellSettings())[1].energy
+
+    return search
+
+
+def joints(poses: Poses, labels: Index) -> Search:
+    """Gauss-Newton on every joint by itself, from the first pose: the sum of their energies."""
+    method = Printed(poses, strips(poses, labels))
+    assembly, length = method.space.projection, float(poses.lengths.mean()) / poses.diagonal
+    lengths, angles = assembly.targets(method.frame(between(0.5)))
+    problems = []
+    for joint, patch in zip(method.decomposition.joints, method.patches, strict=True):
+        weights = assembly.shell.stretch[joint.edge_ids]
+        problem = ShellProblem(
+            patch, lengths[joint.edge_ids], angles[joint.hinge_ids], weights, ShellSettings().bending
+        )
+        problems.append((problem, poses.points[0][joint.vertices] / poses.diagonal))
+
+    def search(size: float, rng: np.random.Generator) -> float:
+        return sum(
+            fit_shell(problem, shaken(start, length, size, rng), ShellSettings())[1].energy
+            for problem, start in problems
+        )
+
+    return search
+
+
+def settled(poses: Poses, labels: Index) -> Search:
+    """Frames and steps of the whole mesh, from where vertices are posed."""
+    method = Anchored(poses, strips(poses, labels))
+    space, length = method.space, float(poses.lengths.mean()) / poses.diagonal
+    shapes, placements = np.split(method.vectors, [space.shape_dim], axis=1)
+    weights = between(0.5)
+    vector = np.concatenate([weights @ shapes, space.blended_placements(weights, placements)])
+    blocks = space.split(vector[None])
+    x = replace(space, relaxation=Relaxation(steps=0)).decode(vector[None])[0] / space.scale
+    wanted = space.settling.targets(x, blocks.lengths[0], blocks.angles[0])
+
+    def search(size: float, rng: np.random.Generator) -> float:
+        return 2.0 * space.settling.from_start(shaken(x, length, size, rng), *wanted).energy
+
+    return search
+
+
+def spread(energies: list[float]) -> str:
+    """Say which energies were found."""
+    low, high = min(energies), max(energies)
+    return f"{low:.3g}" if high <= (1 + SAME) * low else f"{low:.3g} to {high:.3g}"
+
+
+def page(results: Results) -> list[str]:
+    blocks = [
+        "Energies half-way that are found from starts whose vertices are moved by Gaussian noise, with a standard "
+        f"deviation of so many mean edges; {STARTS} starts each. *DSO*: Gauss-Newton on the whole mesh. *MixIT, "
+        "printed*: on every joint by itself, from the joint of the first pose, summed. *MixIT*: two rounds of "
+        "frames and ten steps, so its energies are not those of a minimum, and it does not weigh angles as the "
+        "others do: energies are to be compared along a row."
+    ]
+    for mesh, result in results.items():
+        rows = [
+            (name, *(spread(energies) for energies in found.values()))
+            for name, found in result["methods"].items()
+        ]
+        heads = ("method", "no noise", *(f"{size:g} edges" for size in NOISE))
+        blocks += [f"## {mesh}: {result['title']}", markdown_table(heads, rows)]
+    return blocks
+
+
+def verdict(results: Results) -> list[str]:
+    lines = []
+    for name in next(iter(results.values()))["methods"]:
+        worst = [
+            f"{mesh} " + " / ".join(f"{max(found[f'{size:g}']) / found['0'][0]:.2f}" for size in NOISE)
+            for mesh, result in results.items()
+            for found in [result["methods"][name]]
+        ]
+        lines.append(f"{name}: {', '.join(worst)}")
+    told = " / ".join(f"{size:g}" for size in NOISE)
+    return [f"Largest energy from starts with noise of {told} edges, over that without: {'; '.join(lines)}."]
