@@ -98,8 +98,7 @@ class Poses:
         source = ALL[mesh]
         sequence = animation(source.animation)
         if source.fine:
-            points, faces = subdivided(sequence)
-            sequence = mixseq.MeshSequence.from_arrays(points, faces)
+            sequence = mixseq.MeshSequence.from_arrays(*subdivided(sequence))
         frames = source.pair if frames is None else frames
         points = sequence.points[list(frames)].astype(np.float64)
         return cls(mesh, frames, points, sequence, Topology(sequence.faces, sequence.vertex_count))

@@ -22,7 +22,7 @@ from scripts.paper_study.common.poses import Float, Index, Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = ("lion", "cat", "horse")
-NOISE = (0.3, 1.0)
+NOISE = (0.05, 0.15, 0.5)
 """Standard deviations of the noise, in mean lengths of edges."""
 
 STARTS = 5

@@ -150,6 +150,6 @@ def verdict(results: Results) -> list[str]:
         "Times of MSGI / DSO from a pose / DSO from the linear start / S_e in steps over that of "
         + "; ".join(lines)
         + ". "
-        "The paper prints 3.2 to 8.0 for MSGI on these meshes, 11.7 on its armadillo, which is as large as our fine elephant, "
-        "and 30 to 98 for DSO."
+        "The paper prints 3.2 to 8.0 for MSGI on these meshes, 11.7 on its armadillo, which is as large as "
+        "our fine elephant, and 30 to 98 for DSO."
     ]
