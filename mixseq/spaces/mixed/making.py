@@ -34,6 +34,9 @@ STRETCH = 0.015
 BEND = 4.0
 """So are those with hinges that are wrong by more degrees."""
 
+FEWEST, MOST = 6, 20
+"""So many steps are taken if hardly any faces are joints, and if all are; in between in proportion. Ours."""
+
 ALL_PAIRS = 12
 """Among so many frames all pairs are tried, else neighbours."""
 
@@ -102,7 +105,8 @@ def mixed_space(
         if not settling:
             return near
         known = _wrong_half_way(near, some)
-        return replace(near, known=known, relaxation=Relaxation()) if known.any() else near
+        steps = FEWEST + round((MOST - FEWEST) * float(known.mean())) if known.any() else 0
+        return replace(near, known=known, relaxation=Relaxation(steps=steps))
     space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
     edges = topology.edges[space.edge_ids]
     return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
