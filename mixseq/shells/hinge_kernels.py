@@ -67,6 +67,14 @@ def wrapped(off: float) -> float:
 
 
 @inlined
+def _balance(g: Float, tc: float, td: float) -> None:
+    """Write the gradient by a and b, given that by c and d, whose feet on the edge ab are at the shares tc and td."""
+    for i in range(3):
+        g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
+        g[1, i] = -tc * g[2, i] - td * g[3, i]
+
+
+@inlined
 def angle_gradient(
     x: Float, a: int, b: int, c: int, d: int, scale: float, near: float, far: float, g: Float
 ) -> None:
@@ -85,11 +93,46 @@ def angle_gradient(
     second = -size / max(m0 * m0 + m1 * m1 + m2 * m2, far, TINY)
     g[2, 0], g[2, 1], g[2, 2] = first * n0, first * n1, first * n2
     g[3, 0], g[3, 1], g[3, 2] = second * m0, second * m1, second * m2
-    tc = (c0 * e0 + c1 * e1 + c2 * e2) / square
-    td = (d0 * e0 + d1 * e1 + d2 * e2) / square
-    for i in range(3):
-        g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
-        g[1, i] = -tc * g[2, i] - td * g[3, i]
+    _balance(g, (c0 * e0 + c1 * e1 + c2 * e2) / square, (d0 * e0 + d1 * e1 + d2 * e2) / square)
+
+
+@inlined
+def misfit(
+    x: Float,
+    a: int,
+    b: int,
+    c: int,
+    d: int,
+    cosine: float,
+    sine: float,
+    scale: float,
+    near: float,
+    far: float,
+    g: Float,
+) -> float:
+    """Return one less the cosine of how far the angle of the hinge abcd is off; its gradient is written to g.
+
+    What it should be is told by its cosine and sine. The gradient is as in `angle_gradient`, without an angle.
+    """
+    e0, e1, e2 = side(x, a, b)
+    c0, c1, c2 = side(x, a, c)
+    d0, d1, d2 = side(x, a, d)
+    n0, n1, n2 = _normal(e0, e1, e2, c0, c1, c2)
+    m0, m1, m2 = _normal(d0, d1, d2, e0, e1, e2)
+    square = max(e0 * e0 + e1 * e1 + e2 * e2, TINY)
+    length = math.sqrt(square)
+    across = ((n1 * m2 - n2 * m1) * e0 + (n2 * m0 - n0 * m2) * e1 + (n0 * m1 - n1 * m0) * e2) / length
+    along = n0 * m0 + n1 * m1 + n2 * m2
+    both = max(math.sqrt(across * across + along * along), TINY)
+    off = (across * cosine - along * sine) / both
+    even = (along * cosine + across * sine) / both
+    size = scale * off * length
+    first = -size / max(n0 * n0 + n1 * n1 + n2 * n2, near, TINY)
+    second = -size / max(m0 * m0 + m1 * m1 + m2 * m2, far, TINY)
+    g[2, 0], g[2, 1], g[2, 2] = first * n0, first * n1, first * n2
+    g[3, 0], g[3, 1], g[3, 2] = second * m0, second * m1, second * m2
+    _balance(g, (c0 * e0 + c1 * e1 + c2 * e2) / square, (d0 * e0 + d1 * e1 + d2 * e2) / square)
+    return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
 
 
 @compiled

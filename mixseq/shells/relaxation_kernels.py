@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.compiled import compiled
-from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient
+from mixseq.shells.hinge_kernels import length, length_gradient, misfit
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -20,7 +18,7 @@ def energy(
     edges: Index,
     hinges: Index,
     lengths: Float,
-    angles: Float,
+    turns: Float,
     stretch: Float,
     bend: Float,
     smallest: Float,
@@ -28,8 +26,8 @@ def energy(
 ) -> float:
     """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
 
-    Its gradient is written to ``gradient (V, 3)``; where the square of a normal is less than ``smallest (H, 2)`` it is
-    taken to be that.
+    Angles that are wanted are told by their cosines and sines, turns ``(H, 2)``. The gradient is written to ``gradient
+    (V, 3)``; where the square of a normal is less than ``smallest (H, 2)`` it is taken to be that.
     """
     total = 0.0
     gradient[:] = 0.0
@@ -49,10 +47,9 @@ def energy(
         if w == 0.0:
             continue
         a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
-        half = 0.5 * (angle(x, a, b, c, d) - angles[k])
-        r = 2.0 * w * math.sin(half)
-        total += r * r
-        angle_gradient(x, a, b, c, d, w * math.cos(half) * r, smallest[k, 0], smallest[k, 1], g)
+        w *= w
+        cosine, sine, near, far = turns[k, 0], turns[k, 1], smallest[k, 0], smallest[k, 1]
+        total += 2.0 * w * misfit(x, a, b, c, d, cosine, sine, w, near, far, g)
         for p in range(4):
             for i in range(3):
                 gradient[hinges[k, p], i] += g[p, i]

@@ -232,7 +232,8 @@ class Shell(Remade):
         ReconstructionError
             If lengths, angles or the start are not finite.
         """
-        gradient, energy = self._gradient(start, lengths, angles)
+        turns = _turns(angles)
+        gradient, energy = self._gradient(start, lengths, turns)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
         if not steps or self.agree(energy):
@@ -243,7 +244,7 @@ class Shell(Remade):
         step = self.factor.solve(gradient) / -middle
         x, left = start + step, energy
         for number in range(steps):
-            gradient, left = self._gradient(x, lengths, angles)
+            gradient, left = self._gradient(x, lengths, turns)
             if number == steps - 1:
                 break
             before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
@@ -255,22 +256,28 @@ class Shell(Remade):
         """Whether lengths and angles with this energy are those of the mesh."""
         return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
-    def _gradient(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, float]:
-        """The gradient ``(V, 3)`` of the energy, and the energy."""
+    def _gradient(self, x: Float, lengths: Float, turns: Float) -> tuple[Float, float]:
+        """The gradient ``(V, 3)`` of the energy, and the energy; cosines and sines ``(H, 2)`` of angles are wanted."""
         topology, gradient = self.topology, np.empty_like(x)
-        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, angles, *self._weights, gradient)
+        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, turns, *self._weights, gradient)
         return gradient, float(energy)
 
     @cached_property
     def largest(self) -> float:
         """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
         x, topology = self.reference, self.topology
-        lengths, angles = edge_lengths(x, topology.edges), dihedral_angles(x, topology.hinges)
+        lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
         for _ in range(ROUNDS):
             way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
-            ahead, behind = (self._gradient(x + sign * way, lengths, angles)[0] for sign in (1, -1))
+            ahead, behind = (self._gradient(x + sign * way, lengths, turns)[0] for sign in (1, -1))
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
         return max(curvature, NO_LENGTH)
+
+
+def _turns(angles: Float) -> Float:
+    """Cosines and sines ``(H, 2)`` of angles ``(H,)``."""
+    with np.errstate(invalid="ignore"):  # the energy tells
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -21,7 +21,7 @@ from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.plots import CLAY
 from mixseq.plots.video.film import FilmSettings, Shown, film
 from mixseq.topology import Topology
-from scripts.benchmarks.common.inbetween import part, vertex_spline
+from scripts.benchmarks.common.inbetween import Motion, part, vertex_spline
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import Poses
 
@@ -57,11 +57,15 @@ def show(name: str, path: Path, folder: Path) -> None:
     """Make the film and the sheet of a sequence, and print how many hinges are off."""
     truth = mixseq.read(path)
     keys = part(truth, np.arange(0, len(truth), EVERY))
-    model, spline = mixseq.fit(keys, exact=True), vertex_spline(keys)
+    model = mixseq.fit(keys, exact=True)
+    motions: tuple[Motion, ...] = (
+        vertex_spline(keys),
+        lambda times: model.sample(times).points.astype(np.float64),
+    )
     last = min(keys.times[-1], keys.times[0] + SECONDS / SLOWER)
     times = np.arange(keys.times[0], last, 1 / (SLOWER * truth.fps))
     slow = keys.header.with_times((times - times[0]) * SLOWER)
-    sides = [mixseq.MeshSequence.from_header(slow, motion(times)) for motion in (spline, model)]
+    sides = [mixseq.MeshSequence.from_header(slow, motion(times)) for motion in motions]
     names = ("vertex spline", "mixseq")
     film(
         folder / f"{name}.webp",
@@ -71,14 +75,14 @@ def show(name: str, path: Path, folder: Path) -> None:
 
     topology = Topology(truth.faces, truth.vertex_count)
     dropped = np.setdiff1d(np.arange(len(keys) * EVERY - EVERY + 1), np.arange(0, len(truth), EVERY))
-    found = [motion(truth.times[dropped]) for motion in (spline, model)]
+    found = [motion(truth.times[dropped]) for motion in motions]
     folded = [
         [folds(topology, x, y) for x, y in zip(truth.points[dropped].astype(np.float64), each, strict=True)]
         for each in found
     ]
     counts = np.array([[int(mask.sum()) for mask in each] for each in folded])
-    print(f"{name}: faces at hinges off by more than 90 degrees, a frame: spline {counts[0].mean():.1f} "
-          f"(at most {counts[0].max()}), mixseq {counts[1].mean():.1f} (at most {counts[1].max()})", flush=True)  # fmt: skip
+    told = [f"{label} {n.mean():.1f} (at most {n.max()})" for label, n in zip(names, counts, strict=True)]
+    print(f"{name}: faces at hinges off by more than 90 degrees, a frame: {', '.join(told)}", flush=True)
     worst = np.argsort(-counts.max(axis=0), kind="stable")[:ROWS]
     rows = [
         [

@@ -44,7 +44,8 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
     shell, x = shell_of(mesh, bending=0.3), shaken(mesh, 0.1)
     lengths, angles = measured(shell, shaken(mesh, 0.1, 1))
     stretch, bend, smallest = shell._weights
-    arrays = shell.topology.edges, shell.topology.hinges, lengths, angles, stretch, bend, 0.0 * smallest
+    turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    arrays = shell.topology.edges, shell.topology.hinges, lengths, turns, stretch, bend, 0.0 * smallest
     gradient = np.empty_like(x)
     energy = kernels.energy(x, *arrays, gradient)
     own_lengths, own_angles = measured(shell, x)

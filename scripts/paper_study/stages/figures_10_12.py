@@ -124,7 +124,7 @@ def page(results: Results) -> list[str]:
         claims(results),
         "## Why",
         "- DSO from the linear start is the minimum of the energy that it lowers, or close to it. *MixIT* lowers "
-        "the same energy, with a weight of 0.25 instead of 0.3 for angles, by ten steps from a mesh that is near: "
+        "the same energy, with a weight of 0.25 instead of 0.3 for angles, by 6 to 20 steps from a mesh that is near: "
         "so it ends with lengths as good, and angles a little farther off.\n"
         "- Lengths and angles of parts are not stored, but those of their blended vertices. That costs nothing "
         "where the parts are rigid enough; *MixIT* takes what is not for joints, wherever it is. Between poses as "

@@ -128,7 +128,7 @@ def page(results: Results) -> list[str]:
         "Energies half-way that are found from starts whose vertices are moved by Gaussian noise, with a standard "
         f"deviation of so many mean edges; {STARTS} starts each. *DSO*: Gauss-Newton on the whole mesh. *MixIT, "
         "printed*: on every joint by itself, from the joint of the first pose, summed. *MixIT*: two rounds of "
-        "frames and ten steps, so its energies are not those of a minimum, and it does not weigh angles as the "
+        "frames and 6 to 20 steps, so its energies are not those of a minimum, and it does not weigh angles as the "
         "others do: energies are to be compared along a row."
     ]
     for mesh, result in results.items():

@@ -64,6 +64,12 @@ def test_nothing_jumps_between_poses() -> None:
     assert steps.max() < 2.5 * np.median(steps)
 
 
+def test_the_farther_poses_are_apart_the_more_steps_are_taken() -> None:
+    spaces = [Blend.of(CURLED, among=among, parts=3).space for among in ((0, 0), (0, 1), (0, 2))]
+    steps = [space.relaxation.steps for space in spaces if isinstance(space, AnchoredSpace)]
+    assert steps[0] == 0 and 6 <= steps[1] < steps[2] <= 20
+
+
 def test_velocities_are_those_of_settled_points() -> None:
     space = blend_of(0, 2).space
     vectors = space.encode(CURLED.points[[0, 2]])
