@@ -14,49 +14,66 @@ from mixseq.compiled import compiled, inlined
 
 Float = NDArray[np.float64]
 Index = NDArray[np.int64]
+Vector = tuple[float, float, float]
 
 TINY = 2.2250738585072014e-308
 TURN = 2.0 * math.pi
 
 
 @inlined
-def side(x: Float, a: int, b: int) -> tuple[float, float, float]:
+def side(x: Float, a: int, b: int) -> Vector:
     """Return the vector from vertex a to vertex b."""
     return x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
 
 
 @inlined
+def _cross(p: Vector, q: Vector) -> Vector:
+    """Return the cross product of p and q."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@inlined
+def _dot(p: Vector, q: Vector) -> float:
+    """Return the scalar product of p and q."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@inlined
 def length(x: Float, a: int, b: int) -> float:
     """Return the length of the edge ab."""
-    e0, e1, e2 = side(x, a, b)
-    return math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+    e = side(x, a, b)
+    return math.sqrt(_dot(e, e))
 
 
 @inlined
 def length_gradient(x: Float, a: int, b: int, scale: float, g: Float) -> None:
     """Write the gradient of the length of the edge ab by its two vertices, times a number, to ``g[:2]``."""
-    e0, e1, e2 = side(x, a, b)
-    w = scale / max(math.sqrt(e0 * e0 + e1 * e1 + e2 * e2), TINY)
-    g[1, 0], g[1, 1], g[1, 2] = w * e0, w * e1, w * e2
+    e = side(x, a, b)
+    w = scale / max(math.sqrt(_dot(e, e)), TINY)
+    g[1, 0], g[1, 1], g[1, 2] = w * e[0], w * e[1], w * e[2]
     g[0, 0], g[0, 1], g[0, 2] = -g[1, 0], -g[1, 1], -g[1, 2]
 
 
 @inlined
-def _normal(p0: float, p1: float, p2: float, q0: float, q1: float, q2: float) -> tuple[float, float, float]:
-    """Return the cross product of p and q."""
-    return p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
+def _sides_and_normals(
+    x: Float, a: int, b: int, c: int, d: int
+) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Return the sides ab, ac and ad of the hinge abcd, and the normals of its faces."""
+    e, p, q = side(x, a, b), side(x, a, c), side(x, a, d)
+    return e, p, q, _cross(e, p), _cross(q, e)
+
+
+@inlined
+def _opening(e: Vector, n: Vector, m: Vector) -> tuple[float, float]:
+    """Return cosine and sine of the angle between the normals n and m about e, times the lengths of all three."""
+    return _dot(n, m) * math.sqrt(_dot(e, e)), _dot(_cross(n, m), e)
 
 
 @inlined
 def angle(x: Float, a: int, b: int, c: int, d: int) -> float:
     """Return the dihedral angle of the hinge abcd."""
-    e0, e1, e2 = side(x, a, b)
-    c0, c1, c2 = side(x, a, c)
-    d0, d1, d2 = side(x, a, d)
-    n0, n1, n2 = _normal(e0, e1, e2, c0, c1, c2)
-    m0, m1, m2 = _normal(d0, d1, d2, e0, e1, e2)
-    sine = (n1 * m2 - n2 * m1) * e0 + (n2 * m0 - n0 * m2) * e1 + (n0 * m1 - n1 * m0) * e2
-    cosine = (n0 * m0 + n1 * m1 + n2 * m2) * math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+    e, _, _, n, m = _sides_and_normals(x, a, b, c, d)
+    cosine, sine = _opening(e, n, m)
     return math.atan2(sine, cosine)
 
 
@@ -67,8 +84,16 @@ def wrapped(off: float) -> float:
 
 
 @inlined
-def _balance(g: Float, tc: float, td: float) -> None:
-    """Write the gradient by a and b, given that by c and d, whose feet on the edge ab are at the shares tc and td."""
+def _write_gradient(
+    e: Vector, p: Vector, q: Vector, n: Vector, m: Vector, scale: float, near: float, far: float, g: Float
+) -> None:
+    """Write the gradient of an angle, times a number, as `angle_gradient` does."""
+    square = max(_dot(e, e), TINY)
+    size = scale * math.sqrt(square)
+    first, second = -size / max(_dot(n, n), near, TINY), -size / max(_dot(m, m), far, TINY)
+    g[2, 0], g[2, 1], g[2, 2] = first * n[0], first * n[1], first * n[2]
+    g[3, 0], g[3, 1], g[3, 2] = second * m[0], second * m[1], second * m[2]
+    tc, td = _dot(p, e) / square, _dot(q, e) / square  # where c and d stand along the edge
     for i in range(3):
         g[0, i] = -(1.0 - tc) * g[2, i] - (1.0 - td) * g[3, i]
         g[1, i] = -tc * g[2, i] - td * g[3, i]
@@ -82,18 +107,8 @@ def angle_gradient(
 
     Squares of its two normals are taken to be `near` and `far`, at least.
     """
-    e0, e1, e2 = side(x, a, b)
-    c0, c1, c2 = side(x, a, c)
-    d0, d1, d2 = side(x, a, d)
-    n0, n1, n2 = _normal(e0, e1, e2, c0, c1, c2)
-    m0, m1, m2 = _normal(d0, d1, d2, e0, e1, e2)
-    square = max(e0 * e0 + e1 * e1 + e2 * e2, TINY)
-    size = scale * math.sqrt(square)
-    first = -size / max(n0 * n0 + n1 * n1 + n2 * n2, near, TINY)
-    second = -size / max(m0 * m0 + m1 * m1 + m2 * m2, far, TINY)
-    g[2, 0], g[2, 1], g[2, 2] = first * n0, first * n1, first * n2
-    g[3, 0], g[3, 1], g[3, 2] = second * m0, second * m1, second * m2
-    _balance(g, (c0 * e0 + c1 * e1 + c2 * e2) / square, (d0 * e0 + d1 * e1 + d2 * e2) / square)
+    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+    _write_gradient(e, p, q, n, m, scale, near, far, g)
 
 
 @inlined
@@ -114,24 +129,11 @@ def misfit(
 
     What it should be is told by its cosine and sine. The gradient is as in `angle_gradient`, without an angle.
     """
-    e0, e1, e2 = side(x, a, b)
-    c0, c1, c2 = side(x, a, c)
-    d0, d1, d2 = side(x, a, d)
-    n0, n1, n2 = _normal(e0, e1, e2, c0, c1, c2)
-    m0, m1, m2 = _normal(d0, d1, d2, e0, e1, e2)
-    square = max(e0 * e0 + e1 * e1 + e2 * e2, TINY)
-    length = math.sqrt(square)
-    across = ((n1 * m2 - n2 * m1) * e0 + (n2 * m0 - n0 * m2) * e1 + (n0 * m1 - n1 * m0) * e2) / length
-    along = n0 * m0 + n1 * m1 + n2 * m2
-    both = max(math.sqrt(across * across + along * along), TINY)
-    off = (across * cosine - along * sine) / both
-    even = (along * cosine + across * sine) / both
-    size = scale * off * length
-    first = -size / max(n0 * n0 + n1 * n1 + n2 * n2, near, TINY)
-    second = -size / max(m0 * m0 + m1 * m1 + m2 * m2, far, TINY)
-    g[2, 0], g[2, 1], g[2, 2] = first * n0, first * n1, first * n2
-    g[3, 0], g[3, 1], g[3, 2] = second * m0, second * m1, second * m2
-    _balance(g, (c0 * e0 + c1 * e1 + c2 * e2) / square, (d0 * e0 + d1 * e1 + d2 * e2) / square)
+    e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
+    along, across = _opening(e, n, m)
+    size = max(math.sqrt(across * across + along * along), TINY)
+    off, even = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
+    _write_gradient(e, p, q, n, m, scale * off, near, far, g)
     return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
 
 

@@ -1033,6 +1033,7 @@ def test_reference_lengths_of_another_segmentation_are_refused(free: Path) -> No
     [
         ("edge", {"projection": "msgi", "volume": 0.0, "coarse": None, "steps": 5}, "steps"),
         ("volume", {"projection": "dso", "volume": 0.5, "coarse": 20, "steps": 2}, "dso"),
+        ("volume", {"volume": 0.5}, "dso"),
     ],
 )
 def test_projections_that_are_no_more_are_read(
@@ -1042,7 +1043,7 @@ def test_projections_that_are_no_more_are_read(
     copy = shutil.copy(files / f"{space}.h5", tmp_path / "bar.h5")
     with h5py.File(copy, "r+") as file:
         file.attrs["settings"] = json.dumps(json.loads(file.attrs["settings"]) | {"edge": old})
-        if old["coarse"]:
+        if old.get("coarse"):
             file["signals/shape/coarse_lengths"] = np.ones((3, 54))
             file["space/coarse/vertices"] = np.arange(20, dtype=np.int32)
     read, made = mixseq.load(copy), mixseq.load(files / f"{space}.h5")

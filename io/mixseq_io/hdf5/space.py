@@ -167,6 +167,5 @@ def _edge_settings(path: Path, file: h5py.File) -> EdgeSettings:
     found = {
         name: value for name, value in read_settings(path, file, "edge", known).items() if name not in GONE
     }
-    if found["projection"] == "msgi":
-        found["projection"] = "steps"
-    return EdgeSettings(**found)
+    projection = found.pop("projection", "dso")  # what it was where nobody chose one
+    return EdgeSettings("steps" if projection == "msgi" else projection, **found)

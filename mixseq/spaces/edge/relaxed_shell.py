@@ -41,9 +41,6 @@ CYCLES = 4
 STEPS = 20
 """So many steps at a time."""
 
-GAIN = 0.01
-"""The last ones are those that lower the energy by less than this share."""
-
 NOTHING = np.zeros((0, 3))
 
 
@@ -129,15 +126,12 @@ class RelaxedShell(Remade):
 
     def prepare(self) -> None:
         """Implement `EdgeProjection.prepare`."""
-        if len(self.topology.faces):
-            self.graph.prepare()
-            self.shell.largest  # noqa: B018 - a cached property
+        self.graph.prepare()
+        self.shell.largest  # noqa: B018 - a cached property
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
-        """Implement `EdgeProjection.fit`; of the settings nothing is used."""
+        """Implement `EdgeProjection.fit`; of the settings only the tolerance says when to stop."""
         topology, edge_ids, hinge_ids = self._rows
-        if not len(topology.faces):
-            return np.zeros_like(self.pieces.shapes), []
         lengths = sound_lengths(wanted.lengths, wanted.weights)[edge_ids]
         angles = wanted.angles[hinge_ids]
         flat = flat_triangles(lengths[topology.face_edges])
@@ -149,7 +143,7 @@ class RelaxedShell(Remade):
         for _ in range(CYCLES):
             start = self.shell.integrated(turned_sides(frames, flat), NOTHING, best.points)
             found, steps = self.shell.relaxed(start, lengths, angles, STEPS), steps + STEPS
-            done = self.shell.agree(found.energy) or found.energy > (1.0 - GAIN) * best.energy
+            done = self.shell.agree(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
             best = min(found, best, key=lambda each: each.energy)
             if done:
                 break
