@@ -83,8 +83,8 @@ class Blend(Remade):
         among : (n,) int array_like, optional
             The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
-        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, True, shell, edge)
-        check_space(space, settings, usual=SpaceSettings(settling=True))
+        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, 0.0, shell, edge)
+        check_space(space, settings, usual=SpaceSettings(settling_from=0.0))
         check_frames(poses)
         count = poses.header.frame_count
         blended = np.arange(count) if among is None else np.asarray(among)

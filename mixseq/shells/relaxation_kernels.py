@@ -57,6 +57,19 @@ def energy(
 
 
 @compiled
+def kept(x: Float, hinges: Index, turns: Float) -> Float:
+    """Return how little hinges are off, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn ``(H,)``.
+
+    What they should have is told by cosines and sines ``(H, 2)``.
+    """
+    near, g = np.empty(len(hinges)), np.empty((4, 3))
+    for k in range(len(hinges)):
+        a, b, c, d = hinges[k, 0], hinges[k, 1], hinges[k, 2], hinges[k, 3]
+        near[k] = 1.0 - 0.5 * misfit(x, a, b, c, d, turns[k, 0], turns[k, 1], 0.0, 1.0, 1.0, g)
+    return near
+
+
+@compiled
 def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
     """Add the weighted ``(F, 3)`` sides 01, 12, 20 ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)``."""
     for f in range(len(faces)):

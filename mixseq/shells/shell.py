@@ -3,13 +3,17 @@ r"""A mesh as a shell: vertices from sides of its faces, and steps that make len
 The energy is that of discrete shells (Froehlich and Botsch 2011), with weights that count relative changes,
 
 .. math:: E(x) = \tfrac12 \sum_e \frac{(l_e - l_e^*)^2}{\bar l_e^2}
-               + \tfrac12 \sum_h \beta^2 \Bigl( 2 \sin \frac{\theta_h - \theta_h^*}{2} \Bigr)^2 .
+               + \tfrac12 \sum_h \beta^2 \cos^4 \frac{\delta_h}{2}
+                 \Bigl( 2 \sin \frac{\theta_h - \theta_h^*}{2} \Bigr)^2 .
 
-The sine is as good as the angle where that is small, and smooth where a hinge is half a turn off. The energy is lowered
-by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights :math:`1 / \bar l_e^2` (after
-Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range of curvatures in that metric,
-which is found once. A step costs a gradient and a back-substitution, nothing is searched for, and the result is as
-smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
+The sine is as good as the angle where that is small, and smooth where a hinge is half a turn off. Hinges that are far
+off, by :math:`\delta_h`, when the steps start count less: they are folds, and steps that now and then unfold one make
+vertices leap in time.
+
+The energy is lowered by gradients in the metric of one constant matrix, the Laplacian of the mesh with weights
+:math:`1 / \bar l_e^2` (after Liu, Bouaziz and Kavan 2017), in Chebyshev's steps: their lengths are fixed by the range
+of curvatures in that metric, which is found once. A step costs a gradient and a back-substitution, nothing is searched
+for, and the result is as smooth as the start. The same matrix turns sides of faces into vertices (`Shell.integrated`).
 """
 
 from __future__ import annotations
@@ -233,7 +237,8 @@ class Shell(Remade):
             If lengths, angles or the start are not finite.
         """
         turns = _turns(angles)
-        gradient, energy = self._gradient(start, lengths, turns)
+        near = kernels.kept(start, self.topology.hinges, turns)
+        gradient, energy = self._gradient(start, lengths, turns, near)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
         if not steps or self.agree(energy):
@@ -244,7 +249,7 @@ class Shell(Remade):
         step = self.factor.solve(gradient) / -middle
         x, left = start + step, energy
         for number in range(steps):
-            gradient, left = self._gradient(x, lengths, turns)
+            gradient, left = self._gradient(x, lengths, turns, near)
             if number == steps - 1:
                 break
             before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
@@ -256,10 +261,14 @@ class Shell(Remade):
         """Whether lengths and angles with this energy are those of the mesh."""
         return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
-    def _gradient(self, x: Float, lengths: Float, turns: Float) -> tuple[Float, float]:
-        """The gradient ``(V, 3)`` of the energy, and the energy; cosines and sines ``(H, 2)`` of angles are wanted."""
-        topology, gradient = self.topology, np.empty_like(x)
-        energy = kernels.energy(x, topology.edges, topology.hinges, lengths, turns, *self._weights, gradient)
+    def _gradient(self, x: Float, lengths: Float, turns: Float, near: Float) -> tuple[Float, float]:
+        """The gradient ``(V, 3)`` of the energy, and the energy.
+
+        Cosines and sines ``(H, 2)`` of angles are wanted; `near` ``(H,)`` is how little hinges were off.
+        """
+        (stretch, bend, smallest), gradient = self._weights, np.empty_like(x)
+        edges, hinges = self.topology.edges, self.topology.hinges
+        energy = kernels.energy(x, edges, hinges, lengths, turns, stretch, bend * near, smallest, gradient)
         return gradient, float(energy)
 
     @cached_property
@@ -267,11 +276,12 @@ class Shell(Remade):
         """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
         x, topology = self.reference, self.topology
         lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
+        near = np.ones(len(turns))
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
         for _ in range(ROUNDS):
             way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
-            ahead, behind = (self._gradient(x + sign * way, lengths, turns)[0] for sign in (1, -1))
+            ahead, behind = (self._gradient(x + sign * way, lengths, turns, near)[0] for sign in (1, -1))
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
         return max(curvature, NO_LENGTH)

@@ -18,7 +18,7 @@ from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
 from mixseq.spaces.edge.space import EdgeSettings
 from mixseq.spaces.making import MAKING, SPACES, SpaceName, SpaceSettings, check_space, make_space
-from mixseq.spaces.mixed import PlacementName
+from mixseq.spaces.mixed import FAR, NEVER, PlacementName
 from mixseq.stored import stored
 from mixseq.threads import one_blas_thread
 
@@ -125,8 +125,11 @@ def fit(
     """
     check_frames(sequence)
     _check(exact, tolerance, rank, knots, pose)
-    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, shell=shell, edge=edge)
-    check_space(space, settings, usual=SpaceSettings())
+    settling_from = (
+        FAR if rank is None and knots is None else NEVER
+    )  # signals of few numbers do not tell lengths
+    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, settling_from, shell, edge)
+    check_space(space, settings, usual=SpaceSettings(settling_from=settling_from))
     direct = exact or rank is not None or knots is not None
     stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
     work = workers or on_threads()

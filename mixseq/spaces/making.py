@@ -31,7 +31,7 @@ from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths
-from mixseq.spaces.mixed import MixedSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import NEVER, MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
@@ -61,8 +61,8 @@ class SpaceSettings:
     shrink : float, optional
         Mixed space: joints go on inside parts where blending would shorten an edge by more than this share of its
         length, see `mixseq.segmentation.softness`; by default they are at boundaries only.
-    settling : bool
-        Mixed space: lengths and angles are made to agree between far poses, see `mixseq.spaces.mixed_space`.
+    settling_from : float
+        Mixed space: from where on lengths and angles are made to agree, see `mixseq.spaces.mixed_space`.
     shell : ShellSettings, optional
         Edge space, projection "dso": the weight of angles, and when Gauss-Newton stops.
     edge : EdgeSettings, optional
@@ -74,13 +74,13 @@ class SpaceSettings:
     joint_width: int = 3
     motion: MotionSettings | None = None
     shrink: float | None = None
-    settling: bool = False
+    settling_from: float = NEVER
     shell: ShellSettings | None = None
     edge: EdgeSettings | None = None
 
 
 _USES: dict[SpaceName, tuple[str, ...]] = {
-    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "settling"),
+    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "settling_from"),
     "edge": ("shell", "edge"),
 }
 
@@ -201,7 +201,7 @@ def _mixed(
     softening = None if settings.shrink is None else Softening(looked_at, settings.shrink)
     decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
     return mixed_space(
-        points, topology, decomposition, settings.placement, settings.settling, workers, stages.at(2)
+        points, topology, decomposition, settings.placement, settings.settling_from, workers, stages.at(2)
     )
 
 

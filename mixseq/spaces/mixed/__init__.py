@@ -2,7 +2,17 @@
 
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
+from mixseq.spaces.mixed.half_way import FAR, NEVER
 from mixseq.spaces.mixed.making import mixed_space
 from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
 
-__all__ = ["PLACEMENTS", "AnchoredSpace", "FreeSpace", "MixedSpace", "PlacementName", "mixed_space"]
+__all__ = [
+    "FAR",
+    "NEVER",
+    "PLACEMENTS",
+    "AnchoredSpace",
+    "FreeSpace",
+    "MixedSpace",
+    "PlacementName",
+    "mixed_space",
+]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
 from mixseq.mapping import OrderedMap, serially
@@ -21,24 +19,17 @@ from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
+from mixseq.spaces.mixed.half_way import NEVER, are_far, wrong_half_way
 from mixseq.spaces.mixed.shares import fitted_shares
 from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
 from mixseq.table import Table
 from mixseq.topology import Topology
 
 Float = NDArray[np.float64]
-
-STRETCH = 0.015
-"""Where meshes settle, faces with edges that are wrong by more of their length half-way are joints; ours."""
-
-BEND = 4.0
-"""So are those with hinges that are wrong by more degrees."""
+Mask = NDArray[np.bool_]
 
 FEWEST, MOST = 6, 20
 """So many steps are taken if hardly any faces are joints, and if all are; in between in proportion. Ours."""
-
-ALL_PAIRS = 12
-"""Among so many frames all pairs are tried, else neighbours."""
 
 SHAPED_BY = 64
 """Mean shapes of parts are means of at most so many frames. Any shapes would do to encode all frames exactly."""
@@ -49,7 +40,7 @@ def mixed_space(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
-    settling: bool = False,
+    settling_from: float = NEVER,
     workers: OrderedMap = serially,
     progress: Progress = silent,
 ) -> MixedSpace:
@@ -65,10 +56,10 @@ def mixed_space(
         Parts and joints.
     placement : {"anchored", "free"}
         How parts are placed.
-    settling : bool
-        Anchored placement: lengths and angles are made to agree between frames that are far apart. That is for blends
-        of poses: true frames of an animation do not have mean lengths and angles, and models of few modes do not know
-        them well enough to be told by them.
+    settling_from : float
+        Anchored placement: lengths and angles are made to agree if, half-way between neighbouring frames, a larger
+        share of faces is torn: 0 in blends of poses, `FAR` in animations, whose true frames do not have mean lengths
+        and angles, and `NEVER` where few modes do not know them well enough to be told by them.
     workers : OrderedMap, optional
         Who looks at the frames.
     progress : callable, optional
@@ -102,9 +93,9 @@ def mixed_space(
         )
         near = replace(stiff, free=_free(stiff, some))
         progress(2, 2, "registering parts")
-        if not settling:
+        if settling_from >= NEVER or (settling_from > 0 and not are_far(near, points, settling_from)):
             return near
-        known = _wrong_half_way(near, some)
+        known = wrong_half_way(near, some)
         steps = FEWEST + round((MOST - FEWEST) * float(known.mean())) if known.any() else 0
         return replace(near, known=known, relaxation=Relaxation(steps=steps))
     space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
@@ -112,21 +103,7 @@ def mixed_space(
     return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
 
 
-def _half_way(space: AnchoredSpace, pair: FloatArray) -> tuple[Float, Float]:
-    """By how much lengths ``(E,)``, relative, and angles ``(H,)``, in degrees, are wrong between two frames."""
-    pair, half = pair.astype(np.float64), np.array([0.5, 0.5])
-    edges, hinges = space.topology.edges, space.topology.hinges
-    shapes, placements = np.split(space.encode(pair), [space.shape_dim], axis=1)
-    vector = np.concatenate([half @ shapes, space.blended_placements(half, placements)])
-    middle = space.decode(vector[None])[0]
-    lengths, angles = edge_lengths(pair, edges).mean(axis=0), dihedral_angles(pair, hinges)
-    off = np.abs(edge_lengths(middle, edges) - lengths)
-    stretch = np.divide(off, lengths, out=np.zeros_like(off), where=lengths > 0)
-    wanted = angles[0] + 0.5 * wrap(angles[1] - angles[0])
-    return stretch, np.degrees(np.abs(wrap(dihedral_angles(middle, hinges) - wanted)))
-
-
-def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
+def _free(space: AnchoredSpace, frames: FloatArray) -> Mask:
     """Mark the vertices ``(V,)`` of faces that bend in some of the frames ``(S, V, 3)``."""
     bent = np.zeros(len(space.topology.faces), dtype=bool)
     for frame in frames:
@@ -135,15 +112,3 @@ def _free(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
     free = np.zeros(space.topology.vertex_count, dtype=bool)
     free[space.topology.faces[bent]] = True
     return free
-
-
-def _wrong_half_way(space: AnchoredSpace, frames: FloatArray) -> NDArray[np.bool_]:
-    """Mark the faces ``(F,)`` whose lengths or angles are wrong half-way between some of the frames ``(S, V, 3)``."""
-    topology, count = space.topology, len(frames)
-    pairs = combinations(range(count), 2) if count <= ALL_PAIRS else pairwise(range(count))
-    wrong = np.zeros(len(topology.faces), dtype=bool)
-    for first, second in pairs:
-        stretch, bend = _half_way(space, frames[[first, second]])
-        wrong |= (stretch > STRETCH)[topology.face_edges].any(axis=1)
-        wrong[topology.hinge_faces[bend > BEND]] = True
-    return wrong

@@ -27,7 +27,7 @@ Index = NDArray[np.int64]
 ROUNDS = 2
 """So often what does not fit between frames is divided among them."""
 
-HOLD = 1e-4
+HOLD = 1e-3
 """How much frames and vertices stay where they are expected, against hinges and sides: enough to keep a mesh in its
 place, too little to bend it. Ours."""
 

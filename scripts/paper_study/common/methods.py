@@ -191,7 +191,7 @@ class Anchored(Mixed):
 
     @cached_property
     def space(self) -> AnchoredSpace:
-        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, settling=True)
+        space = mixed_space(self.poses.points, self.poses.topology, self.decomposition, settling_from=0.0)
         assert isinstance(space, AnchoredSpace)
         return space
 

