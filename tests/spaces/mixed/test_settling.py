@@ -76,8 +76,8 @@ def test_velocities_are_those_of_settled_points() -> None:
     vectors = space.encode(CURLED.points[[0, 2]])
     vector, rate = vectors[:1], (vectors[1:] - vectors[:1]) * 0.01
     _, velocities = space.decode_moving(vector + 20 * rate, rate)
-    ahead, behind = (space.decode(vector + (20 + step) * rate) for step in (0.1, -0.1))
-    assert np.linalg.norm(velocities - (ahead - behind) / 0.2) < 1e-3 * np.linalg.norm(velocities)
+    ahead, behind = (space.decode(vector + (20 + step) * rate) for step in (0.01, -0.01))
+    assert np.linalg.norm(velocities - (ahead - behind) / 0.02) < 1e-3 * np.linalg.norm(velocities)
 
 
 def test_no_vertex_shakes_between_poses() -> None:
