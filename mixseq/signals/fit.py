@@ -60,6 +60,9 @@ def fit(
     Without `exact`, `tolerance`, `rank` or `knots` the model is lossless to the eye: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.
 
+    Between frames that are far apart, as poses of a set are, lengths and angles are made to agree in the anchored
+    placement, unless `rank` or `knots` leave too few numbers to tell them: no face is torn half-way.
+
     Parameters
     ----------
     sequence : MeshSequence or SequenceReader
