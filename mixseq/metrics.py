@@ -24,13 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
 from mixseq.spread import Gathered, Spread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 SAME_TIME = 1e-6
 """Times that differ by less than this fraction of a frame are the same."""

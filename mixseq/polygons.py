@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import IntArray
 from mixseq.errors import InvalidSequenceError
-
-FloatArray = NDArray[np.floating[Any]]
-IntArray = NDArray[np.integer[Any]]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:

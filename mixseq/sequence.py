@@ -15,14 +15,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.polygons import FloatArray, IntArray, Polygons, frozen
+from mixseq.polygons import Polygons, frozen
 from mixseq.surface import MeshObject, Surface
 
 __all__ = [
-    "FloatArray",
     "Frames",
-    "IntArray",
     "MeshSequence",
     "Polygons",
     "SequenceHeader",

@@ -9,15 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_block
+from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_block
 from mixseq.table import Table, new_table
-
-Float = NDArray[np.float64]
 
 _AT_ONCE = 8, 1 << 20  # frames, and vertices, in a block: at most 24 MB of float64, unless one frame is more
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.polygons import FloatArray, IntArray, Polygons, as_indices, frozen
+from mixseq.polygons import Polygons, as_indices, frozen
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 

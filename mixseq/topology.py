@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Index, IntArray, Mask
 from mixseq.pickling import Remade
-from mixseq.sequence import IntArray
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

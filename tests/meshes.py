@@ -8,11 +8,10 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 Mesh = tuple[Float, Index]
 
 

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from mixseq.arrays import FloatArray
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.creature.gait import DUTY, LEGS, STEP, paw_path, pose
 from mixseq.creature.skeleton import BONES, HEADS, NAMES, PARENTS, TAILS, body_distance, bone_distances
 from mixseq.creature.surface import polygonise
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 
 
 @pytest.fixture(scope="module")

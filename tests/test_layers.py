@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 LAYERS = (
-    ("compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
+    ("arrays", "compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
     ("cluster", "mapping", "polygons", "table"),
     ("surface",),
     ("sequence",),

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from mixseq import metrics
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare, shared_frames
 from mixseq.sequence import MeshSequence
 from mixseq.spread import Spread
-from tests.meshes import SEQUENCES, Float, bar, grid, rotation, tetrahedron, topology_of, tube
+from tests.meshes import SEQUENCES, bar, grid, rotation, tetrahedron, topology_of, tube
 
 
 def still(points: Float, faces: object, frames: int = 1) -> MeshSequence:

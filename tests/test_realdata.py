@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import FloatArray
 from mixseq.operations.interpolation import Blend
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.spaces.mixed import PLACEMENTS, PlacementName
 
 pytestmark = pytest.mark.realdata

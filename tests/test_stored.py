@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mixseq import table
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.stored import block_size, blocks_of, stored
 from mixseq.table import DiskTable
 from tests.meshes import bar

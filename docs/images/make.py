@@ -15,10 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.cli.transfer import command as transfer_command
 from mixseq.coding.decode import decode_basis
 from mixseq.coding.graph import mesh_graph
@@ -56,9 +56,6 @@ from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model
 from mixseq.spaces import MixedSpace
-
-Float = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 HERE = Path(__file__).parent
 MARKERS = HERE.parents[1] / "scripts" / "benchmarks" / "markers"
@@ -132,7 +129,7 @@ def moving(path: Path) -> None:
     print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
-def labels_of(model: Model) -> tuple[Labels, Labels]:
+def labels_of(model: Model) -> tuple[Index, Index]:
     """Return the part and the joint ``(F,)`` of every triangle."""
     return model.decomposition.part_of_face, model.decomposition.joint_of_face
 
@@ -140,7 +137,7 @@ def labels_of(model: Model) -> tuple[Labels, Labels]:
 def segmentations(path: Path) -> None:
     """Parts by all methods that look at motion, from two sides."""
     walk = walk_cycle()
-    columns: dict[str, tuple[Labels, Labels]] = {}
+    columns: dict[str, tuple[Index, Index]] = {}
     for method in METHODS:
         part = mixseq.segment(walk, method)
         columns[f"{method}: {part.max() + 1} parts"] = part, np.full(len(part), -1)
@@ -150,7 +147,7 @@ def segmentations(path: Path) -> None:
 def softening(path: Path) -> None:
     """Joints of two poses, at boundaries only and inside parts."""
     walk = walk_cycle()
-    columns: dict[str, tuple[Labels, Labels]] = {}
+    columns: dict[str, tuple[Index, Index]] = {}
     for title, shrink in (("at boundaries only", None), ("shrink=0.01", 0.01)):
         space = Blend.of(walk, among=[0, 12], shrink=shrink).space
         assert isinstance(space, MixedSpace)
@@ -158,9 +155,7 @@ def softening(path: Path) -> None:
     from_two_sides(path, walk, columns)
 
 
-def from_two_sides(
-    path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, tuple[Labels, Labels]]
-) -> None:
+def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, tuple[Index, Index]]) -> None:
     """Draw the first frame in every column with its parts and joints, both sides below each other."""
     sides = two_sides(walk.points[:1])
     page = Sheet.of(2, len(columns), height_per_width(sides), "")
@@ -435,7 +430,7 @@ def contacts(path: Path) -> None:
     save(page, path, SHEET_WIDTH, COLOURS)
 
 
-def middles(made: Transfer, vertices: Labels) -> Float:
+def middles(made: Transfer, vertices: Index) -> Float:
     """Return the middle ``(T, 3)`` of some vertices of the target."""
     return np.concatenate([block[:, vertices].mean(axis=1) for block in made.blocks()])
 

@@ -10,8 +10,9 @@ from itertools import chain, tee
 import numpy as np
 from numpy.typing import DTypeLike
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning
-from mixseq.sequence import FloatArray, SequenceHeader, check_block
+from mixseq.sequence import SequenceHeader, check_block
 
 Numbered = tuple[int, FloatArray, FloatArray | None]
 """Index of a block's first frame, its points ``(B, V, 3)``, and its velocities, if there are any."""

@@ -8,8 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.isolation import can_isolate, open_isolated
 from mixseq_io.reader import SequenceReader
 

@@ -25,8 +25,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
 from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader

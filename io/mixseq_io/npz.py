@@ -41,8 +41,9 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
-from mixseq.sequence import DEFAULT_FPS, FloatArray, Polygons, SequenceHeader
+from mixseq.sequence import DEFAULT_FPS, Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
 from mixseq_io.reader import SequenceReader, naming, reading

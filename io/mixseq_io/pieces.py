@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray, Polygons
+from mixseq.arrays import IntArray
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq_io.blocks import warn

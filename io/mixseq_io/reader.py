@@ -9,8 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, SettingsError
-from mixseq.sequence import FloatArray, SequenceHeader, check_block
+from mixseq.sequence import SequenceHeader, check_block
 from mixseq_io.blocks import check_velocities
 from mixseq_io.labels.markings import Markings, sets_of
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader, collect
+from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq_io.format import Format
 from mixseq_io.formats import FORMATS
 from mixseq_io.reader import SequenceReader, naming

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray, Frames, SequenceHeader, bounding_diagonal, check_frames
+from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
 from mixseq.signals.model import FRAMES, Model
 from mixseq_io.hdf5.coded import read_coded
 from mixseq_io.hdf5.model import decoded

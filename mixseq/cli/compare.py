@@ -18,9 +18,10 @@ from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader
 from mixseq.errors import MixseqWarning, SettingsError
 
 if TYPE_CHECKING:
+    from mixseq.arrays import FloatArray
     from mixseq.metrics import Comparison
     from mixseq.progress import Progress
-    from mixseq.sequence import FloatArray, Frames, SequenceHeader
+    from mixseq.sequence import Frames, SequenceHeader
     from mixseq.spread import Spread
 
 

@@ -14,8 +14,9 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
+    from mixseq.arrays import FloatArray
     from mixseq.mapping import OrderedMap
-    from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+    from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
 
 MODEL_EXTENSIONS = (".h5", ".hdf5")

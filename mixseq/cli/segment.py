@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from mixseq.arrays import FloatArray
     from mixseq.segmentation.methods import MethodName
-    from mixseq.sequence import FloatArray, SequenceHeader
+    from mixseq.sequence import SequenceHeader
     from mixseq_io import Labels, SequenceReader
 
 METHODS = ("motion", "silhouettes", "spanning-tree", "labels", "skeleton")

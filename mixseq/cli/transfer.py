@@ -29,12 +29,13 @@ from mixseq.cli.transferred import facts, rows
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 
 if TYPE_CHECKING:
+    from mixseq.arrays import FloatArray
     from mixseq.correspondence.dense import Correspondence
     from mixseq.correspondence.markers import Markers
     from mixseq.mapping import OrderedMap
     from mixseq.retargeting.sources import SourceMotion
     from mixseq.retargeting.transfer import MethodName, Transfer
-    from mixseq.sequence import FloatArray, MeshSequence
+    from mixseq.sequence import MeshSequence
     from mixseq.signals import Model
     from mixseq_io import SequenceReader
 

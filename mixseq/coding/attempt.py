@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import Chunk
 from mixseq.coding.corrections import needed, write_corrections
@@ -17,8 +18,6 @@ from mixseq.coding.graph import SignalGraph
 from mixseq.coding.parts import Part
 from mixseq.coding.streams import basis_of, chunks, write_fields, write_tracks
 from mixseq.stored import Stored, blocks_of
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.coded import FactorName
 from mixseq.stored import Stored, block_size, blocks_of
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +41,7 @@ class Basis:
     name: FactorName
     fields: Float
     frame_count: int
-    parts: Int
+    parts: Index
 
     @property
     def norms(self) -> Float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.coding.attempt import Attempt
 from mixseq.coding.coded import Coded, CodingParameters
@@ -21,8 +20,6 @@ from mixseq.progress import Progress, Stages, silent
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
 from mixseq.stored import Stored, blocks_of, stored
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
 
 
 def compress(

@@ -46,13 +46,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.coding.entropy import Reader, Tables, Writer
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.polygons import Polygons
-
-Int = NDArray[np.int64]
 
 _FIRST_ROUND, _LONGEST_ROUND = 1 << 6, 1 << 16
 
@@ -132,7 +130,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
     if sum(lengths) > _most_bits(polygon_count, corner_count):
         raise FormatError(f"{sum(lengths)} bits are too many for {mesh}; the file is damaged")
     reader, tables = Reader(data[start:]), _tables(QUEUES)
-    queues: list[list[Int]] = [[np.zeros(0, dtype=np.int64)] for _ in range(QUEUES)]
+    queues: list[list[Index]] = [[np.zeros(0, dtype=np.int64)] for _ in range(QUEUES)]
     for _, sizes in _rounds(np.array(lengths)):
         part = reader.get(np.repeat(np.arange(QUEUES), sizes), tables)
         for queue, numbers in zip(queues, np.split(part, np.cumsum(sizes)[:-1]), strict=True):
@@ -165,7 +163,7 @@ def _tables(queues: int) -> Tables:
     return Tables([ratio / (1 - ratio) for ratio in ratios], largest=1)
 
 
-def _rounds(lengths: Int) -> Iterator[tuple[int, Int]]:
+def _rounds(lengths: Index) -> Iterator[tuple[int, Index]]:
     """Yield where a round starts in every queue, and how many bits of every queue it has."""
     first, size = 0, _FIRST_ROUND
     while first < lengths.max():

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.coding.half_edges import (
     CLOSED,
     INTO,
@@ -25,8 +26,6 @@ from mixseq.coding.half_edges import (
 )
 from mixseq.coding.mixing import SPREAD, Bits, code
 from mixseq.compiled import compiled, constant, inlined
-
-Int = NDArray[np.int64]
 
 INPUTS = 8
 """Number of contexts of a bit."""
@@ -82,24 +81,24 @@ class Past(NamedTuple):
         The polygon that had a vertex last, -1 if there is none.
     """
 
-    guesses: Int
-    successes: Int
-    winners: Int
-    trail: Int
-    near: Int
-    bases: Int
-    distances: Int
-    named: Int
-    last_distances: Int
-    repeats: Int
-    about: Int
+    guesses: Index
+    successes: Index
+    winners: Index
+    trail: Index
+    near: Index
+    bases: Index
+    distances: Index
+    named: Index
+    last_distances: Index
+    repeats: Index
+    about: Index
     used: NDArray[np.int32]
 
 
 def no_past(vertex_count: int) -> Past:
     """Return what is remembered at the start: nothing."""
 
-    def zeros(*shape: int) -> Int:
+    def zeros(*shape: int) -> Index:
         return np.zeros(shape, dtype=np.int64)
 
     return Past(
@@ -119,7 +118,7 @@ def no_past(vertex_count: int) -> Past:
 
 
 @compiled
-def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Int, indices: Int) -> None:
+def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index) -> None:
     """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); `bits.failed` says if that failed."""
     corner = _FIRST
     first = previous = 0  # corners that the polygon before, and the one before that, start from
@@ -225,7 +224,7 @@ def _vertex(
     bits: Bits,
     mesh: HalfEdges,
     past: Past,
-    indices: Int,
+    indices: Index,
     polygon: int,
     start: int,
     corner: int,
@@ -364,7 +363,7 @@ def _number(bits: Bits, past: Past, what: int, number: int) -> int:
 
 
 @inlined
-def _slot(indices: Int, corner: int, place: int) -> int:
+def _slot(indices: Index, corner: int, place: int) -> int:
     """Where it is remembered what came after the last three differences."""
     key = indices[corner] - indices[corner - 1]
     key = key * 1000003 + indices[corner - 1] - indices[corner - 2]

@@ -18,14 +18,12 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.entropy import Reader, Tables, Writer
 from mixseq.coding.graph import SignalGraph
 from mixseq.errors import FormatError
 
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
-
-Correction = tuple[Int, Int]
+Correction = tuple[Index, Index]
 """Vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of `width`."""
 
 RUN = 16
@@ -45,7 +43,7 @@ def width(bound: float) -> float:
     return float(2.0 * bound / np.sqrt(3.0))
 
 
-def needed(apart: Float, bound: float) -> Int:
+def needed(apart: Float, bound: float) -> Index:
     """Return corrections in units of `width`.
 
     Parameters
@@ -64,7 +62,7 @@ def needed(apart: Float, bound: float) -> Int:
     return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)
 
 
-def write_corrections(frames: Iterable[Int], graph: SignalGraph) -> bytes:
+def write_corrections(frames: Iterable[Index], graph: SignalGraph) -> bytes:
     """Code the corrections of consecutive frames, ``(V, 3)`` each; nothing at all if there are none.
 
     Runs of `RUN` frames are coded by themselves, so that one frame can be decoded without many others: first the
@@ -112,13 +110,13 @@ def read_corrections(stream: bytes, count: int, run: int, graph: SignalGraph) ->
     return _read_run(stream[start : start + int(lengths[run])], frames, graph)
 
 
-def _runs(frames: Iterable[Int]) -> Iterator[list[Int]]:
+def _runs(frames: Iterable[Index]) -> Iterator[list[Index]]:
     rest = iter(frames)
     while run := list(islice(rest, RUN)):
         yield run
 
 
-def _write_run(frames: Iterable[Int], graph: SignalGraph) -> bytes:
+def _write_run(frames: Iterable[Index], graph: SignalGraph) -> bytes:
     writer, contexts, something = Writer(), _Contexts(graph), False
     for vertices in frames:
         frame = vertices[graph.order]
@@ -174,7 +172,7 @@ class _Contexts:
     def begin(self) -> None:
         self.corrected = np.zeros(self._graph.size)
 
-    def of(self, batch: slice) -> Int:
+    def of(self, batch: slice) -> Index:
         """Contexts ``(n,)``: by the neighbours that are known, and by the frame before."""
         from mixseq.coding.prediction_kernels import surroundings
 
@@ -182,11 +180,11 @@ class _Contexts:
         beside = surroundings(batch.start, batch.stop, flags, flags, graph.neighbours, graph.counts)
         return np.searchsorted(_LEVELS, beside).astype(np.int64) + self._levels * self._before[batch]
 
-    def of_numbers(self, nodes: Int) -> Int:
+    def of_numbers(self, nodes: Index) -> Index:
         """Contexts ``(3 n,)`` of the coordinates: by their size in the frame before."""
         return np.asarray(np.abs(self._last[nodes].clip(-3, 3)).reshape(-1))
 
-    def finish(self, frame: Int) -> None:
+    def finish(self, frame: Index) -> None:
         from mixseq.coding.prediction_kernels import smooth
 
         graph = self._graph

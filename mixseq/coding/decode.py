@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import Chunk, Coded
 from mixseq.coding.corrections import RUN, Correction, read_corrections
@@ -24,9 +25,6 @@ from mixseq.signals.pose import NEGLIGIBLE, straight_modes
 from mixseq.spaces import ShapeSpace, VertexSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 _KEPT = 8
 """Runs of corrections that are kept."""
@@ -157,7 +155,7 @@ class CodedCorrections(Remade):
                 moved[row, nodes] += sign * self.unit * numbers / (self.times[frame + 1] - self.times[frame])
         return moved
 
-    def _places(self, times: Float) -> tuple[Int, Float]:
+    def _places(self, times: Float) -> tuple[Index, Float]:
         """Frames before or at times, and how far times are on the way to the next."""
         places = np.interp(times, self.times, np.arange(len(self.times)))
         nearest = np.rint(places)
@@ -185,7 +183,7 @@ class CodedCorrections(Remade):
             return decoded
 
     @cached_property
-    def _starts(self) -> Int:
+    def _starts(self) -> Index:
         return np.cumsum([0, *(chunk.count for chunk in self.chunks)])[:-1]
 
     @cached_property

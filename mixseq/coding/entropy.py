@@ -16,12 +16,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import FormatError
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 MOST = 1 << 11
 """A context forgets, by halves, what it saw beyond so many numbers."""
@@ -60,17 +57,17 @@ class Tables:
             whole = whole + column
         # In 64ths of a number; one more symbol, the last, for numbers that are larger.
         counts = np.floor(64 * START * shares / whole[:, None]).astype(np.int64) + FLOOR
-        self.counts: Int = np.concatenate([counts, np.full((len(ratios), 1), FLOOR)], axis=1)
+        self.counts: Index = np.concatenate([counts, np.full((len(ratios), 1), FLOOR)], axis=1)
         self._large = np.full((1, 64), 8, dtype=np.int64)
 
-    def probabilities(self, contexts: Int) -> Float:
+    def probabilities(self, contexts: Index) -> Float:
         """Return the probabilities ``(n, 2 largest + 2)`` of the symbols of numbers in contexts ``(n,)``."""
         from mixseq.coding.entropy_kernels import shares
 
         rows: Float = shares(self.counts, contexts)
         return rows
 
-    def update(self, symbols: Int, contexts: Int) -> None:
+    def update(self, symbols: Index, contexts: Index) -> None:
         """Count symbols ``(n,)`` in contexts ``(n,)``."""
         from mixseq.coding.entropy_kernels import count
 
@@ -85,7 +82,7 @@ class Writer:
 
         self._coder: Any = stream.queue.RangeEncoder()
 
-    def put(self, numbers: Int, contexts: Int, tables: Tables) -> None:
+    def put(self, numbers: Index, contexts: Index, tables: Tables) -> None:
         """Write numbers ``(n,)`` of any sign and size, each in its context ``(n,)``; the tables learn them."""
         if not len(numbers):
             return
@@ -96,7 +93,7 @@ class Writer:
         if far.any():
             self._put_large(numbers[far], tables)
 
-    def _put_large(self, numbers: Int, tables: Tables) -> None:
+    def _put_large(self, numbers: Index, tables: Tables) -> None:
         """Signs, how many bits there are beyond the alphabet, and these bits (the code of Elias)."""
         rest = np.abs(numbers) - tables.largest
         lengths = _bit_lengths(rest)
@@ -108,7 +105,7 @@ class Writer:
             some = lengths > shift
             self.put_flat((rest[some] >> shift) & ((1 << _BITS) - 1), 1 << _BITS)
 
-    def put_flat(self, numbers: Int, size: int) -> None:
+    def put_flat(self, numbers: Index, size: int) -> None:
         """Write numbers ``(n,)`` from 0 to below `size`, all equally likely."""
         if len(numbers) and size > 1:
             self._coder.encode(numbers.astype(np.int32), _flat(size))
@@ -140,7 +137,7 @@ class Reader:
             raise FormatError("coded numbers end within a word; the file is damaged")
         self._coder: Any = stream.queue.RangeDecoder(np.frombuffer(data, dtype="<u4").astype(np.uint32))
 
-    def get(self, contexts: Int, tables: Tables) -> Int:
+    def get(self, contexts: Index, tables: Tables) -> Index:
         """Read numbers ``(n,)`` in contexts ``(n,)``; the tables learn them."""
         if not len(contexts):
             return np.zeros(0, dtype=np.int64)
@@ -152,7 +149,7 @@ class Reader:
             numbers[far] = self._get_large(int(far.sum()), tables)
         return numbers
 
-    def _get_large(self, count: int, tables: Tables) -> Int:
+    def _get_large(self, count: int, tables: Tables) -> Index:
         negative = self.get_flat(count, 2)
         lengths = self._decode(_one((tables._large / tables._large.sum())[0]), count)
         tables._large[0] += 64 * np.bincount(lengths, minlength=64)
@@ -162,13 +159,13 @@ class Reader:
             rest[some] |= self.get_flat(int(some.sum()), 1 << _BITS) << shift
         return np.where(negative == 1, -1, 1) * (rest + tables.largest)
 
-    def get_flat(self, count: int, size: int) -> Int:
+    def get_flat(self, count: int, size: int) -> Index:
         """Read `count` numbers from 0 to below `size` that `Writer.put_flat` wrote."""
         if not count or size <= 1:
             return np.zeros(count, dtype=np.int64)
         return self._decode(_flat(size), count)
 
-    def _decode(self, model: Any, parameters: Any) -> Int:
+    def _decode(self, model: Any, parameters: Any) -> Index:
         try:
             return np.asarray(self._coder.decode(model, parameters), dtype=np.int64)
         except (AssertionError, ValueError) as error:
@@ -194,7 +191,7 @@ def _flat(size: int) -> Any:
     return stream.model.Uniform(size)
 
 
-def _bit_lengths(numbers: Int) -> Int:
+def _bit_lengths(numbers: Index) -> Index:
     """Return how many bits numbers ``(n,)`` have, all larger than zero."""
     lengths = np.zeros(len(numbers), dtype=np.int64)
     rest = numbers.copy()

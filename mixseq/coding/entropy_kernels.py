@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 
 @compiled
-def shares(counts: Int, contexts: Int) -> Float:
+def shares(counts: Index, contexts: Index) -> Float:
     """Return the probabilities ``(n, S)`` of symbols in contexts ``(n,)``: quotients of counts ``(C, S)``."""
     size = counts.shape[1]
     whole = np.zeros(len(counts))
@@ -30,7 +27,7 @@ def shares(counts: Int, contexts: Int) -> Float:
 
 
 @compiled
-def count(counts: Int, symbols: Int, contexts: Int, weight: int, most: int) -> None:
+def count(counts: Index, symbols: Index, contexts: Index, weight: int, most: int) -> None:
     """Add symbols ``(n,)`` to the counts of their contexts, and halve counts that are too many."""
     for place in range(len(symbols)):
         counts[contexts[place], symbols[place]] += weight

@@ -18,15 +18,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.coded import FactorName
 from mixseq.stored import Stored
 from mixseq.table import Table, column_blocks, new_table
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 MOST = 3000
 """Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
@@ -55,7 +52,7 @@ class Factors:
     sizes: Float
 
 
-def factor(sequence: Stored, name: FactorName, least: float, some: Int | None = None) -> Factors:
+def factor(sequence: Stored, name: FactorName, least: float, some: Index | None = None) -> Factors:
     """Find the fields of a sequence, or of some of its vertices.
 
     Parameters
@@ -124,7 +121,7 @@ def _projected(table: Table, basis: Float) -> Iterator[Float]:
         yield components
 
 
-def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:
+def _centred(sequence: Stored, frames: Index, mean: Float | None) -> Table:
     """Return trajectories without the mean of all vertices (3T, V), or frames without the mean shape (T, 3V)."""
     vertices = sequence.points.shape[1]
     if mean is not None:
@@ -139,14 +136,14 @@ def _centred(sequence: Stored, frames: Int, mean: Float | None) -> Table:
     return table
 
 
-def _of_vertices(sequence: Stored, some: Int) -> Table:
+def _of_vertices(sequence: Stored, some: Index) -> Table:
     points = new_table((len(sequence.points), len(some), 3), sequence.points.dtype)
     for frame in range(len(points)):
         points[frame : frame + 1] = sequence.points[frame : frame + 1][:, some]
     return points
 
 
-def _mean_shape(sequence: Stored, frames: Int) -> Float:
+def _mean_shape(sequence: Stored, frames: Index) -> Float:
     total = np.zeros(sequence.points.shape[1:])
     for frame in frames:
         total += sequence.points[frame : frame + 1][0]

@@ -10,12 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.entropy import Reader, Tables, Writer
 from mixseq.coding.graph import SignalGraph
 from mixseq.coding.prediction import CONTEXTS, GROWTH, Predictor, bounds
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 _SMALL = 0.6
 """In contexts of expected sizes up to this, few numbers have symbols of their own, which is quicker."""
@@ -89,13 +87,13 @@ class FieldCoder:
             self._predictor.restore(batch, numbers)
         return self._finished()
 
-    def _write_large(self, writer: Writer, numbers: Int, contexts: Int) -> None:
+    def _write_large(self, writer: Writer, numbers: Index, contexts: Index) -> None:
         shifts = self._models.shifts[contexts]
         writer.put(numbers >> shifts, contexts, self._models.tables)
         for shift, some in _shifted(shifts):
             writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
 
-    def _read_large(self, reader: Reader, contexts: Int) -> Int:
+    def _read_large(self, reader: Reader, contexts: Index) -> Index:
         shifts = self._models.shifts[contexts]
         numbers = reader.get(contexts, self._models.tables) << shifts
         for shift, some in _shifted(shifts):
@@ -108,7 +106,7 @@ class FieldCoder:
         return values
 
 
-def _shifted(shifts: Int) -> list[tuple[int, NDArray[np.bool_]]]:
+def _shifted(shifts: Index) -> list[tuple[int, NDArray[np.bool_]]]:
     """Return which shifts ``(n,)`` there are, but zero, and where."""
     if not shifts.any():
         return []

@@ -18,10 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.polygons import frozen
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 MOST = 12
 """Nodes are predicted from so many neighbours at most."""
@@ -62,20 +60,20 @@ class SignalGraph:
         All nodes beside node i, before or after it: ``ring[ring_starts[i] : ring_starts[i + 1]]``.
     """
 
-    order: Int
+    order: Index
     batches: tuple[slice, ...]
-    neighbours: Int
-    counts: Int
+    neighbours: Index
+    counts: Index
     weights: Float
-    ring: Int
-    ring_starts: Int
+    ring: Index
+    ring_starts: Index
 
     @property
     def size(self) -> int:
         """Number N of nodes."""
         return len(self.order)
 
-    def with_more(self, nodes: Int, sizes: Int) -> SignalGraph:
+    def with_more(self, nodes: Index, sizes: Index) -> SignalGraph:
         """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, at first without weight."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         rows = np.arange(self.size)
@@ -106,7 +104,7 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
     left = np.ones(vertex_count, dtype=bool)
-    levels: list[Int] = []
+    levels: list[Index] = []
     starts, beside = ring_starts, ring
     while len(edges):
         degrees = np.diff(starts)
@@ -169,7 +167,7 @@ def path_graph(count: int) -> SignalGraph:
     return _graph(levels, neighbours, counts, weights, ring, ring_starts, TRACK)
 
 
-def _lagrange(nodes: Int, at: int) -> Float:
+def _lagrange(nodes: Index, at: int) -> Float:
     """Weights of the polynomial through values at nodes; quotients of whole numbers, the same on all machines."""
     weights = np.ones(len(nodes))
     for one, node in enumerate(nodes.tolist()):
@@ -182,12 +180,12 @@ def _lagrange(nodes: Int, at: int) -> Float:
 
 
 def _graph(
-    levels: list[Int],
-    neighbours: Int,
-    counts: Int,
+    levels: list[Index],
+    neighbours: Index,
+    counts: Index,
     weights: Float,
-    ring: Int,
-    ring_starts: Int,
+    ring: Index,
+    ring_starts: Index,
     fewest: int = FEWEST,
 ) -> SignalGraph:
     order = np.concatenate(levels)
@@ -213,13 +211,13 @@ def _graph(
     return SignalGraph(order, batches, neighbours, counts, weights, ring, starts)
 
 
-def _unique(edges: Int, count: int) -> Int:
+def _unique(edges: Index, count: int) -> Index:
     """Return edges ``(E, 2)`` without repetitions, sorted."""
     keys = np.unique(edges[:, 0] * count + edges[:, 1])
     return np.stack([keys // count, keys % count], axis=1)
 
 
-def _adjacency(edges: Int, count: int) -> tuple[Int, Int]:
+def _adjacency(edges: Index, count: int) -> tuple[Index, Index]:
     """Return starts ``(N + 1,)`` and neighbours ``(2 E,)`` of all nodes, sorted."""
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]

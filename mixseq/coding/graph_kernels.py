@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.compiled import compiled
-
-Int = NDArray[np.int64]
 
 _MANY = 32
 """Neighbours that are so many times more are searched for what is shared, not gone through: fans have hubs."""
 
 
 @compiled
-def independent(nodes: Int, starts: Int, beside: Int, most: int) -> Int:
+def independent(nodes: Index, starts: Index, beside: Index, most: int) -> Index:
     """Return nodes, first come first served, no two of which are neighbours, with at most so many neighbours."""
     blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
     chosen = np.empty(len(nodes), dtype=np.int64)
@@ -30,7 +28,7 @@ def independent(nodes: Int, starts: Int, beside: Int, most: int) -> Int:
 
 
 @compiled
-def collapse(gone: Int, starts: Int, beside: Int, neighbours: Int, counts: Int) -> Int:
+def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
     """Note the neighbours of nodes that go, and return the edges ``(E, 2)`` that close the holes.
 
     All neighbours of a node are joined to the one of them that has most of the others as neighbours already, or to

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.compiled import compiled, constant, inlined
 
-Int = NDArray[np.int64]
 Small = NDArray[np.int32]
 
 UNUSED, OPEN, CLOSED = constant(0), constant(1), constant(2)
@@ -59,7 +59,7 @@ class HalfEdges(NamedTuple):
     open_edges: Small
     degrees: Small
     states: NDArray[np.uint8]
-    members: Int
+    members: Index
     trees: Small
     unused: Small
 
@@ -131,7 +131,7 @@ def move(mesh: HalfEdges, vertex: int, state: int) -> None:
 
 
 @compiled
-def add_polygon(mesh: HalfEdges, indices: Int, start: int, stop: int) -> None:
+def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
     """Add the polygon whose corners are those from `start` to below `stop`."""
     for corner in range(start, stop):
         _add(mesh, corner, indices[corner], indices[corner + 1 if corner + 1 < stop else start])

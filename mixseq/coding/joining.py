@@ -15,14 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.coded import MOST_PARTS
 from mixseq.errors import SegmentationError
 from mixseq.segmentation import segment
 from mixseq.stored import Stored
 from mixseq.topology import Topology
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 FACES = 8
 """Meshes with fewer faces for every part are not cut."""
@@ -31,7 +29,7 @@ FRAMES = 32
 """So many frames, evenly spread, are looked at."""
 
 
-def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Int]:
+def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Index]:
     """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing.
 
     Parameters
@@ -60,7 +58,7 @@ def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Int]:
     return dict(sorted(joined(points, labels, counts).items()))
 
 
-def joined(points: NDArray[np.floating], labels: Int, counts: tuple[int, ...]) -> dict[int, Int]:
+def joined(points: NDArray[np.floating], labels: Index, counts: tuple[int, ...]) -> dict[int, Index]:
     """Join parts two by two.
 
     Parameters
@@ -114,7 +112,7 @@ class _Sums(NamedTuple):
     squares: Float
 
     @classmethod
-    def of(cls, points: NDArray[np.floating], labels: Int, number: int) -> _Sums:
+    def of(cls, points: NDArray[np.floating], labels: Index, number: int) -> _Sums:
         rows = []
         for part in range(number):
             x = points[:, labels == part].astype(np.float64)
@@ -123,7 +121,7 @@ class _Sums(NamedTuple):
             rows.append((float(x.shape[1]), x[0].sum(axis=0), x.sum(axis=1), products, squares))
         return cls(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
-    def joined(self, one: int, others: Int) -> _Sums:
+    def joined(self, one: int, others: Index) -> _Sums:
         return _Sums(*(values[one] + values[others] for values in self))
 
     def energies(self) -> Float:

@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.compiled import compiled
 
-Int = NDArray[np.int64]
 Small = NDArray[np.int32]
 Byte = NDArray[np.uint8]
 
@@ -83,17 +83,17 @@ class Bits(NamedTuple):
 
     decoding: bool
     queued: Byte
-    heads: Int
-    ends: Int
-    failed: Int
-    contexts: Int
-    slots: Int
+    heads: Index
+    ends: Index
+    failed: Index
+    contexts: Index
+    slots: Index
     shares: Small
-    weights: Int
-    logits: Int
-    stretch: Int
-    squash: Int
-    steps: Int
+    weights: Index
+    logits: Index
+    stretch: Index
+    squash: Index
+    steps: Index
 
 
 def bits_to_code(room: int, inputs: int, sets: int) -> Bits:
@@ -101,7 +101,7 @@ def bits_to_code(room: int, inputs: int, sets: int) -> Bits:
     return _bits(False, np.empty(room, dtype=np.uint8), np.zeros(QUEUES, dtype=np.int64), inputs, sets)
 
 
-def bits_to_decode(queues: list[Int], inputs: int, sets: int) -> Bits:
+def bits_to_decode(queues: list[Index], inputs: int, sets: int) -> Bits:
     """Return a state in which nothing is known, with queues of bits."""
     lengths = np.array([len(queue) for queue in queues], dtype=np.int64)
     return _bits(True, np.concatenate(queues).astype(np.uint8), lengths, inputs, sets)
@@ -113,7 +113,7 @@ def queues_of(bits: Bits) -> list[Byte]:
     return [coded[coded >> 1 == queue] & 1 for queue in range(QUEUES)]
 
 
-def _bits(decoding: bool, queued: Byte, lengths: Int, inputs: int, sets: int) -> Bits:
+def _bits(decoding: bool, queued: Byte, lengths: Index, inputs: int, sets: int) -> Bits:
     squash = np.ones(2 * _FAR + 1)
     factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
     for x in range(_FAR):

@@ -17,12 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.coding.entropy import Reader, Tables, Writer
 from mixseq.coding.graph import SignalGraph, mesh_graph
 from mixseq.errors import FormatError
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 AGREEMENT = 8
 """Contexts of labels: shares of the known neighbours that agree, in eighths."""
@@ -31,7 +29,7 @@ AGREEMENT = 8
 class Part(NamedTuple):
     """Vertices ``(n,)`` of a part, increasing, and the graph over them."""
 
-    vertices: Int
+    vertices: Index
     graph: SignalGraph
 
 
@@ -40,7 +38,7 @@ def whole(graph: SignalGraph) -> tuple[Part, ...]:
     return (Part(np.arange(graph.size), graph),)
 
 
-def labels_of(parts: Sequence[Part]) -> Int:
+def labels_of(parts: Sequence[Part]) -> Index:
     """Return the part ``(V,)`` of every vertex."""
     labels = np.empty(sum(len(part.vertices) for part in parts), dtype=np.int64)
     for number, part in enumerate(parts):
@@ -48,7 +46,7 @@ def labels_of(parts: Sequence[Part]) -> Int:
     return labels
 
 
-def parts_of(labels: Int, faces: NDArray[np.integer]) -> tuple[Part, ...]:
+def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
     found = []
     for part in range(int(labels.max(initial=-1)) + 1):
@@ -58,7 +56,7 @@ def parts_of(labels: Int, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def write_labels(writer: Writer, labels: Int, graph: SignalGraph) -> None:
+def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
     """Code the part ``(V,)`` of every vertex; `graph` is that of the whole mesh."""
     tables, number = _tables(), int(labels.max(initial=0)) + 1
     nodes = labels[graph.order]
@@ -69,7 +67,7 @@ def write_labels(writer: Writer, labels: Int, graph: SignalGraph) -> None:
         writer.put_flat(nodes[batch][other], number)
 
 
-def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Int:
+def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
     """Return the labels ``(V,)`` of so many parts that `write_labels` wrote.
 
     Raises
@@ -97,7 +95,7 @@ def _tables() -> Tables:
     return Tables([0.5] * (AGREEMENT + 1), 1)
 
 
-def _expected(nodes: Int, batch: slice, graph: SignalGraph, number: int) -> tuple[Int, Int]:
+def _expected(nodes: Index, batch: slice, graph: SignalGraph, number: int) -> tuple[Index, Index]:
     """Return the label ``(n,)`` that most known neighbours have, and contexts ``(n,)``: how many have it."""
     neighbours = graph.neighbours[batch]
     known = (np.arange(neighbours.shape[1]) < graph.counts[batch, None]) & (neighbours < batch.start)

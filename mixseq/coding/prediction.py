@@ -24,12 +24,9 @@ The constants are ours, chosen on seven sequences of the test data.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.graph import SignalGraph
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 RIDGE = 0.5
 """Squared rounding error of a known signal, in steps, that weights have to live with (rho)."""
@@ -105,12 +102,12 @@ class Predictor:
         """Start a signal."""
         self.values = np.zeros(self.graph.size)
 
-    def contexts(self, batch: slice) -> Int:
+    def contexts(self, batch: slice) -> Index:
         """Return the contexts ``(n,)`` of the nodes of a batch, when all batches before are known."""
         from mixseq.coding.prediction_kernels import contexts
 
         graph = self.graph
-        found: Int = contexts(
+        found: Index = contexts(
             batch.start,
             batch.stop,
             self._sizes,
@@ -123,12 +120,12 @@ class Predictor:
         )
         return found
 
-    def quantise(self, batch: slice, targets: Float) -> Int:
+    def quantise(self, batch: slice, targets: Float) -> Index:
         """Return the numbers ``(n,)`` of a batch of a signal ``(N,)`` in steps, and note the values they stand for."""
         from mixseq.coding.prediction_kernels import quantise
 
         graph = self.graph
-        numbers: Int = quantise(
+        numbers: Index = quantise(
             batch.start,
             batch.stop,
             targets,
@@ -141,7 +138,7 @@ class Predictor:
         self._sizes[batch] = np.abs(numbers)
         return numbers
 
-    def restore(self, batch: slice, numbers: Int) -> None:
+    def restore(self, batch: slice, numbers: Index) -> None:
         """Note the values that numbers ``(n,)`` of a batch stand for."""
         from mixseq.coding.prediction_kernels import restore
 

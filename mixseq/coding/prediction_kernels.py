@@ -8,16 +8,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 
 @compiled
-def roughness(values: Float, neighbours: Int, counts: Int) -> float:
+def roughness(values: Float, neighbours: Index, counts: Index) -> float:
     """Return the mean square of the differences of nodes and their first neighbours."""
     total, pairs = 0.0, 0
     for node in range(len(values)):
@@ -29,7 +26,7 @@ def roughness(values: Float, neighbours: Int, counts: Int) -> float:
 
 
 @compiled
-def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float) -> None:
+def learn(values: Float, trust: float, neighbours: Index, counts: Index, gram: Float) -> None:
     """Add trust times the products of the differences of nodes and neighbours to the Gram matrices.
 
     Of every node's matrix the lower triangle is there, row by row; one node's after the other's.
@@ -46,7 +43,7 @@ def learn(values: Float, trust: float, neighbours: Int, counts: Int, gram: Float
 
 
 @compiled
-def solve(gram: Float, ridge: float, start: Float, counts: Int, weights: Float) -> None:
+def solve(gram: Float, ridge: float, start: Float, counts: Index, weights: Float) -> None:
     """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one.
 
     1e-12 of the trace of G is added to the ridge: matrices of signals of very many steps are singular but for rounding.
@@ -102,11 +99,11 @@ def quantise(
     last: int,
     targets: Float,
     margin: float,
-    neighbours: Int,
-    counts: Int,
+    neighbours: Index,
+    counts: Index,
     weights: Float,
     values: Float,
-) -> Int:
+) -> Index:
     """Round what predictions leave of targets, write the values that a decoder will have, return the numbers."""
     numbers = np.empty(last - first, dtype=np.int64)
     for node in range(first, last):
@@ -124,7 +121,7 @@ def quantise(
 
 @compiled
 def restore(
-    first: int, last: int, numbers: Int, neighbours: Int, counts: Int, weights: Float, values: Float
+    first: int, last: int, numbers: Index, neighbours: Index, counts: Index, weights: Float, values: Float
 ) -> None:
     """Write the values of nodes from the numbers that `quantise` returned."""
     for node in range(first, last):
@@ -135,7 +132,7 @@ def restore(
 
 
 @compiled
-def smooth(activity: Float, ring: Int, starts: Int) -> Float:
+def smooth(activity: Float, ring: Index, starts: Index) -> Float:
     """Return the means of all nodes' neighbours."""
     means = np.zeros(len(activity))
     for node in range(len(activity)):
@@ -148,7 +145,9 @@ def smooth(activity: Float, ring: Int, starts: Int) -> Float:
 
 
 @compiled
-def surroundings(first: int, last: int, sizes: Float, activity: Float, neighbours: Int, counts: Int) -> Float:
+def surroundings(
+    first: int, last: int, sizes: Float, activity: Float, neighbours: Index, counts: Index
+) -> Float:
     """Return the mean size of the numbers at neighbours before `first`, or nodes' own activity if there are none."""
     means = np.empty(last - first)
     for node in range(first, last):
@@ -170,9 +169,9 @@ def contexts(
     around: Float,
     shares: Float,
     bounds: Float,
-    neighbours: Int,
-    counts: Int,
-) -> Int:
+    neighbours: Index,
+    counts: Index,
+) -> Index:
     """Return in which interval between bounds the expected size of every node's number is."""
     means = surroundings(first, last, sizes, activity, neighbours, counts)
     places = np.empty(last - first, dtype=np.int64)

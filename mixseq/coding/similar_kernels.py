@@ -6,17 +6,14 @@ Decoders get the same nodes on every machine.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 
 @compiled
 def nearest(
-    values: Float, neighbours: Int, counts: Int, thorough: int, most: int, found: Int, sizes: Int
+    values: Float, neighbours: Index, counts: Index, thorough: int, most: int, found: Index, sizes: Index
 ) -> None:
     """Write the nodes before every node that are nearest to it in the values (N, D), but for its neighbours.
 
@@ -43,11 +40,11 @@ def _consider(
     node: int,
     other: int,
     values: Float,
-    neighbours: Int,
-    counts: Int,
+    neighbours: Index,
+    counts: Index,
     most: int,
-    found: Int,
-    sizes: Int,
+    found: Index,
+    sizes: Index,
     apart: Float,
 ) -> None:
     """Insert a node into the nearest ones, if it is one of them, and not among the neighbours."""

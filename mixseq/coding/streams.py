@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import FactorName
 from mixseq.coding.entropy import Reader, Writer
@@ -21,8 +22,6 @@ from mixseq.coding.fields import FieldCoder, NumberModels
 from mixseq.coding.graph import SignalGraph, path_graph
 from mixseq.coding.parts import Part, labels_of, parts_of, read_labels, whole, write_labels
 from mixseq.errors import FormatError
-
-Float = NDArray[np.float64]
 
 GROUP = 12
 """Fields in the first stream."""

@@ -23,8 +23,8 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.sides import exchanged_groups
 from mixseq.correspondence.suspects import (
@@ -36,11 +36,7 @@ from mixseq.correspondence.suspects import (
 )
 from mixseq.correspondence.thin_plate import Bending
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FEWEST = 4
 """Markers that fix an affine map."""

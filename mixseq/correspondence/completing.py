@@ -8,14 +8,10 @@ vertex of their component that it does not, and components that it leaves out fo
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 def complete(

@@ -11,12 +11,9 @@ along itself only.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SPACING = 0.02
 """Weight of even spacing against distance from the surface."""

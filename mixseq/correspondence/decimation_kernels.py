@@ -11,13 +11,9 @@ import heapq
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.compiled import compiled
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @compiled

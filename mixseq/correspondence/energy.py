@@ -24,15 +24,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.surfaces import Surface
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.solvers import Analysis, analyse
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _EDGE_WEIGHTS = 0.05, 20.0
 """Range of an edge's area by half its squared length, 0.6 in a regular mesh: slivers neither cut nor weld. Ours."""

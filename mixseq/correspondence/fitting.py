@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.energy import Pull
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.pairing import Pairing
 from mixseq.correspondence.surfaces import Part, Surface
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

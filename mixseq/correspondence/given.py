@@ -8,17 +8,14 @@ centroids.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.correspondence.completing import closest_facing, complete
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray, IntArray
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 Mesh = tuple[FloatArray, IntArray]
 """Points ``(V, 3)`` and triangles ``(F, 3)`` of a mesh at rest."""

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Index
 from mixseq.errors import SettingsError
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

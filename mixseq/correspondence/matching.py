@@ -11,18 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.pairing import Pairing
 from mixseq.correspondence.surfaces import Part, Surface
 from mixseq.errors import SettingsError
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

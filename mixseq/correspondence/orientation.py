@@ -12,15 +12,11 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.sequence import FloatArray, IntArray
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NO_VOLUME = 1e-9
 """Volumes below this share of a component's cubed diagonal are rounding; ours."""

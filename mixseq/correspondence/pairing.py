@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Index
 from mixseq.correspondence.markers import Markers
 from mixseq.topology import Topology
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

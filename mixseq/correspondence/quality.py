@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.matching import Matches, MatchingSettings
 from mixseq.correspondence.pairing import Pairing
 from mixseq.correspondence.surfaces import Part, Surface
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.energy import Energy
 from mixseq.correspondence.fitting import Fitting
 from mixseq.correspondence.markers import Markers
@@ -27,9 +27,6 @@ from mixseq.correspondence.similarity import Similarity, fit_similarity
 from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import SettingsError
 from mixseq.progress import Progress, silent
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _BEGINNING = 3  # minimisations with markers alone, ours: similarities follow from the maps before
 

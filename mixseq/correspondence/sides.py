@@ -8,12 +8,9 @@ others, which are exchanged as well, but leaving both groups out tells: a spline
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.thin_plate import Bending
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LARGEST_SHARE = 0.25
 """A group has at most this share of all markers; ours."""

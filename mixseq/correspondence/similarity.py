@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import kabsch
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,9 @@ root mean square distance of 1 from there. All numbers are ours; `mixseq.corresp
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.thin_plate import Bending
-
-Float = NDArray[np.float64]
 
 FEWEST_COMPARED = 8
 """Markers of which some can be compared with the others."""

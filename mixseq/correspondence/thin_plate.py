@@ -21,10 +21,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
 
 SLACK = 0.05
 """Slack of the splines, in root mean square distances from the centre; ours. It hardly matters from 0 to 0.2."""

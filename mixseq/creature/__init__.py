@@ -12,9 +12,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.creature.gait import pose
-from mixseq.creature.skeleton import HEADS, NAMES, Array, body_distance, bone_distances
-from mixseq.creature.surface import Indices, neighbour_mean, polygonise
+from mixseq.creature.skeleton import HEADS, NAMES, body_distance, bone_distances
+from mixseq.creature.surface import neighbour_mean, polygonise
 from mixseq.sequence import MeshSequence
 
 __all__ = ["part_of_vertex", "walk_cycle"]
@@ -69,7 +70,7 @@ def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
 
 
 @cache
-def _rest() -> tuple[Array, Indices, Array]:
+def _rest() -> tuple[Float, Index, Float]:
     """Rest pose ``(V, 3)``, faces ``(F, 3)`` and skinning weights ``(V, B)``; read-only, as it is cached."""
     low, high = np.array([-1.05, -0.05, -0.24]), np.array([0.70, 1.08, 0.24])
     points, faces = polygonise(body_distance, low, high, CELL)
@@ -79,7 +80,7 @@ def _rest() -> tuple[Array, Indices, Array]:
     return arrays
 
 
-def skin_weights(points: Array, faces: Indices) -> Array:
+def skin_weights(points: Float, faces: Index) -> Float:
     """Share every vertex out to the bones.
 
     A vertex belongs to the nearest bone; diffusion over the mesh softens the borders. It spreads along the
@@ -97,7 +98,7 @@ def skin_weights(points: Array, faces: Indices) -> Array:
     (V, B) float64
         Rows add up to one.
     """
-    weights: Array = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
+    weights: Float = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
     mean = neighbour_mean(faces, len(points))
     for _ in range(SOFTNESS):
         weights = (weights + mean @ weights) / 2

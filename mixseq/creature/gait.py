@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mixseq.creature.skeleton import HEADS, NAMES, PARENTS, TAILS, Array
+from mixseq.arrays import Float
+from mixseq.creature.skeleton import HEADS, NAMES, PARENTS, TAILS
 
 DUTY = 0.64  # share of the cycle that a paw is on the ground
 STEP = 0.30  # metres that the ground moves past during that time
@@ -90,7 +91,7 @@ SWINGS = (
 )
 
 
-def pose(phase: Array) -> tuple[Array, Array]:
+def pose(phase: Float) -> tuple[Float, Float]:
     """Pose the skeleton.
 
     Parameters
@@ -121,7 +122,7 @@ def pose(phase: Array) -> tuple[Array, Array]:
     return rotations, heads
 
 
-def paw_path(phase: Array) -> tuple[Array, Array, Array]:
+def paw_path(phase: Float) -> tuple[Float, Float, Float]:
     """Path of a paw that lands at phase 0.
 
     Parameters
@@ -147,7 +148,7 @@ def paw_path(phase: Array) -> tuple[Array, Array, Array]:
     return forward, height, pitch
 
 
-def _bob(phase: Array) -> Array:
+def _bob(phase: Float) -> Float:
     """Offset of the body ``(T, 3)``: sinks at each hind landing, leans over the leg that carries it."""
     once, twice = 2 * np.pi * phase, 4 * np.pi * phase
     return np.stack(
@@ -155,18 +156,18 @@ def _bob(phase: Array) -> Array:
     )
 
 
-def _about(axis: int, angle: Array) -> Array:
+def _about(axis: int, angle: Float) -> Float:
     """Rotations ``(T, 3, 3)`` about a coordinate axis by angles ``(T,)`` in radians."""
     return Rotation.from_rotvec(angle[:, None] * np.eye(3)[axis]).as_matrix()
 
 
-def _bump(phase: Array, centre: float, width: float) -> Array:
+def _bump(phase: Float, centre: float, width: float) -> Float:
     """Rise from 0 to 1 and back, smoothly, within ``width`` on either side of ``centre``."""
     offset = (phase - centre + 0.5) % 1.0 - 0.5
     return np.where(np.abs(offset) < width, np.cos(np.pi / 2 * offset / width) ** 2, 0.0)
 
 
-def _place_leg(leg: Leg, phase: Array, rotations: Array, heads: Array) -> None:
+def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
     """Write the pose of one leg's four bones, so that its paw follows the path."""
     upper, lower, pastern, paw = (NAMES.index(name) for name in (leg.upper, leg.lower, leg.pastern, leg.paw))
     phase = (phase - leg.landing) % 1.0
@@ -185,7 +186,7 @@ def _place_leg(leg: Leg, phase: Array, rotations: Array, heads: Array) -> None:
     rotations[:, lower] = _turn(heads[:, pastern] - heads[:, lower], HEADS[pastern] - HEADS[lower], side)
 
 
-def _reach(hip: Array, ankle: Array, rest: Array) -> tuple[Array, Array]:
+def _reach(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
     """Find the knee between a hip and an ankle.
 
     Parameters
@@ -212,12 +213,12 @@ def _reach(hip: Array, ankle: Array, rest: Array) -> tuple[Array, Array]:
     return hip + along * down + bend * aside * np.cross(side, down), side
 
 
-def _turn(posed: Array, rest: Array, side: Array) -> Array:
+def _turn(posed: Float, rest: Float, side: Float) -> Float:
     """Rotations ``(T, 3, 3)`` that take a bone's rest direction to the posed one, and +z to ``side``."""
     return _frame(posed, side) @ np.swapaxes(_frame(rest[None], SIDE[None]), 1, 2)
 
 
-def _frame(along: Array, side: Array) -> Array:
+def _frame(along: Float, side: Float) -> Float:
     """Orthonormal frames ``(T, 3, 3)``, by columns: along, across, and nearly ``side``."""
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(side, along)

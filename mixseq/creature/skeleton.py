@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from mixseq.arrays import Float
 
 Vec3 = tuple[float, float, float]
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,13 @@ BONES = _pairs((
 
 NAMES = tuple(bone.name for bone in BONES)
 PARENTS = tuple(NAMES.index(bone.parent) if bone.parent else -1 for bone in BONES)
-HEADS: Array = np.array([bone.head for bone in BONES])
-TAILS: Array = np.array([bone.tail for bone in BONES])
-LENGTHS: Array = np.linalg.norm(TAILS - HEADS, axis=1)
-AXES: Array = (TAILS - HEADS) / LENGTHS[:, None]
+HEADS: Float = np.array([bone.head for bone in BONES])
+TAILS: Float = np.array([bone.tail for bone in BONES])
+LENGTHS: Float = np.linalg.norm(TAILS - HEADS, axis=1)
+AXES: Float = (TAILS - HEADS) / LENGTHS[:, None]
 
 
-def bone_distances(points: Array) -> Array:
+def bone_distances(points: Float) -> Float:
     """Signed distance from points to the flesh of every bone.
 
     The hull of two balls is a cone with round ends. Of the balls along its axis, the one that is nearest to a
@@ -121,11 +121,11 @@ def bone_distances(points: Array) -> Array:
     squared = np.sum(points**2, axis=-1, keepdims=True) - 2 * points @ HEADS.T + np.sum(HEADS**2, axis=1)
     across = np.sqrt(np.maximum(squared - along**2, 0))
     ball = np.clip(along - across * (sine / np.sqrt(1 - sine**2)), 0, LENGTHS)
-    distances: Array = np.hypot(along - ball, across) - (radius - sine * ball)
+    distances: Float = np.hypot(along - ball, across) - (radius - sine * ball)
     return distances
 
 
-def body_distance(points: Array) -> Array:
+def body_distance(points: Float) -> Float:
     """Implicit function of the whole fox: the bones' flesh, melted together where it meets.
 
     Parameters
@@ -139,7 +139,7 @@ def body_distance(points: Array) -> Array:
         Negative inside; close to a distance near the surface, in metres.
     """
     first, *others = np.moveaxis(bone_distances(points), -1, 0)
-    body: Array = first
+    body: Float = first
     for bone, other in zip(BONES[1:], others, strict=True):
         # the quadratic smooth minimum of Quilez: exact where the two differ by more than the fillet's width
         overlap = np.maximum(bone.fillet - np.abs(body - other), 0)

@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Implicit = Callable[[Array], Array]
+from mixseq.arrays import Float, Index
+
+Implicit = Callable[[Float], Float]
 
 
 def polygonise(
-    implicit: Implicit, low: Array, high: Array, cell: float, rounds: int = 6
-) -> tuple[Array, Indices]:
+    implicit: Implicit, low: Float, high: Float, cell: float, rounds: int = 6
+) -> tuple[Float, Index]:
     """Mesh the zero set of a function.
 
     Parameters
@@ -49,7 +48,7 @@ def polygonise(
     return relax(points, faces, implicit, rounds), faces
 
 
-def surface_nets(values: Array) -> tuple[Array, Indices]:
+def surface_nets(values: Float) -> tuple[Float, Index]:
     """Quads of the zero set of grid values.
 
     Parameters
@@ -86,7 +85,7 @@ def surface_nets(values: Array) -> tuple[Array, Indices]:
     return points / np.bincount(quads.ravel())[:, None], quads
 
 
-def triangulate(points: Array, quads: Indices) -> Indices:
+def triangulate(points: Float, quads: Index) -> Index:
     """Cut each quad ``(Q, 4)`` along its shorter diagonal into triangles ``(2Q, 3)``."""
     a, b, c, d = np.moveaxis(points[quads], 1, 0)
     first = np.linalg.norm(a - c, axis=1) <= np.linalg.norm(b - d, axis=1)
@@ -94,7 +93,7 @@ def triangulate(points: Array, quads: Indices) -> Indices:
     return halves.reshape(-1, 3)
 
 
-def neighbour_mean(faces: Indices, vertex_count: int) -> csr_array:
+def neighbour_mean(faces: Index, vertex_count: int) -> csr_array:
     """Matrix ``(V, V)`` that replaces a vertex value by the mean of its neighbours' values.
 
     The mesh must be closed and oriented: then each neighbour follows the vertex in exactly one face.
@@ -104,7 +103,7 @@ def neighbour_mean(faces: Indices, vertex_count: int) -> csr_array:
     return csr_array((1 / degree[start], (start, end)), shape=(vertex_count, vertex_count))
 
 
-def relax(points: Array, faces: Indices, implicit: Implicit, rounds: int) -> Array:
+def relax(points: Float, faces: Index, implicit: Implicit, rounds: int) -> Float:
     """Slide vertices ``(V, 3)`` towards the mean of their neighbours, along the surface."""
     mean = neighbour_mean(faces, len(points))
     for _ in range(rounds):
@@ -116,7 +115,7 @@ def relax(points: Array, faces: Indices, implicit: Implicit, rounds: int) -> Arr
     return points
 
 
-def _linearise(implicit: Implicit, points: Array, reach: float = 1e-5) -> tuple[Array, Array]:
+def _linearise(implicit: Implicit, points: Float, reach: float = 1e-5) -> tuple[Float, Float]:
     """Value ``(V,)`` and gradient ``(V, 3)`` of the function, by central differences."""
     ahead, behind = (implicit(points[:, None] + sign * reach * np.eye(3)) for sign in (1, -1))
     return (ahead + behind).mean(axis=1) / 2, (ahead - behind) / (2 * reach)

@@ -12,10 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
 
 LEAF = 4
 """Most triangles in a leaf; ours (from 2 to 8 it makes no difference to the times)."""

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.geometry.box_tree import BoxTree
 from mixseq.geometry.triangles import corners_of, unit_normals
-from mixseq.sequence import FloatArray, IntArray
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 TOUCH = 1e-12
 """Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact, not crossing; ours."""

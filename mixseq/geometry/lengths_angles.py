@@ -16,9 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.sequence import FloatArray, IntArray
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float, FloatArray, IntArray
 
 _TURN = 2.0 * np.pi
 

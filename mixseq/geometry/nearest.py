@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.box_tree import BoxTree
 from mixseq.geometry.triangles import corners_of, unit_normals
-from mixseq.sequence import FloatArray, IntArray
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ROUNDING = 1e-12  # of cosines, so that angles of 0 and 180 degrees count what they should
 

@@ -13,12 +13,9 @@ are tried, and the closest taken, instead of the regions of Ericson (Real-Time C
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SAFE = 1.0 - 1e-14  # a box is as close as a triangle in it, but for rounding
 SLACK = 1e-14  # of cosines, likewise

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.polygons import Polygons
 
 
 def vector_areas(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:

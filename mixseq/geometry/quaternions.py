@@ -9,12 +9,9 @@ for rotation vectors, and no place where they are singular.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float, FloatArray
 
 
 def quaternions(rotations: FloatArray) -> Float:

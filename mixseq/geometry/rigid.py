@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float, FloatArray
 
 _POINTS = 1 << 12  # looked at at once in all frames
 _FRAMES = 256  # compared at once with all frames

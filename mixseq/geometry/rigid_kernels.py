@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.compiled import compiled
-
-Float = NDArray[np.float64]
 
 SWEEPS = 30
 ORTHOGONAL = 1e-15

@@ -8,12 +8,9 @@ before, so that a body that turns twice has a vector of length 4 pi and linear o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float, FloatArray
 
 _TURN = 2.0 * np.pi
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.sequence import FloatArray, IntArray
-
-Float = NDArray[np.float64]
 
 NO_AREA = 1e-12
 """Triangles lower than this fraction of their longest side have no area: their normals are rounding. Ours."""

@@ -10,15 +10,13 @@ from types import UnionType
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations.retime import read_keys
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-
-Float = NDArray[np.float64]
 
 
 class Readers(NamedTuple):

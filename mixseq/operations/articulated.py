@@ -19,8 +19,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.limbs import Limb, limb_of
@@ -32,7 +32,6 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 
-Float = NDArray[np.float64]
 Change = Callable[[Float, Float], Float]
 """From times ``(N,)`` and stances ``(N, 6)`` to other stances."""
 

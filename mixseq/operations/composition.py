@@ -14,8 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.passes import SLACK
 from mixseq.operations.pieces import between, breakpoints, sites_of
@@ -24,8 +25,6 @@ from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.pickling import Remade
 from mixseq.signals.curve import Curve, Measure
 from mixseq.signals.model import MOST_FRAMES, Corrections, Model
-
-Float = NDArray[np.float64]
 
 ACCURACY = 2e-6
 """Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""

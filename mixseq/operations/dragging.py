@@ -20,8 +20,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.passes import SLACK, snapped
 from mixseq.operations.pieces import between, breakpoints, sites_of
@@ -29,8 +30,6 @@ from mixseq.operations.sculpt import smoothstep
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
 from mixseq.signals.model import Model
-
-Float = NDArray[np.float64]
 
 REACH = 1 / 8
 """Default reach, as a fraction of the motion. Ours."""

@@ -7,12 +7,11 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq.signals.model import Model
-
-Float = NDArray[np.float64]
 
 MOVED, MOST = 1e-3, 0.9
 """A vertex has moved if it did by more than this, in diagonals; an edit is doubtful if more than this share has."""

@@ -18,8 +18,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.pickling import Remade
@@ -34,8 +35,6 @@ from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, 
 from mixseq.spaces.mixed import PlacementName
 from mixseq.stored import Stored, stored
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
 
 SUM = 1e-6
 """Weights may add up to one with this error, that of single precision; they are divided by their sum."""

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import turned
@@ -30,11 +30,6 @@ from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.mixed import AnchoredSpace
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
 
 STRIPS = 4
 """Over so many edges the coordinates of a joint pass from one border of parts to another."""

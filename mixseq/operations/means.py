@@ -12,8 +12,8 @@ boundary. Only roots go as the world sees them, with their centres along straigh
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.geometry.rotations import continuous_vectors
@@ -21,9 +21,6 @@ from mixseq.operations.limbs import parents
 from mixseq.prediction.poses import Poses
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed import AnchoredSpace
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def mean(one: Float, other: Float, share: Float) -> Float:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import normalised
 from mixseq.operations.pieces import Fade, Piece, between, join, moved
@@ -17,9 +17,6 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed import AnchoredSpace
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SLACK = 1e-3
 """Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""

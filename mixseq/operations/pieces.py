@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.signals.curve import Curve
-
-Float = NDArray[np.float64]
 
 REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
 """Where the three cubics of a correction end, as fractions of the fade."""

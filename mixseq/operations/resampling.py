@@ -13,16 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap
 from mixseq.operations.retime import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq.signals.model import FRAMES, MOST_FRAMES, Model
-
-Float = NDArray[np.float64]
 
 SLACK = 1e-3
 """Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""

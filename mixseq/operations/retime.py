@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator, PPoly
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from mixseq.operations.edited import checked_points
@@ -17,8 +17,6 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-9
 """Fields are added unless they are below this share of the displacement: rounding errors."""

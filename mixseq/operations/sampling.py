@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.signals.curve import Curve, Measure
 from mixseq.signals.model import Model
-
-Float = NDArray[np.float64]
 
 ROUNDS = 6
 """An interval between two sites is halved at most so often."""

@@ -22,8 +22,9 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.edited import edited_difference
 from mixseq.operations.passes import snapped
@@ -35,7 +36,6 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 
-Float = NDArray[np.float64]
 Where = Literal["everywhere", "window", "similar"]
 WHERE: tuple[Where, ...] = ("everywhere", "window", "similar")
 

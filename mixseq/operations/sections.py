@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.passes import (
     Pass,
@@ -21,8 +21,6 @@ from mixseq.operations.timing import shift
 from mixseq.sequence import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-
-Float = NDArray[np.float64]
 
 MOST = 10_000
 """More passes of a section would be a slip."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.operations.room import joined
@@ -16,8 +15,6 @@ from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
 
 
 def into(model: Model, space: ShapeSpace) -> Model:

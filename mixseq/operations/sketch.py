@@ -23,17 +23,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
 from mixseq.signals.model import MOST_FRAMES, Model
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""

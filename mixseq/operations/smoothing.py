@@ -18,9 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
 from mixseq.geometry.rotations import vectors
@@ -29,8 +29,6 @@ from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
-
-Float = NDArray[np.float64]
 
 FEWEST = 5
 """Values that a smoothing spline needs."""

@@ -15,8 +15,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.means import mean, mean_placements
 from mixseq.operations.passes import (
@@ -36,7 +36,6 @@ from mixseq.operations.sharing import together
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
-Float = NDArray[np.float64]
 Weight = Callable[[Float], Float]
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.sequence import UP_AXES, FloatArray
+from mixseq.arrays import Float, FloatArray
+from mixseq.sequence import UP_AXES
 
-Array = NDArray[np.float64]
 Limits = tuple[float, float, float, float]
 
 
@@ -29,7 +28,7 @@ class View:
     elevation: float = 14.0
 
     @property
-    def rows(self) -> Array:
+    def rows(self) -> Float:
         """Rotation ``(3, 3)`` from a Y-up world to the screen: right, up, towards the camera."""
         a, e = np.radians([self.azimuth, self.elevation])
         around = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
@@ -87,7 +86,7 @@ def shared_limits(
     return low[0] - space, high[0] + space, low[1] - space, high[1] + space
 
 
-def y_up(points: FloatArray, up_axis: str) -> Array:
+def y_up(points: FloatArray, up_axis: str) -> Float:
     """Rename the axes so that Y is up; right-handed stays right-handed."""
     up = UP_AXES.index(up_axis)
     return np.asarray(points[..., [(up - 1) % 3, up, (up + 1) % 3]], dtype=np.float64)

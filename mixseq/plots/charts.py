@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import OutputError
-from mixseq.plots.camera import Array
 from mixseq.plots.colours import INK
 from mixseq.plots.layout import DPI, Target, matplotlib_module
 
@@ -95,7 +95,7 @@ def save_page(page: Figure, target: Target, file_format: Format) -> None:
     page.savefig(target, format=file_format, dpi=DPI, metadata=nameless[file_format])
 
 
-def log_axis(ax: Axes, values: Array, least_decades: int = 2) -> None:
+def log_axis(ax: Axes, values: Float, least_decades: int = 2) -> None:
     """Make the y axis logarithmic, in whole decades around positive values, so that ticks have labels."""
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
     low = min(low, high - least_decades)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.plots.camera import Array
-from mixseq.sequence import IntArray
+from mixseq.arrays import Float, IntArray
 
 CLAY = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
@@ -45,7 +44,7 @@ VIRIDIS = bytes.fromhex(
 """Every fifth colour of matplotlib's map viridis (van der Walt and Smith 2015, CC0), three bytes each."""
 
 
-def viridis() -> Array:
+def viridis() -> Float:
     """Return the 256 colours ``(256, 3)`` of numbers from zero to the largest, without matplotlib.
 
     They are within 1.4 / 255 of matplotlib's.
@@ -55,7 +54,7 @@ def viridis() -> Array:
     return np.stack([np.interp(np.arange(256), steps, channel) for channel in known.T], axis=1)
 
 
-def part_colours(count: int) -> Array:
+def part_colours(count: int) -> Float:
     """Return muted, well-distinguishable colours ``(count, 3)``, none of them warm.
 
     Hues advance by the golden angle and lightness takes turns, so that parts with near numbers look
@@ -67,7 +66,7 @@ def part_colours(count: int) -> Array:
     return _oklch(lightness, 0.085, hue)
 
 
-def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Array:
+def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Float:
     """Return a colour ``(F, 3)`` for each face: its part's, or `JOINT_RED` where it bends.
 
     Parameters
@@ -81,7 +80,7 @@ def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Arr
     return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])
 
 
-def _oklch(lightness: Array, chroma: float, hue: Array) -> Array:
+def _oklch(lightness: Float, chroma: float, hue: Float) -> Float:
     """Convert OKLCH (Ottosson 2020; hue in degrees) to sRGB ``(N, 3)``."""
     a, b = chroma * np.cos(np.radians(hue)), chroma * np.sin(np.radians(hue))
     lms = (np.stack([lightness, a, b], axis=-1) @ OKLAB_TO_LMS.T) ** 3

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.plots.camera import Array, Limits, View, broadside, shared_limits, y_up
+from mixseq.arrays import Float, FloatArray, Index, IntArray
+from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
 from mixseq.plots.colours import CLAY
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.shading import area_normals, shade, smooth_normals
 from mixseq.plots.shadow import ground_shadow
-from mixseq.sequence import FloatArray, IntArray
-from mixseq.topology import Index, Topology
+from mixseq.topology import Topology
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,7 @@ def draw_mesh(
     ax.set_axis_off()
 
 
-def _back_to_front(screen: Array, faces: IntArray, normals: Array) -> Index:
+def _back_to_front(screen: Float, faces: IntArray, normals: Float) -> Index:
     """Sort the faces for painting; of a closed mesh those that look away are left out."""
     corners = screen[faces]
     inside_out = np.sum((corners[:, 0] - screen.mean(axis=0)) * normals) < 0

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Array
 from mixseq.plots.charts import LINES, log_axis, time_axis
 from mixseq.plots.colours import INK
 from mixseq.progress import Progress, silent
@@ -46,11 +46,11 @@ class VertexErrors:
         Errors ``(V,)`` in single frames: those that were asked for, and the worst one.
     """
 
-    largest: Array
-    rms: Array
-    by_vertex: Array
+    largest: Float
+    rms: Float
+    by_vertex: Float
     worst: int
-    by_frame: dict[int, Array]
+    by_frame: dict[int, Float]
 
 
 def vertex_errors(
@@ -82,7 +82,7 @@ def vertex_errors(
     unit = original.diagonal or 1.0
     largest, rms = np.zeros(original.frame_count), np.zeros(original.frame_count)
     by_vertex = of_worst = np.zeros(original.vertex_count)
-    kept: dict[int, Array] = {}
+    kept: dict[int, Float] = {}
     worst = first = 0
     for block in model.blocks(original.times, _BLOCK, progress):
         for frame, points in enumerate(block, first):
@@ -97,7 +97,7 @@ def vertex_errors(
     return VertexErrors(largest, rms, by_vertex, worst, kept | {worst: of_worst})
 
 
-def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Array, tolerance: float | None = None) -> None:
+def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Float, tolerance: float | None = None) -> None:
     """Draw the largest and the root mean square error of every frame over time.
 
     Parameters

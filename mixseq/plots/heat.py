@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.plots.camera import Array, y_up
+from mixseq.arrays import Float, IntArray
+from mixseq.plots.camera import y_up
 from mixseq.plots.colours import INK
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.errors import ROUNDING, VertexErrors
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
-from mixseq.sequence import IntArray, MeshSequence
+from mixseq.sequence import MeshSequence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,12 +76,12 @@ def _title(errors: VertexErrors, original: MeshSequence, frame: int) -> str:
     return f"{which}{frame} at {original.times[frame]:.3f} s"
 
 
-def _ring(ax: Axes, place: Array) -> None:
+def _ring(ax: Axes, place: Float) -> None:
     for colour, width in (("white", 3.5), (INK, 1.5)):
         ax.plot(place[0], place[1], "o", ms=12, mfc="none", mec=colour, mew=width, zorder=4)
 
 
-def _hidden(vertex: int, screen: Array, faces: IntArray) -> bool:
+def _hidden(vertex: int, screen: Float, faces: IntArray) -> bool:
     """Whether a triangle, none of the vertex itself, is between it and the camera."""
     others = screen[faces[(faces != vertex).all(axis=1)]] - screen[vertex]
     a, b, c = others[:, 0], others[:, 1], others[:, 2]
@@ -92,7 +93,7 @@ def _hidden(vertex: int, screen: Array, faces: IntArray) -> bool:
     return bool((heights > 0).any())
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: Float, b: Float) -> Float:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 

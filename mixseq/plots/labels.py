@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mixseq.plots.camera import Array, Limits
+from mixseq.arrays import Float
+from mixseq.plots.camera import Limits
 
 POINTS = 72.0  # per inch
 DISTANCE = 12.0
@@ -19,7 +20,7 @@ _CHARACTER = np.array([2.6, 5.0])  # half the width of a character and half the 
 
 
 def free_places(
-    dots: Array, texts: Sequence[str], curve: Array, limits: Limits, inch: float
+    dots: Float, texts: Sequence[str], curve: Float, limits: Limits, inch: float
 ) -> list[tuple[float, float]]:
     """Find a place for the label of each dot, beside it where it is free, rather outward than inward.
 
@@ -46,7 +47,7 @@ def free_places(
     centre = curve.mean(axis=0) * scale
     angles = np.arange(16) * np.pi / 8
     compass = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    taken: list[tuple[Array, Array]] = []  # middles and half sizes
+    taken: list[tuple[Float, Float]] = []  # middles and half sizes
     places = []
     for dot, text in zip(dots * scale, texts, strict=True):
         size = _CHARACTER * [len(text), 1]
@@ -64,7 +65,7 @@ def free_places(
     return places
 
 
-def _gaps(middles: Array, size: Array, points: Array) -> Array:
+def _gaps(middles: Float, size: Float, points: Float) -> Float:
     """Distances ``(n, N)`` of points from boxes of a half size; negative inside."""
     apart = np.abs(points[None] - middles[:, None]) - size
     return np.asarray(apart.max(axis=2))

@@ -26,9 +26,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.geometry.lengths_angles import edge_lengths, wrap
-from mixseq.plots.camera import Array
-from mixseq.sequence import FloatArray, IntArray
 from mixseq.topology import Topology
 
 FLAT = 1e-6
@@ -41,10 +40,10 @@ SHARE = 0.99
 class Measure(Protocol):
     """A number at every vertex of a pose."""
 
-    def __call__(self, points: FloatArray) -> Array:
+    def __call__(self, points: FloatArray) -> Float:
         """Return numbers ``(V,)`` of points ``(V, 3)``."""
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """Return what of a pose's numbers the colour scale must reach."""
 
 
@@ -67,7 +66,7 @@ class Strain:
     """
 
     edges: IntArray
-    lengths: Array
+    lengths: Float
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Strain:
@@ -75,14 +74,14 @@ class Strain:
         edges = Topology(faces, len(points)).edges
         return cls(edges, edge_lengths(np.asarray(points, dtype=np.float64), edges))
 
-    def __call__(self, points: FloatArray) -> Array:
+    def __call__(self, points: FloatArray) -> Float:
         """Return strains ``(V,)`` of points ``(V, 3)``."""
         now = edge_lengths(np.asarray(points, dtype=np.float64), self.edges)
         known = self.lengths > 0
         strain = np.abs(np.divide(now, self.lengths, out=np.ones_like(now), where=known) - 1)
         return _means(strain, self.edges, len(points))
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """Leave out a hundredth."""
         return float(np.quantile(values, SHARE))
 
@@ -117,8 +116,8 @@ class Curvature:
     faces: IntArray
     hinges: IntArray
     sides: IntArray
-    signs: Array
-    angles: Array
+    signs: Float
+    angles: Float
     known: NDArray[np.bool_]
 
     @classmethod
@@ -132,13 +131,13 @@ class Curvature:
         signs = np.where(along.any(axis=1), -1.0, 1.0)
         return cls(faces, hinges, sides, signs, *_angles(points, faces, hinges, sides, signs))
 
-    def __call__(self, points: FloatArray) -> Array:
+    def __call__(self, points: FloatArray) -> Float:
         """Return changes ``(V,)`` in degrees, 0 to 180, of points ``(V, 3)``."""
         now, known = _angles(points, self.faces, self.hinges, self.sides, self.signs)
         change = np.where(known & self.known, np.abs(wrap(now - self.angles)), 0.0)
         return np.degrees(_means(change, self.hinges, len(points)))
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """Leave out a hundredth."""
         return float(np.quantile(values, SHARE))
 
@@ -147,7 +146,7 @@ MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": 
 """By the names of their colours."""
 
 
-def distances(points: FloatArray, original: FloatArray, diagonal: float) -> Array:
+def distances(points: FloatArray, original: FloatArray, diagonal: float) -> Float:
     """Return errors ``(V,)`` of points ``(V, 3)``, in diagonals of the original."""
     return np.asarray(np.linalg.norm(points - original, axis=1) / diagonal)
 
@@ -163,7 +162,7 @@ def two_digits(number: float) -> str:
     return f"{float(f'{number:.2g}'):g}"
 
 
-def _means(values: Array, ends: IntArray, count: int) -> Array:
+def _means(values: Float, ends: IntArray, count: int) -> Float:
     """Return at every vertex ``(V,)`` the mean of the values ``(n,)`` whose ends ``(n, 2)`` it is one of."""
     at = ends.ravel()
     sums = np.bincount(at, np.repeat(values, 2), count)
@@ -171,8 +170,8 @@ def _means(values: Array, ends: IntArray, count: int) -> Array:
 
 
 def _angles(
-    points: FloatArray, faces: IntArray, hinges: IntArray, sides: IntArray, signs: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+    points: FloatArray, faces: IntArray, hinges: IntArray, sides: IntArray, signs: Float
+) -> tuple[Float, NDArray[np.bool_]]:
     """Return the angles ``(H,)`` of all hinges, and which of them are between faces with area."""
     x = np.ascontiguousarray(points.T, dtype=np.float64)  # columns: several times faster than rows of three
     normals, low = _normals(x, faces)
@@ -184,7 +183,7 @@ def _angles(
     return np.arctan2(sine, cosine), ~(low[sides[:, 0]] | low[sides[:, 1]])
 
 
-def _normals(x: Array, faces: IntArray) -> tuple[Array, NDArray[np.bool_]]:
+def _normals(x: Float, faces: IntArray) -> tuple[Float, NDArray[np.bool_]]:
     """Return the normals ``(3, F)`` of faces, twice as long as their areas, and which faces are flat."""
     a, b, c = (np.take(x, corner, axis=1) for corner in faces.T)
     u, v, w = b - a, c - a, c - b
@@ -193,13 +192,13 @@ def _normals(x: Array, faces: IntArray) -> tuple[Array, NDArray[np.bool_]]:
     return normals, _dot(normals, normals) <= (FLAT * longest) ** 2
 
 
-def _cross(u: Array, v: Array) -> Array:
+def _cross(u: Float, v: Float) -> Float:
     """Return cross products ``(3, n)`` of columns."""
     return np.stack(
         [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]],
     )
 
 
-def _dot(u: Array, v: Array) -> Array:
+def _dot(u: Float, v: Float) -> Float:
     """Return scalar products ``(n,)`` of columns."""
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])

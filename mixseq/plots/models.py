@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
 from mixseq.plots.charts import Format, chart_style, new_page, picture_format, save_page
 from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
@@ -23,7 +24,7 @@ from mixseq.plots.signals import (
 )
 from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 

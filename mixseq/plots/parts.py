@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from mixseq.plots.camera import Array, Limits, y_up
+from mixseq.arrays import Float, FloatArray, IntArray
+from mixseq.plots.camera import Limits, y_up
 from mixseq.plots.colours import JOINT_RED, part_colours, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray, IntArray
 from mixseq.signals import Model
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _vertices(count: int, kind: str = "") -> str:
 
 
 def _number_places(
-    screen: Array, faces: IntArray, part_of_face: IntArray, limits: Limits
+    screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits
 ) -> dict[int, tuple[float, float]]:
     """Find where parts have room for their numbers: the middle of the widest spot that is seen of each.
 
@@ -126,7 +126,7 @@ def _number_places(
     return places
 
 
-def _seen_parts(screen: Array, faces: IntArray, part_of_face: IntArray, limits: Limits) -> NDArray[np.int64]:
+def _seen_parts(screen: Float, faces: IntArray, part_of_face: IntArray, limits: Limits) -> NDArray[np.int64]:
     """Paint part numbers, from back to front: an image, the lowest row first, -1 where there is no part."""
     left, right, bottom, top = limits
     width = _PIXELS

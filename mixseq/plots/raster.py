@@ -15,11 +15,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.plots.camera import Array, Limits, View
+from mixseq.arrays import Float, IntArray
+from mixseq.plots.camera import Limits, View
 from mixseq.plots.colours import CLAY
 from mixseq.plots.shading import area_normals, shade, vertex_normals
 from mixseq.plots.shadow import ground_shadow
-from mixseq.sequence import IntArray
 
 Picture = NDArray[np.uint8]
 
@@ -37,7 +37,7 @@ def blank(width: int, height: int) -> Picture:
 
 def render_mesh(
     picture: Picture,
-    world: Array,
+    world: Float,
     faces: IntArray,
     view: View,
     limits: Limits,
@@ -86,14 +86,14 @@ def render_mesh(
     average(nearest, samples, SIDE, picture)
 
 
-def _turned(world: Array, view: View) -> Array:
+def _turned(world: Float, view: View) -> Float:
     """Return points as the camera sees them; without a library that adds in an order of its own."""
     x, y, z = world.T
     return np.stack([x * row[0] + y * row[1] + z * row[2] for row in view.rows], axis=1)
 
 
 def _corner_colours(
-    screen: Array, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
+    screen: Float, faces: NDArray[np.int64], colours: ArrayLike, contrast: float
 ) -> NDArray[np.float32]:
     """Light the corners of all faces: ``(F, 3, 3)`` in 0..255."""
     flat = area_normals(screen, faces)

@@ -9,12 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Single
 from mixseq.compiled import compiled
 
 Bytes = NDArray[np.uint8]
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Single = NDArray[np.float32]
 
 SUBPIXELS = 256
 """Steps per pixel of corners' places."""

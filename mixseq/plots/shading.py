@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.plots.camera import Array
-from mixseq.sequence import IntArray
+from mixseq.arrays import Float, IntArray
 
 KEY_LIGHT = np.array([-0.45, 0.62, 0.64])
 COOL = np.array([1.0, 0.6, 0.0])
 """How much red, green and blue fade in the shade."""
 
 
-def area_normals(points: Array, faces: IntArray) -> Array:
+def area_normals(points: Float, faces: IntArray) -> Float:
     """Return normals ``(F, 3)`` whose lengths are twice the faces' areas."""
     a, b, c = np.moveaxis(points[faces], 1, 0)
     return np.cross(b - a, c - a)
 
 
-def smooth_normals(normals: Array, faces: IntArray, vertex_count: int) -> Array:
+def smooth_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
     """Return unit normals ``(F, 3)``: the mean of the vertex normals, which hides the facets."""
     return _unit(vertex_normals(normals, faces, vertex_count)[faces].mean(axis=1))
 
 
-def vertex_normals(normals: Array, faces: IntArray, vertex_count: int) -> Array:
+def vertex_normals(normals: Float, faces: IntArray, vertex_count: int) -> Float:
     """Return unit normals ``(V, 3)`` of the vertices: the mean of the faces around them, by area."""
     sums = [np.bincount(faces.ravel(), np.repeat(column, 3), vertex_count) for column in normals.T]
     return _unit(np.stack(sums, axis=1, dtype=np.float64))
 
 
-def shade(rgb: Array, normals: Array, contrast: float) -> Array:
+def shade(rgb: Float, normals: Float, contrast: float) -> Float:
     """Light colours ``(F, 3)`` from the upper left, with a soft fill from above.
 
     Parameters
@@ -47,6 +46,6 @@ def shade(rgb: Array, normals: Array, contrast: float) -> Array:
     return np.asarray(np.clip(rgb * light * tint, 0, 1))
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Float) -> Float:
     """Scale vectors ``(N, 3)`` to length one; zero stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from mixseq.plots.camera import Array, Limits, View
+from mixseq.arrays import Float, IntArray
+from mixseq.plots.camera import Limits, View
 from mixseq.plots.shading import area_normals
-from mixseq.sequence import IntArray, bounding_diagonal
+from mixseq.sequence import bounding_diagonal
 
 PIXELS = 240
 """Pixels along the longer side of the picture."""
@@ -18,7 +19,7 @@ FEATHER = 10
 SHADOW = (0.25, 0.24, 0.28)
 
 
-def ground_shadow(world: Array, faces: IntArray, floor: float, view: View, limits: Limits) -> Array:
+def ground_shadow(world: Float, faces: IntArray, floor: float, view: View, limits: Limits) -> Float:
     """Paint the ground beneath a mesh: the darker, the closer the mesh is to it.
 
     Parameters
@@ -60,7 +61,7 @@ def ground_shadow(world: Array, faces: IntArray, floor: float, view: View, limit
     return np.concatenate([np.broadcast_to(SHADOW, (*shape, 3)), alpha[..., None]], axis=2)
 
 
-def _feather(count: int) -> Array:
+def _feather(count: int) -> Float:
     """Rise from 0 to 1 and fall to 0 again, so that no shadow ends in a hard edge."""
     index = np.arange(count)
     return np.clip(np.minimum(index, index[::-1]) / FEATHER, 0, 1)

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Array, broadside, shared_limits, y_up
+from mixseq.plots.camera import broadside, shared_limits, y_up
 from mixseq.plots.colours import CLAY, INK, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.frames import common_frames, frames_between
 from mixseq.plots.layout import Sheet, Target, matplotlib_module
-from mixseq.sequence import IntArray, MeshSequence
+from mixseq.sequence import MeshSequence
 
 
 def contact_sheet(
@@ -102,7 +103,7 @@ class _Row:
 
 def _error_colours(
     original: MeshSequence, decoded: MeshSequence, here: list[int], there: list[int]
-) -> tuple[Any, list[Array]]:
+) -> tuple[Any, list[Float]]:
     """Return a matplotlib colour map of vertex errors, and the colours ``(F, 3)`` of every pair of frames."""
     offsets = decoded.points[there].astype(np.float64) - original.points[here]
     errors = np.linalg.norm(offsets, axis=2) / (original.diagonal or 1.0)

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Array, Limits
+from mixseq.plots.camera import Limits
 from mixseq.plots.charts import FAINT, LINES, log_axis, round_frames, time_axis
 from mixseq.plots.colours import INK
 from mixseq.plots.labels import free_places
 from mixseq.plots.layout import matplotlib_module
-from mixseq.sequence import IntArray
 from mixseq.signals import Model
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def draw_singular_values(ax: Axes, model: Model) -> None:
     ax.legend(loc="upper right")
 
 
-def largest_coordinates(model: Model) -> tuple[IntArray, Array]:
+def largest_coordinates(model: Model) -> tuple[IntArray, Float]:
     """Choose the coordinates of the time signal that move most over the frames, at most `SHOWN`.
 
     Returns
@@ -157,7 +157,7 @@ def largest_coordinates(model: Model) -> tuple[IntArray, Array]:
     return chosen, units[chosen]
 
 
-def singular_values(model: Model) -> Array:
+def singular_values(model: Model) -> Float:
     """Return the sizes ``(r,)`` of a model's modes in diagonals, decreasing; see the module."""
     if not model.time.dim:
         return np.zeros(0)
@@ -181,18 +181,18 @@ def existing_frames(frames: Sequence[int], count: int) -> list[int]:
     return sorted(set(frames))
 
 
-def dense_times(model: Model) -> Array:
+def dense_times(model: Model) -> Float:
     """Return times ``(N,)`` from start to end, so many that lines between them look like a curve."""
     knots = max(len(model.times), len(model.time.times))
     return np.linspace(model.start, model.end, min(max(400, 20 * knots), 20_000))
 
 
-def _centred(model: Model) -> Array:
+def _centred(model: Model) -> Float:
     coordinates = model.time(model.times)
     return np.asarray(coordinates - coordinates.mean(axis=0))
 
 
-def _step_gram(model: Model) -> Array:
+def _step_gram(model: Model) -> Float:
     """Inner products ``(k, k)`` of the steps by one along every coordinate of pose space."""
     shapes, metric = model.shapes, model.space.shape_weights
     steps = model.pose.matrix @ ((shapes - shapes.mean(axis=0)) * metric)

@@ -6,19 +6,16 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
 from mixseq.plots.colours import INK, part_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import Sheet, Target
-from mixseq.sequence import FloatArray
 
 if TYPE_CHECKING:
     from mixseq.retargeting.transfer import Transfer
-
-Index = NDArray[np.int64]
 
 
 def transfer_sheet(

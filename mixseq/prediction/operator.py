@@ -26,12 +26,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
+
 Ends = Literal["natural", "not-a-knot"]
 
 LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.quaternions import (
     continued,
     inverse,
@@ -41,10 +41,6 @@ from mixseq.geometry.quaternions import (
 )
 from mixseq.geometry.rigid import nearest_rotations, turned
 from mixseq.prediction.operator import Operator, Rows
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 TOGETHER = 0.3
 r"""Weight :math:`\lambda` of a relation against a pose alone: errors of neighbours go together."""

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.rigid import kabsch
-
-Float = NDArray[np.float64]
 
 ASKEW = 1.5
 """A quarter turn is taken if its distances are at most this many times those of the best rotation."""

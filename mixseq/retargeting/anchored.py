@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.blend import Blend
 from mixseq.retargeting.placement import JointRows, MixedFrame, concatenate
@@ -16,9 +16,6 @@ from mixseq.shells.fitting import NO_PULL, Pull, ShellReport, ShellSettings
 from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

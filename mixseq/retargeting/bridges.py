@@ -10,11 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
 
 
 @dataclass(frozen=True, eq=False)

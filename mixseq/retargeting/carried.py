@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, IntArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.geometry.lengths_angles import flat_faces
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.observed import FLAT, Observed
-from mixseq.sequence import IntArray
 from mixseq.topology import Topology, split_labels, vertices_of
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 CRUMB = 0.1
 """A patch with less than this share of the area of its part joins a neighbour; the value is ours."""

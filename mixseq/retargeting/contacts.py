@@ -15,16 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.footing import faded, misses, shared
 from mixseq.retargeting.limbs import reached
 from mixseq.retargeting.linkage import Contact, Linkage
 from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-9
 """Feet that slide less are left as they are, in diagonals."""

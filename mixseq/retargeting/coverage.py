@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.surfaces import Surface
 from mixseq.retargeting.transfer import Transfer
 from mixseq.sequence import SequenceHeader
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.lengths_angles import edge_lengths, flat_faces
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.making import gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 FLAT = 1e-3
 """A triangle lower than this, relative to its longest side, is flat; ours."""

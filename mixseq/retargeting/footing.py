@@ -24,12 +24,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.retargeting.stance import Stance
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 Knot = tuple[int, Float, Float]
 """A frame, the value there and the slope per frame."""
 

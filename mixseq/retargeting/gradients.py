@@ -21,19 +21,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.pickling import Remade
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.bridges import Bridges, bridges
-from mixseq.sequence import FloatArray
 from mixseq.spaces.gradient import GradientSpace
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,17 +23,14 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import nearest_rotations, turned
 from mixseq.retargeting.gradients import GradientTransfer, mixed, normalised
 from mixseq.retargeting.placement import JointRows
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class JointChanges(Protocol):

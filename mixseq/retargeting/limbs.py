@@ -18,11 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.rigid import turned
 from mixseq.retargeting.linkage import Contact, Linkage
 from mixseq.retargeting.reach import reach
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.retargeting.alignment import Alignment, align
@@ -18,9 +18,6 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.table import Table
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def gradient_transfer(

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.retargeting.bridges import Bridges
 from mixseq.retargeting.carried import vertex_parts
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

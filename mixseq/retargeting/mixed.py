@@ -18,8 +18,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
 from mixseq.pickling import Remade
@@ -33,15 +33,10 @@ from mixseq.retargeting.meetings import Meetings
 from mixseq.retargeting.pivots import Pivots
 from mixseq.retargeting.placement import MixedFrame
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.joint import length_weights
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.registered import registered
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 
 HOLD = 0.3
 """Weight of where gradients put a free vertex against a length of its edges, both relative to these: enough to choose

@@ -29,14 +29,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, Index
 from mixseq.retargeting.linkage import Linkage
 from mixseq.shells.solvers import Factor, factorise
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SHORTEST = 1e-3
 """Boundaries count as at least so long, relative to the longest."""

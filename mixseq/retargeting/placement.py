@@ -7,14 +7,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.patch import Patch
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 class MixedFrame(NamedTuple):

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import turned
 from mixseq.mapping import OrderedMap
@@ -16,12 +17,9 @@ from mixseq.retargeting.carried import vertex_parts
 from mixseq.retargeting.contacts import ContactReport, plant
 from mixseq.retargeting.linkage import Contact, leg_ratio
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.stored import blocks_of
 from mixseq.table import Table
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def planted(

@@ -29,11 +29,9 @@ much as its end.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.rotations import matrices
-
-Float = NDArray[np.float64]
 
 STRAIGHT = 0.02
 r"""The number :math:`\delta`: a leg of two equal bones, bent by 23 degrees, gets wholly shorter by turning."""

@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
@@ -29,11 +29,9 @@ from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import Coverage, coverage
 from mixseq.retargeting.expected import Expected
 from mixseq.retargeting.transfer import Transfer
-from mixseq.sequence import FloatArray, bounding_diagonal, check_block
+from mixseq.sequence import bounding_diagonal, check_block
 from mixseq.spread import Gathered, Spread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 FRAMES = 8
 """In so many frames at most self-intersections are counted."""

@@ -6,23 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.progress import Progress, silent
 from mixseq.segmentation import segment
 from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames
+from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames
 from mixseq.signals.model import Model
 from mixseq.spaces import MixedSpace
 from mixseq.stored import stored
 from mixseq.table import Table
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SAME_SIZE = 0.05
 """A mesh at rest whose edges are, on the median, this much longer or shorter than in the motion is of another size."""

@@ -16,13 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, Mask
 from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FASTEST = 95.0
 """Percentile that tells how fast a contact is: the few fastest steps may be outliers."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.quality import Quality
@@ -20,14 +21,12 @@ from mixseq.retargeting.making import gradient_transfer, mixed_transfer
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses
 from mixseq.retargeting.planting import planted
 from mixseq.retargeting.sources import SourceMotion, source_motion
-from mixseq.sequence import FloatArray, Frames, MeshSequence, SequenceHeader, check_frames, collect
+from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames, collect
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.stored import block_size
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 MethodName = Literal["mixed", "gradients"]
 METHODS: tuple[MethodName, ...] = ("mixed", "gradients")

@@ -16,14 +16,11 @@ All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import aligning_rotations, kabsch, nearest_rotations
 from mixseq.rigging.weights import Binding
 from mixseq.segmentation.rigid_error import moments, union_errors
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SWEEPS = 10
 """Sweeps over the bones between two rounds of weights; the value is ours."""

@@ -22,11 +22,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.rigging.rigs import INFLUENCES, Skin, rotation_matrices
-
-Float = NDArray[np.float64]
 
 _DAMPING = 1e-6
 _COLLAPSED = 0.04

@@ -12,15 +12,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.progress import Progress
 from mixseq.rigging.bones import merged, motion_of, move, on_rotations, seeded
 from mixseq.rigging.rigs import INFLUENCES
 from mixseq.rigging.weights import Binding, bind
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 GAIN = 3e-3
 """Rounds end when the error falls by less than this fraction of itself a round; values here are ours."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.rigging.bones import vertex_labels
@@ -20,9 +21,6 @@ from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_fra
 from mixseq.stored import stored
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def fit_skin(

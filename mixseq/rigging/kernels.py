@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ROUNDS = 60  # of an active set: each is a bone more, or one less
 GAIN = 1e-12  # a bone is taken if it lowers the error by more than this, relative to the position's square

@@ -19,14 +19,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.polygons import frozen
-from mixseq.sequence import FloatArray, SequenceHeader
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.sequence import SequenceHeader
 
 INFLUENCES = 4
 """Bones that a vertex follows at most: what engines and the core of glTF 2.0 have a place for."""

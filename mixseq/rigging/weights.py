@@ -22,11 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
 
 _AT_ONCE = 1 << 21  # entries of sums over the frames that are held at once
 

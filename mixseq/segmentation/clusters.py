@@ -7,16 +7,11 @@ another take along. Costs of clusters that no element has joined or left are tho
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask, Single
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.segmentation.elements import Elements, Trajectories
 from mixseq.segmentation.rigid_error import Moments
-
-Float = NDArray[np.float64]
-Single = NDArray[np.float32]
-Labels = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _LANES = 8  # columns of costs are computed so many at a time
 _TINY = np.finfo(np.float64).tiny
@@ -31,7 +26,7 @@ class Clusters:
         Cluster of every element. A cluster that loses all its elements stays empty.
     """
 
-    def __init__(self, elements: Elements, labels: Labels, capacity: int) -> None:
+    def __init__(self, elements: Elements, labels: Index, capacity: int) -> None:
         self.labels = labels
         self._elements = elements
         self._tallies = tally(elements, labels, capacity)
@@ -57,13 +52,13 @@ class Clusters:
         self._move(labels)
         return lowest
 
-    def seed(self, members: Labels, cluster: int) -> None:
+    def seed(self, members: Index, cluster: int) -> None:
         """Move some elements to a cluster."""
         labels = self.labels.copy()
         labels[members] = cluster
         self._move(labels)
 
-    def _move(self, labels: Labels) -> None:
+    def _move(self, labels: Index) -> None:
         from mixseq.segmentation.kernels import transfer
 
         moved = np.flatnonzero(labels != self.labels)
@@ -80,7 +75,7 @@ class Clusters:
             self._stale[empty] = False
             self._costs[:, empty] = np.inf
 
-    def _diffused(self, clusters: Labels, rounds: int) -> Single:
+    def _diffused(self, clusters: Index, rounds: int) -> Single:
         """Costs ``(E, n)`` of some clusters, averaged over neighbours."""
         from mixseq.segmentation.kernels import averages, squared_distances
 
@@ -100,7 +95,7 @@ class Clusters:
         return costs
 
 
-def tally(elements: Elements, labels: Labels, count: int, counted: Mask | None = None) -> Float:
+def tally(elements: Elements, labels: Index, count: int, counted: Mask | None = None) -> Float:
     """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of the (counted) elements with each label."""
     from mixseq.segmentation.kernels import transfer
 

@@ -13,15 +13,11 @@ are brought by means over the incident hinges or edges, weighted by length in th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _TINY = np.finfo(np.float64).tiny
 

@@ -22,16 +22,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from mixseq.sequence import FloatArray
+from mixseq.arrays import Float, FloatArray
 from mixseq.topology import Topology
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
-Float = NDArray[np.float64]
 
 _LEAST, _MOST = 1e-2, 1e2
 """Range of an edge's cotangent weight: slivers and obtuse triangles neither cut nor weld the surface."""

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.sequence import FloatArray
+from mixseq.arrays import Float, FloatArray, Index, Single
 from mixseq.topology import Topology
 
-Float = NDArray[np.float64]
-Single = NDArray[np.float32]
-Index = NDArray[np.int64]
 Table = NDArray[np.int32]
 
 

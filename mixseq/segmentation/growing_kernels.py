@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @compiled

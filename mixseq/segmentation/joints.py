@@ -24,19 +24,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import FloatArray, Index, Mask
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
 from mixseq.segmentation.softness import Softening
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, face_patches, spread, vertices_of
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 CORE = 1.0 / 3.0
 """Share of its vertices that a part keeps, whatever the width of its joints."""

@@ -7,13 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask, Single
 from mixseq.compiled import compiled
 
-Float = NDArray[np.float64]
-Single = NDArray[np.float32]
-Index = NDArray[np.int64]
 Table = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 
 @compiled

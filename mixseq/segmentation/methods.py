@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
 from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
-from mixseq.sequence import FloatArray
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-Labels = NDArray[np.int64]
 
 MethodName = Literal["motion", "silhouettes", "spanning-tree"]
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
@@ -25,7 +20,7 @@ MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
 class Method(NamedTuple):
     """A way to find parts: a function of points, topology, number of parts and settings, and their type."""
 
-    segment: Callable[[FloatArray, Topology, int | None, Any], Labels]
+    segment: Callable[[FloatArray, Topology, int | None, Any], Index]
     settings: type[MethodSettings]
 
 
@@ -43,7 +38,7 @@ def segment(
     method: MethodName = "motion",
     parts: int | None = None,
     settings: MethodSettings | None = None,
-) -> Labels:
+) -> Index:
     """Find the near-rigid parts of a moving mesh.
 
     Parameters

@@ -18,20 +18,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import bend
 from mixseq.segmentation.clusters import Clusters, moments_of, tally
 from mixseq.segmentation.elements import Elements
 from mixseq.segmentation.growing import check_parts
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.segmentation.rigid_error import Moments
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, split_labels
-
-Float = NDArray[np.float64]
-Labels = NDArray[np.int64]
-
 
 DENSE = 20000
 """Meshes with more faces are clustered by cells first."""
@@ -79,7 +74,7 @@ def segment_by_motion(
     topology: Topology,
     parts: int | None = None,
     settings: MotionSettings | None = None,
-) -> Labels:
+) -> Index:
     """Find the near-rigid parts of a moving mesh.
 
     Parameters
@@ -124,7 +119,7 @@ def _looked_at(points: FloatArray, frames: int) -> Float:
     return x
 
 
-def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Labels:
+def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSettings) -> Index:
     """Lloyd's iteration with one more cluster at a time; only its end looks at fully diffused costs.
 
     Dense meshes are clustered by cells of some faces, and only the end looks at the faces.
@@ -150,7 +145,7 @@ def _grown(elements: Elements, count: int, rounds: float) -> Clusters:
     return clusters
 
 
-def _settled(clusters: Clusters, rounds: float, times: int) -> Labels:
+def _settled(clusters: Clusters, rounds: float, times: int) -> Index:
     """Assign all elements some more times, by costs that are averaged over `rounds` rounds."""
     for _ in range(times):
         clusters.assign(max(1, round(rounds)))
@@ -173,13 +168,13 @@ class _Bodies:
         Patches beside it.
     """
 
-    patches: Labels
+    patches: Index
     moments: dict[int, Moments]
     sizes: dict[int, int]
     neighbours: dict[int, set[int]]
 
     @classmethod
-    def of(cls, topology: Topology, faces: Elements, patches: Labels) -> _Bodies:
+    def of(cls, topology: Topology, faces: Elements, patches: Index) -> _Bodies:
         count = int(patches.max()) + 1
         moments = moments_of(tally(faces, patches, count), faces.trajectories)
         neighbours: dict[int, set[int]] = {p: set() for p in range(count)}
@@ -255,7 +250,7 @@ def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: Mot
         joined = {pair: s for pair, s in joined.items() if keep not in pair and drop not in pair}
 
 
-def _narrowness(topology: Topology, patches: Labels) -> Float:
+def _narrowness(topology: Topology, patches: Index) -> Float:
     """Share of each patch's corners on its boundary or one edge away: what joints would take from it."""
     of_hinge = patches[topology.hinge_faces]
     boundary = np.zeros(topology.vertex_count, dtype=bool)
@@ -266,7 +261,7 @@ def _narrowness(topology: Topology, patches: Labels) -> Float:
     return np.asarray(np.bincount(patches, share) / np.maximum(np.bincount(patches), 1), dtype=np.float64)
 
 
-def _by_area(labels: Labels, area: Float) -> Labels:
+def _by_area(labels: Index, area: Float) -> Index:
     """Number labels by decreasing area (ties: by first face)."""
     _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
     order = np.lexsort((first, -np.bincount(dense, area)))

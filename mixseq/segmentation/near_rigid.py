@@ -13,13 +13,9 @@ Karni and Gotsman, "Compression of soft-body animation sequences", Computers & G
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.segmentation.rigid_error import moments
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
 
 
 def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:

@@ -21,13 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.geometry.rigid import aligning_rotations, mean_shape
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, vertices_of
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 FLAT = 1e-5
 """A face lower than this, relative to its longest side, has no area to speak of."""

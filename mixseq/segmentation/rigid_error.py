@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.rigid import nearest_rotations
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,19 +28,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.errors import SettingsError
 from mixseq.segmentation.deformation import some_frames, vertex_bending, vertex_strain
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
 from mixseq.segmentation.growing import check_parts, flood
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Labels = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -102,7 +97,7 @@ def segment_by_silhouettes(
     topology: Topology,
     parts: int | None = None,
     settings: SilhouetteSettings | None = None,
-) -> Labels:
+) -> Index:
     """Find the parts of a moving mesh between the places where its silhouettes deform.
 
     Parameters

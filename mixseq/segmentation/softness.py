@@ -16,16 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.errors import SettingsError
 from mixseq.geometry.rigid import aligning_rotations
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology, spread
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 CORE = 0.1
 """Share of its triangles that a part keeps however soft it is: its stiffest ones."""

@@ -20,17 +20,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.segmentation.deformation import some_frames, vertex_bending
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
 from mixseq.segmentation.growing import check_parts, flood
-from mixseq.sequence import FloatArray
 from mixseq.topology import Topology
-
-Labels = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ def segment_by_spanning_tree(
     topology: Topology,
     parts: int | None = None,
     settings: SpanningTreeSettings | None = None,
-) -> Labels:
+) -> Index:
     """Cut a moving mesh where its dihedral angles vary most.
 
     Parameters

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.shells.solvers import Analysis, analyse
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

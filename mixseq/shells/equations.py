@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.shells.block_pattern import BlockPattern
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

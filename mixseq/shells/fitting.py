@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
 from mixseq.shells.block_pattern import BlockPattern
 from mixseq.shells.fitting_kernels import conjugate_gradients, shell_equations, shell_residuals
@@ -29,7 +30,6 @@ from mixseq.shells.patch import Patch
 
 __all__ = ["NO_PULL", "DenseTerm", "Pull", "ShellProblem", "ShellReport", "ShellSettings", "fit_shell"]
 
-Float = NDArray[np.float64]
 
 CLOSE = 0.03
 """Conjugate gradients stop at this fraction of the residual: a step need not be exact, the next one corrects it."""

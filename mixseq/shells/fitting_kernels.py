@@ -7,13 +7,10 @@ with the same bits.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
 from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient, wrapped
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @compiled

@@ -22,17 +22,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.pickling import Remade
 from mixseq.shells import rotation_kernels as kernels
 from mixseq.shells.solvers import Factor, factored_laplacian
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 class _Layers(NamedTuple):

@@ -11,12 +11,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.shells.block_pattern import BlockPattern
 
-Float = NDArray[np.float64]
 DampedStep = Callable[[float], Float]
 
 STUCK = 1e12

@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 Vector = tuple[float, float, float]
 
 TINY = 2.2250738585072014e-308

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import NO_PULL, Pull, ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.unfold import unfold
-
-Float = NDArray[np.float64]
 
 NEAR = 0.5
 """A guess without a larger weighted residual is near the answer."""

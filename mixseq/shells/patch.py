@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Index, Mask
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.block_pattern import BlockPattern
 from mixseq.shells.equations import Equations
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.shells.triangles import Hinges
 from mixseq.topology import Topology
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

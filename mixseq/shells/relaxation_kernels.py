@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled
 from mixseq.shells.hinge_kernels import length, length_gradient, misfit
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @compiled

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @inlined

@@ -23,8 +23,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.pickling import Remade
@@ -33,10 +33,6 @@ from mixseq.shells.joint import NO_LENGTH, length_weights
 from mixseq.shells.solvers import Factor, factored_laplacian
 from mixseq.shells.triangles import flat_triangles
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 ROUNDS = 15
 """So often the largest curvature is looked for."""

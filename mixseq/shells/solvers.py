@@ -13,14 +13,11 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ALONE = 30_000
 """Matrices with fewer rows are factored by one thread: several are factored at the same time."""

@@ -13,13 +13,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray
+from mixseq.arrays import Float, Index, IntArray
 from mixseq.shells import rotation_kernels as kernels
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SHORTEST = 1e-12
 """No side is shorter, in diagonals: a triangle has a side 01 that its frame can follow."""

@@ -14,14 +14,12 @@ Where lengths and angles belong to a real mesh the result is that mesh, exactly.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.patch import Patch
 from mixseq.shells.triangles import flat_triangles, frames_of
-
-Float = NDArray[np.float64]
 
 
 def unfold(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.polygons import frozen
 
-Float = NDArray[np.float64]
 Measure = Callable[[Float], Float]
 """From the deviations ``(T, k)`` of a curve to how large they are ``(T,)``."""
 

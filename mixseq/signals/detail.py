@@ -7,15 +7,16 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import continued
 from mixseq.mapping import OrderedMap, serially
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Modes, choose_keys, key_map, principal_modes
@@ -23,8 +24,6 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.table import Table, new_table
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 PoseForm = Literal["modes", "keys"]
 
 

@@ -15,11 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.signals.pose import PoseMap
-
-Float = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-12
 """Frames that spread by less than this fraction of the largest spread do not spread: rounding errors."""

@@ -19,6 +19,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads, serially
 from mixseq.pickling import Remade
@@ -32,7 +33,6 @@ from mixseq.signals.pose import PoseMap
 from mixseq.spaces import MixedSpace, ShapeSpace
 from mixseq.threads import one_blas_thread
 
-Float = NDArray[np.float64]
 Decoded = TypeVar("Decoded")
 
 FRAMES = 4

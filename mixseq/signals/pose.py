@@ -17,15 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.polygons import frozen
 from mixseq.table import Table, column_blocks
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NEGLIGIBLE = 1e-15
 """Modes below this fraction of the largest are rounding errors."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.pickling import Remade
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Poses, predicted_alone
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
 
 DIFFERENCE = 1e-4
 """Step of difference quotients, relative to the size of a vector's metric."""

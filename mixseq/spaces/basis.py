@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

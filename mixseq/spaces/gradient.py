@@ -26,22 +26,18 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors, without_jumps
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.integration import Integration
 from mixseq.spaces.pieces import Pieces
 from mixseq.spaces.triangles import completed, with_area
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 """Rows and columns of the six numbers of a symmetric matrix: its diagonal first."""

@@ -25,16 +25,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.block_pattern import BlockPattern
 from mixseq.spaces.integration import Integration
 from mixseq.spaces.normals import FLAT, across, unit, vertex_normals
 from mixseq.spaces.posed import PosedSpace
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PER_EDGE = 15
 """Numbers of an edge: nine of the connection, three from either end."""

@@ -36,7 +36,6 @@ from mixseq.spaces.vertex import VertexSpace
 from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
 
-Float = NDArray[np.float64]
 SpaceName = Literal["mixed", "vertex", "gradient", "lri", "edge"]
 SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 

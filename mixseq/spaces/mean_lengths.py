@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress
-from mixseq.sequence import FloatArray
 from mixseq.stored import blocks_of
 from mixseq.table import Table
-
-Float = NDArray[np.float64]
 
 
 def mean_lengths(

@@ -7,10 +7,8 @@ turned about it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
+from mixseq.arrays import Float, Index
 
 FLAT = 1e-4
 """A triangle has no area if its height is less than this part of its longest side; the value is ours.

@@ -7,15 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixseq.sequence import FloatArray
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.spaces.registered import radii_of_gyration, registered
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 
 THIN = 1e-3
 """A piece is a line if it is less than this part of its length across; the value is ours."""

@@ -12,18 +12,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import continued, quaternions, rotations_of
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.pieces import Pieces
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

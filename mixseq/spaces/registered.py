@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import aligning_rotations
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SMALLEST = 1e-3
 """Radius of a part that has none, in diagonals."""

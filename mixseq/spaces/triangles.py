@@ -9,12 +9,9 @@ get a fourth vertex too, and stand-ins with area where an inverse is needed; bot
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.spaces.normals import FLAT, across, face_normals, unit, vertex_normals
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def completed(rows: Float, faces: Index, edges: Index) -> Float:

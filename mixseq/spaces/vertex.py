@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.plots.camera import View, broadside, y_up
 from mixseq.viewing.shown import Shot
-
-Float = NDArray[np.float64]
 
 SAMPLES = 8
 """So many frames tell how much space a mesh takes."""

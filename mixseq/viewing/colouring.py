@@ -18,15 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.errors import SettingsError
 from mixseq.plots.colours import CLAY, JOINT_RED, part_colours, viridis
 from mixseq.plots.measures import Curvature, Strain, distances, two_digits
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray, IntArray, SequenceHeader, bounding_diagonal
+from mixseq.sequence import SequenceHeader, bounding_diagonal
 
-Float = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-Index = NDArray[np.int64]
 Numbers = Callable[[FloatArray, float], Float]
 """From points ``(V, 3)`` and the seconds elapsed since the first frame to a number at every vertex ``(V,)``."""
 

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap
 from mixseq.plots.video.timing import model_times, nearest_frames
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.stored import Stored, block_size
 from mixseq.version import __version__
@@ -31,7 +31,6 @@ from mixseq.viewing.template import page_around_data, tags_around
 
 __all__ = ["ExportReport", "ExportSettings", "Exported", "ExportedItem", "export_page", "poses_of"]
 
-Float = NDArray[np.float64]
 
 MOST_FRAMES = 20_000
 """More would be a slip of the rate: browsers hold the poses of all frames in memory."""

@@ -6,15 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.arrays import Float, FloatArray
+from mixseq.sequence import SequenceHeader
 
 if TYPE_CHECKING:
     from mixseq.viewing.colouring import Colouring
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,10 @@ from threading import Condition, Thread
 from traceback import print_exception
 from typing import Self
 
+from mixseq.arrays import Single
 from mixseq.errors import MixseqError, ReconstructionError
 from mixseq.threads import one_blas_thread
-from mixseq.viewing.shown import Item, Points, Shot
+from mixseq.viewing.shown import Item, Shot
 
 MEMORY = 1 << 30
 """Bytes of frames that are kept."""
@@ -45,7 +46,7 @@ class Frames:
     def __init__(self, ready: Callable[[], None], threads: int = 2, memory: int = MEMORY) -> None:
         self._ready = ready
         self._memory = memory
-        self._kept: OrderedDict[Key, Points | MixseqError] = OrderedDict()
+        self._kept: OrderedDict[Key, Single | MixseqError] = OrderedDict()
         self._size = 0
         self._busy: set[Key] = set()
         self._wish: _Wish | None = None
@@ -69,7 +70,7 @@ class Frames:
         for thread in self._threads:
             thread.join()
 
-    def want(self, shot: Shot, frame: int, ahead: bool = True) -> tuple[Points, ...] | None:
+    def want(self, shot: Shot, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
         """Ask for a frame.
 
         Parameters
@@ -117,7 +118,7 @@ class Frames:
                     return
                 self._busy.add(key)
             item, elapsed = key
-            found: Points | MixseqError
+            found: Single | MixseqError
             try:
                 with one_blas_thread():
                     found = item.pose(elapsed)
@@ -149,12 +150,12 @@ class Frames:
         size = sum(12 * item.header.vertex_count for item in shot.items)
         return max(1, min(shot.count, 3 * self._memory // (4 * size)))
 
-    def _keep(self, key: Key, found: Points | MixseqError) -> None:
+    def _keep(self, key: Key, found: Single | MixseqError) -> None:
         self._kept[key] = found
         self._size += _bytes(found)
         while self._size > self._memory and len(self._kept) > 1:
             self._size -= _bytes(self._kept.popitem(last=False)[1])
 
 
-def _bytes(found: Points | MixseqError) -> int:
+def _bytes(found: Single | MixseqError) -> int:
     return 0 if isinstance(found, MixseqError) else found.nbytes

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.plots.camera import View
-from mixseq.sequence import FloatArray
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

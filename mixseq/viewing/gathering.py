@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.plots.camera import View, broadside, y_up
 from mixseq.sequence import SequenceHeader, check_block
@@ -14,8 +14,6 @@ from mixseq.table import Table, new_table
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported
 from mixseq.viewing.framing import Extent, extent_of
-
-Float = NDArray[np.float64]
 
 TOGETHER = 2.0
 """Meshes with the same triangles are compared at one scale, unless the box around them is more than so many times as

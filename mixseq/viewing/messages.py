@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from mixseq.arrays import Float
 
 MOST_POINTS = 5000
 """A stroke has no more points, a retiming no more keys."""

@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Single
 from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from mixseq.stored import Stored
 from mixseq.viewing.colouring import Colouring, clay, colourings_of
-from mixseq.viewing.shown import Item, Points, Shot
+from mixseq.viewing.shown import Item, Shot
 
 Bytes = NDArray[np.uint8]
 
@@ -86,7 +87,7 @@ class Paint:
             ((elapsed, item.pose(elapsed)) for elapsed in moments),
         )
 
-    def _reference(self, item: Item) -> Callable[[float], Points] | None:
+    def _reference(self, item: Item) -> Callable[[float], Single] | None:
         """Return the original's points at elapsed times, if it is the same mesh."""
         if self.original is None or not _same_mesh(self.original.header, item.header):
             return None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixseq.sequence import IntArray
+from mixseq.arrays import IntArray
 
 
 class Picked(NamedTuple):

@@ -13,10 +13,11 @@ from time import monotonic
 from traceback import print_exception
 from typing import Protocol, Self
 
+from mixseq.arrays import Single
 from mixseq.errors import MixseqError
 from mixseq.viewing.clock import Clock
 from mixseq.viewing.frames import MEMORY, Frames
-from mixseq.viewing.shown import Points, Shot
+from mixseq.viewing.shown import Shot
 
 PATIENCE = 0.25
 """Seconds after which a frame counts as drawn, though nobody said so."""
@@ -52,7 +53,7 @@ class Moment:
 
     shot: Shot
     frame: int
-    poses: tuple[Points, ...]
+    poses: tuple[Single, ...]
 
 
 class Playback:

@@ -14,11 +14,11 @@ from threading import Condition, Thread
 from traceback import print_exception
 from typing import Protocol, Self
 
+from mixseq.arrays import Float
 from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.operations import retime
 from mixseq.signals import Model
 from mixseq.viewing.history import History
-from mixseq.viewing.messages import Float
 from mixseq.viewing.playback import Playback
 from mixseq.viewing.shown import Shot
 

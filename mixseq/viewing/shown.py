@@ -7,15 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Single
 from mixseq.plots.video.timing import film_times, model_times, nearest_frames
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.stored import Stored
-
-Points = NDArray[np.float32]
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class Item:
         """Everything but the points."""
         return self.motion.header
 
-    def pose(self, elapsed: float) -> Points:
+    def pose(self, elapsed: float) -> Single:
         """Return the points ``(V, 3)`` so many seconds after the first frame; the last ones after the end."""
         times = np.array([elapsed])
         if isinstance(self.motion, Model):

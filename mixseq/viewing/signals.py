@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.operations.dragging import default_reach
-from mixseq.plots.camera import Array
 from mixseq.plots.signals import dense_times, largest_coordinates
 from mixseq.signals import Model
 from mixseq.signals.layout import Plane
@@ -85,14 +85,14 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     }
 
 
-def _spread(values: Array, most: int) -> Array:
+def _spread(values: Float, most: int) -> Float:
     """Choose `most` of the values, evenly, the first and the last among them; all if there are no more."""
     if len(values) <= most:
         return values
     return values[np.linspace(0, len(values) - 1, most).round().astype(np.intp)]
 
 
-def _rounded(values: Array, largest: float) -> list[Any]:
+def _rounded(values: Float, largest: float) -> list[Any]:
     """Return values as lists, rounded to `DIGITS` digits of the largest."""
     decimals = DIGITS - int(np.ceil(np.log10(largest))) if largest > 0 else DIGITS
     rounded: list[Any] = (np.round(values, min(max(decimals, 0), 15)) + 0.0).tolist()

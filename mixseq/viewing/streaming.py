@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.plots.camera import y_up
-from mixseq.sequence import FloatArray
 from mixseq.stored import blocks_of
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported, ExportedItem
@@ -30,7 +29,6 @@ from mixseq.viewing.template import script_json, tags_around
 if TYPE_CHECKING:
     from mixseq.viewing.colouring import Colouring
 
-Float = NDArray[np.float64]
 
 FARTHEST = 32767
 """The largest of the integers that stand for positions."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.plots import CLAY
 from mixseq.plots.video.film import FilmSettings, Shown, film
@@ -24,8 +25,6 @@ from mixseq.topology import Topology
 from scripts.benchmarks.common.inbetween import Motion, part, vertex_spline
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import Poses
-
-Float = NDArray[np.float64]
 
 SHOWN = (
     "horse_gallop",

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 import mixseq
-from mixseq.polygons import FloatArray, Polygons
+from mixseq.arrays import FloatArray
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 
 SIDE = 150

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.signals import Model
 from scripts.benchmarks.common.inbetween import (
     accelerations,
@@ -29,8 +29,6 @@ from scripts.benchmarks.common.inbetween import (
     vertex_operator,
     vertex_spline,
 )
-
-Float = NDArray[np.float64]
 
 CHOSEN_ON = {
     "abc_dembones_bone", "elephant_gallop", "fox_run", "q_alpaca_gallop", "q_fox_gallopjump", "q_man_run", "q_trex_run",

@@ -12,7 +12,8 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.arrays import FloatArray
+from mixseq.sequence import MeshSequence
 from tests.meshes import tube
 
 Run = Callable[..., Result]

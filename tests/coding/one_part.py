@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding import streams as module
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import FactorName
 from mixseq.coding.factors import Factors
 from mixseq.coding.graph import SignalGraph, path_graph
 from mixseq.coding.parts import whole
-
-Float = NDArray[np.float64]
 
 
 def write_fields(

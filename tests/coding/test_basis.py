@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mixseq.coding.basis import Basis
 from mixseq.sequence import MeshSequence
 from mixseq.stored import Stored, block_size, stored
 from tests.coding.one_part import basis_of
 from tests.meshes import bar, tube
-
-Float = NDArray[np.float64]
 
 RNG = np.random.default_rng(4)
 VERTICES = len(tube(5, 6)[0])

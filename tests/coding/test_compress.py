@@ -14,18 +14,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float, FloatArray
 from mixseq.coding.coded import Coded
 from mixseq.coding.compress import compress
 from mixseq.coding.decode import to_model
 from mixseq.coding.search import CLOSE
 from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence, SequenceHeader
 from tests.meshes import SEQUENCES, bar, grid, joined, seeds, tetrahedron, torus, tube
-
-Float = NDArray[np.float64]
 
 
 def size_of(coded: Coded) -> int:

@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.corrections import RUN, needed, read_corrections, width, write_corrections
 from mixseq.coding.graph import mesh_graph
 from mixseq.errors import FormatError
 from tests.meshes import seeds, torus
 
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
-
 VERTICES = 70
 GRAPH = mesh_graph(torus(10, 6)[1], VERTICES)  # the last ten have no faces
 
 
-def decoded(stream: bytes, count: int) -> Int:
+def decoded(stream: bytes, count: int) -> Index:
     """All frames of a stream, run by run, from the last to the first."""
     frames = np.zeros((count, VERTICES, 3), dtype=np.int64)
     for run in reversed(range(-(-count // RUN))):

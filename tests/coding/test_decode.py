@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding import streams
 from mixseq.coding.coded import Coded
 from mixseq.coding.compress import compress
@@ -22,8 +22,6 @@ from mixseq.signals.model import Model
 from mixseq.spaces import VertexSpace
 from mixseq.spaces.basis import BasisSpace
 from tests.meshes import bar, tetrahedron, tube
-
-Float = NDArray[np.float64]
 
 
 @cache

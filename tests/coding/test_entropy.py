@@ -6,25 +6,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.coding.entropy import FLOOR, MOST, START, Reader, Tables, Writer
 from mixseq.errors import FormatError
-
-Int = NDArray[np.int64]
 
 MAGNITUDES = [0.1, 1.0, 5.0]
 LARGEST = (1 << 63) - 1
 
 
-def coded(*arrays: tuple[Int, Int]) -> bytes:
+def coded(*arrays: tuple[Index, Index]) -> bytes:
     writer, tables = Writer(), Tables(MAGNITUDES)
     for numbers, contexts in arrays:
         writer.put(numbers, contexts, tables)
     return writer.finish()
 
 
-def laplacian(size: int, seed: int = 0) -> tuple[Int, Int]:
+def laplacian(size: int, seed: int = 0) -> tuple[Index, Index]:
     """Numbers and their contexts, with about the magnitudes that are expected in these."""
     rng = np.random.default_rng(seed)
     contexts = rng.integers(0, 3, size)
@@ -107,7 +105,7 @@ def test_old_counts_are_forgotten() -> None:
 # Damage -----------------------------------------------------------------------------------------------------
 
 
-def decoded(data: bytes, contexts: Int) -> Int | None:
+def decoded(data: bytes, contexts: Index) -> Index | None:
     try:
         return Reader(data).get(contexts, Tables(MAGNITUDES))
     except FormatError:

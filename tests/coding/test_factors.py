@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding import factors as module
 from mixseq.coding.coded import FactorName
 from mixseq.coding.factors import Factors, factor
@@ -14,8 +15,6 @@ from mixseq.sequence import MeshSequence
 from mixseq.stored import Stored, stored
 from tests.coding.one_part import basis_of
 from tests.meshes import bar, rotation, tetrahedron, torus
-
-Float = NDArray[np.float64]
 
 NAMES: tuple[FactorName, ...] = FACTORS
 

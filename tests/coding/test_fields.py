@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding.entropy import Reader, Writer
 from mixseq.coding.fields import FieldCoder
 from mixseq.coding.graph import SignalGraph, mesh_graph, path_graph
 from mixseq.coding.prediction import MARGIN
 from mixseq.errors import FormatError
 from tests.meshes import grid, seeds, torus
-
-Float = NDArray[np.float64]
 
 TORUS = torus(16, 9)
 

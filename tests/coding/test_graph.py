@@ -8,29 +8,27 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.coding.graph import FEWEST, MOST, SignalGraph, mesh_graph, path_graph
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, joined, pages, tetrahedron, torus
 
-Int = NDArray[np.int64]
-
 NONE = np.zeros((0, 3), dtype=np.int64)
 
 
-def fan(spokes: int) -> Int:
+def fan(spokes: int) -> Index:
     """A wheel without a rim beyond its hub, vertex 0."""
     rim = 1 + np.arange(spokes)
     return np.stack([np.zeros(spokes, dtype=np.int64), rim, np.roll(rim, -1)], axis=1)
 
 
-def of_sequence(name: str) -> tuple[Int, int]:
+def of_sequence(name: str) -> tuple[Index, int]:
     sequence = SEQUENCES[name]()
     return sequence.faces.astype(np.int64), sequence.vertex_count
 
 
-MESHES: dict[str, Callable[[], tuple[Int, int]]] = {
+MESHES: dict[str, Callable[[], tuple[Index, int]]] = {
     "one vertex": lambda: (NONE, 1),
     "no faces": lambda: (NONE, 20),
     "one triangle": lambda: (np.array([[0, 1, 2]]), 3),

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
 import mixseq.errors
@@ -21,8 +20,6 @@ from mixseq.errors import FormatError
 from mixseq.sequence import MeshSequence
 from mixseq.stored import stored
 from tests.meshes import bar, rotation, torus
-
-Float = NDArray[np.float64]
 
 RNG = np.random.default_rng(7)
 

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.coding.graph import SignalGraph, mesh_graph, path_graph
 from mixseq.coding.prediction import CONTEXTS, FIRST, GROWTH, MARGIN, Predictor, bounds
 from mixseq.coding.prediction_kernels import contexts, learn, roughness, smooth, solve, surroundings
 from mixseq.coding.similar_kernels import nearest
 from tests.meshes import Mesh, grid, joined, seeds, tetrahedron, torus, tube
-
-Int = NDArray[np.int64]
-Float = NDArray[np.float64]
 
 OUTERMOST = 1 - MARGIN
 """The most that rounding leaves, in steps."""
@@ -31,7 +29,7 @@ def teach(predictor: Predictor, signal: Float) -> None:
     predictor.finish()
 
 
-def quantised(predictor: Predictor, signal: Float) -> tuple[Int, Float]:
+def quantised(predictor: Predictor, signal: Float) -> tuple[Index, Float]:
     """Numbers and values of a signal, batch by batch, in the order of nodes."""
     predictor.begin()
     nodes = signal[predictor.graph.order]

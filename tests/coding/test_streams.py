@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.coding import streams as module
 from mixseq.coding.basis import Basis
 from mixseq.coding.coded import FactorName
@@ -24,8 +24,6 @@ from mixseq.coding.streams import (
 from mixseq.stored import stored
 from tests.coding.one_part import basis_of, read_fields, write_fields
 from tests.meshes import bar, torus
-
-Float = NDArray[np.float64]
 
 MESH = torus(10, 6)
 GRAPH = mesh_graph(MESH[1], 60)

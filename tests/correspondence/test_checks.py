@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.orientation import check_facing, check_orientation, sides
@@ -20,9 +20,6 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 from mixseq_io.correspondence.markers import read_markers
 from tests.meshes import grid, joined, rotation, tetrahedron, torus, tube
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LEGS = ((-0.5, -2.0), (0.5, -2.0), (-0.5, 2.0), (0.5, 2.0))
 """Where the four legs of `creature` stand: x (left is negative) and z."""

@@ -6,18 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.correspond import correspond, correspond_and_assess
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, joined, rotation, topology_of, tube
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BODY = tube(10, 25)
 MARKED = np.array([0, 3, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])

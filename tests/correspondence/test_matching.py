@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.matching import Matches, MatchingSettings, match
@@ -12,9 +11,6 @@ from mixseq.correspondence.pairing import pair_components
 from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import SettingsError
 from tests.meshes import Mesh, grid, joined, topology_of, tube
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def surface(mesh: Mesh) -> Surface:

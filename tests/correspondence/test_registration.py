@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.energy import Energy, Pull, nearest_similarities
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.pairing import pair_components
@@ -15,8 +16,6 @@ from mixseq.correspondence.surfaces import Surface
 from mixseq.errors import SettingsError
 from mixseq.geometry.nearest import Nearest
 from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
-
-Float = NDArray[np.float64]
 
 TUBE = tube(10, 25)
 MARKED = np.array([0, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])

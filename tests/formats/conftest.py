@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import MixseqWarning
-from mixseq.sequence import FloatArray, MeshSequence, Polygons
+from mixseq.sequence import MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import FORMATS, write
 from mixseq_io.format import Format

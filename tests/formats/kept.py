@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray, Polygons
+from mixseq.arrays import IntArray
+from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
 
 

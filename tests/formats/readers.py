@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning
 from mixseq.polygons import Polygons
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.reader import SequenceReader
 
 HEADER = SequenceHeader(

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 imath = pytest.importorskip("imath")
 from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial  # noqa: E402
 
+from mixseq.arrays import FloatArray  # noqa: E402
 from mixseq.errors import (  # noqa: E402
     AmbiguousError,
     FormatError,
@@ -26,7 +27,7 @@ from mixseq.errors import (  # noqa: E402
 )
 from mixseq.geometry.normals import shared_normals  # noqa: E402
 from mixseq.geometry.rotations import matrices  # noqa: E402
-from mixseq.sequence import FloatArray, MeshSequence, Polygons  # noqa: E402
+from mixseq.sequence import MeshSequence, Polygons  # noqa: E402
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface  # noqa: E402
 from mixseq_io import read  # noqa: E402
 from mixseq_io.alembic.reader import open_alembic  # noqa: E402

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence import FloatArray, MeshSequence, Polygons
+from mixseq.sequence import MeshSequence, Polygons
 from mixseq_io import open_sequence, read, write, write_blocks
 from tests.formats.conftest import CASES, TARGETS, lossy
 from tests.formats.kept import assert_close, assert_kept

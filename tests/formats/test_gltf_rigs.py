@@ -22,7 +22,6 @@ from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.meshes import bar, bent, rotation, tube
 
-Float = NDArray[np.float64]
 QUARTER = np.pi / 2
 
 

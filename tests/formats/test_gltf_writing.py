@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.sequence import FloatArray, MeshSequence, Polygons
+from mixseq.sequence import MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.polygons import FloatArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import open_sequence, read, write, write_blocks

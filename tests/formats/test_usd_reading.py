@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, MixseqError, MixseqWarning
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.surface import FaceSet
 from mixseq_io.usd.reader import open_usd
 from mixseq_io.usd.seams import weld

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from mixseq.sequence import FloatArray, MeshSequence, Polygons, collect, header_fields
+from mixseq.arrays import FloatArray
+from mixseq.sequence import MeshSequence, Polygons, collect, header_fields
 from mixseq.surface import Surface
 from mixseq_io.usd.reader import open_usd
 from mixseq_io.usd.writer import write_usd

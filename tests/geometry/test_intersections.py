@@ -8,9 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Index
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.intersections import self_intersections
-from tests.meshes import Index, Mesh, grid, joined, rotation, tetrahedron, torus, tube
+from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, torus, tube
 
 Place = tuple[Fraction, ...]
 

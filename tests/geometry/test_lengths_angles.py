@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import (
     dihedral_angles,
     dihedral_gradients,
@@ -16,7 +17,7 @@ from mixseq.geometry.lengths_angles import (
     unwrap_angles,
     wrap,
 )
-from tests.meshes import Float, rigid_motions, tetrahedron, topology_of, tube
+from tests.meshes import rigid_motions, tetrahedron, topology_of, tube
 
 HINGE = np.array([[0, 1, 2, 3]])
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.geometry.nearest import Found, Nearest
 from mixseq.geometry.triangles import unit_normals
-from tests.meshes import Float, Index, Mesh, grid, joined, rotation, tetrahedron, torus, tube
+from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, torus, tube
 
 RIGHT: Mesh = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import (
     continued,
     exponentials,
@@ -19,7 +20,7 @@ from mixseq.geometry.quaternions import (
     rotations_of,
     spins,
 )
-from tests.meshes import Float, rotation, seeds
+from tests.meshes import rotation, seeds
 
 AXIS = np.array([1.0, -2.0, 2.0]) / 3
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float
 from mixseq.geometry.rigid import bend, kabsch, mean_shape, nearest_rotations, transform, turned
-from tests.meshes import Float, rigid_motions, rotation, seeds
+from tests.meshes import rigid_motions, rotation, seeds
 
 CLOUD = np.random.default_rng(3).normal(size=(12, 3))
 

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from mixseq.arrays import Float
 from mixseq.geometry.rotations import continuous_vectors, matrices, vectors
-from tests.meshes import Float, rotation, seeds
+from tests.meshes import rotation, seeds
 
 AXIS = np.array([1.0, -2.0, 2.0]) / 3
 

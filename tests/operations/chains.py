@@ -6,9 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from mixseq.arrays import Float, Index
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from tests.meshes import Float, Index, bent, rotation, tube
+from tests.meshes import bent, rotation, tube
 
 JOINTS = (2.0, 3.4)
 """Heights of the joints; the first bone is the longest."""

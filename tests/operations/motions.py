@@ -5,14 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from mixseq.signals.fit import SpaceName
 from tests.meshes import bar, rotation, tube
-
-Float = NDArray[np.float64]
 
 AXIS = np.array([2.0, 1.0, -2.0]) / 3.0
 

@@ -8,12 +8,13 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.articulated import exaggerate_part, hold
 from mixseq.operations.limbs import limb_of
 from mixseq.operations.sculpt import smoothstep
 from mixseq.signals import Curve, Model, fit
-from tests.meshes import Float, bar
+from tests.meshes import bar
 from tests.operations.chains import TIMES, angles, bone, chain, frames
 
 BETWEEN = np.linspace(0.0, 0.8, 21)

@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
 from mixseq.operations.sampling import shape_measure
 from mixseq.sequence import bounding_diagonal
 from mixseq.signals import Model, fit
 from mixseq.signals.fit import SpaceName
-from tests.meshes import Float, seeds
+from tests.meshes import seeds
 from tests.operations.motions import bar_motion, signals, spin
 
 TIMES = np.linspace(0.0, 0.8, 23)

@@ -13,13 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, exaggerate, sculpt, transition
 from mixseq.operations.passes import snapped
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from mixseq.signals.layout import Plane
-from tests.meshes import Float, rotation, seeds, tube
+from tests.meshes import rotation, seeds, tube
 from tests.operations.motions import bar_motion, jumps
 
 CIRCLE = 2 * np.pi * np.arange(17) / 17

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import Blend
@@ -17,8 +17,6 @@ from mixseq.sequence import MeshSequence
 from mixseq.spaces import SPACES, EdgeSettings, SpaceName
 from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, PlacementName
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
-
-Float = NDArray[np.float64]
 
 POSES = bar(sides=5, rings=13, frames=4)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rotations import matrices, vectors
 from mixseq.operations.limbs import limb_of
 from mixseq.operations.means import mean, mean_placements
 from mixseq.signals import Curve
 from mixseq.signals.fit import SpaceName
-from tests.meshes import Float
 from tests.operations.chains import TIMES, chain
 from tests.operations.motions import bar_motion, spin
 

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from mixseq.operations.pieces import Fade, Piece, join, moved, refined, sites_of
 from mixseq.signals import Curve
 from tests.meshes import seeds
 from tests.operations.motions import jets, jumps
-
-Float = NDArray[np.float64]
 
 
 def wild(seed: int, knots: int = 9, start: float = 0.0, end: float = 2.0) -> Curve:

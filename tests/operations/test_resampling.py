@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retime import Retiming
@@ -16,8 +17,6 @@ from mixseq.signals import Model, fit
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import MOST_FRAMES
 from tests.meshes import bar
-
-Float = NDArray[np.float64]
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 POWERS = np.random.default_rng(5).normal(size=(4, 3, 3))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.operations.sampling import ROUNDS, placement_measure, sampled, shape_measure
 from mixseq.signals import fit
-from tests.meshes import Float, bar
+from tests.meshes import bar
 
 
 def largest(deviations: Float) -> Float:

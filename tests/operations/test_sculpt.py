@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.geometry.rigid import kabsch
@@ -18,7 +19,7 @@ from mixseq.signals import Model, fit
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.mixed import AnchoredSpace, MixedSpace
-from tests.meshes import Float, Index, bar, bending, tube
+from tests.meshes import bar, bending, tube
 
 FRAMES = 9
 SPACES = ["anchored", "free", "vertex"]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import repeat, smooth
 from mixseq.operations.smoothing import smoothed
@@ -15,8 +15,6 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, fit
 from tests.meshes import tube
 from tests.operations.motions import CIRCLE, bar_motion, jumps, signals, spin, spinning
-
-Float = NDArray[np.float64]
 
 TIMES = np.linspace(0, 10, 401)
 MIDDLE = (TIMES > 2) & (TIMES < 8)

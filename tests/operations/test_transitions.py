@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
@@ -23,7 +23,6 @@ from tests.meshes import bar, bending, rotation, tube
 from tests.operations.chains import chain, labels
 from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, signals, spin, spinning
 
-Float = NDArray[np.float64]
 SPACES: list[SpaceName] = ["mixed", "vertex"]
 
 

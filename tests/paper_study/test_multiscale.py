@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.geometry.rigid import kabsch
@@ -19,8 +20,6 @@ from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
 from scripts.paper_study.msgi.multiscale import MultiScale
 from tests import meshes
-
-Float = NDArray[np.float64]
 
 SMALL = {"leaf": 24, "group": 4}
 """Numbers that give small meshes several levels."""

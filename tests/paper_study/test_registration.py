@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import transform
 from scripts.paper_study.common.registration import Overlaps, register
-from tests.meshes import Float, Index, rotation, seeds
+from tests.meshes import rotation, seeds
 
 Pieces = list[Index]
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.topology import Topology
 from scripts.paper_study.common.stitching import Seams, stitch
-from tests.meshes import Float, Index, bent, joined, seeds, tetrahedron, topology_of, tube
+from tests.meshes import bent, joined, seeds, tetrahedron, topology_of, tube
 
 BAR = tube(6, 9)
 MESH = joined((bent(BAR[0], 1.0), BAR[1]), tetrahedron())

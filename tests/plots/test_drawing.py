@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.plots import View, draw_mesh
-from mixseq.sequence import FloatArray, IntArray, MeshSequence
+from mixseq.sequence import MeshSequence
 
 
 def draw(ax: Any, points: FloatArray, faces: IntArray, **options: Any) -> Any:

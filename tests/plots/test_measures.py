@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.plots.measures import MEASURES, Curvature, Strain, distances
 from mixseq.topology import Topology
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, tetrahedron, torus, tube
-
-Float = NDArray[np.float64]
 
 
 def rolled(columns: int, degrees: float) -> Float:

@@ -12,20 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.plots import contact_sheet, draw_segmentation
 from mixseq.sequence import MeshSequence
 
 pytest.importorskip("matplotlib")
 
-Labels = NDArray[np.int64]
 Draw = Callable[..., bytes]
 
 
 @pytest.fixture
-def sheet(parts: Labels, joints: Labels) -> Draw:
+def sheet(parts: Index, joints: Index) -> Draw:
     """Draw a contact sheet and return the file's content."""
 
     def draw(original: MeshSequence, decoded: MeshSequence, **options: Any) -> bytes:
@@ -48,7 +47,7 @@ def test_sheet_is_1800_pixels_wide_and_reproducible(gem: MeshSequence, sheet: Dr
     assert first == sheet(gem, gem)
 
 
-def test_sheet_goes_to_a_path(gem: MeshSequence, parts: Labels, joints: Labels, tmp_path: Path) -> None:
+def test_sheet_goes_to_a_path(gem: MeshSequence, parts: Index, joints: Index, tmp_path: Path) -> None:
     contact_sheet(tmp_path / "sheet.png", gem, gem, parts, joints, frames=2, title="two")
     assert png_size((tmp_path / "sheet.png").read_bytes())[0] == 1800
 
@@ -70,7 +69,7 @@ def test_sheet_refuses_another_mesh(gem: MeshSequence, sheet: Draw) -> None:
 
 
 @pytest.mark.parametrize("up", ["X", "Y", "Z"])
-def test_segmentation_picture(gem: MeshSequence, parts: Labels, joints: Labels, up: str) -> None:
+def test_segmentation_picture(gem: MeshSequence, parts: Index, joints: Index, up: str) -> None:
     file = io.BytesIO()
     draw_segmentation(file, gem.points[0], gem.faces, parts, joints, up_axis=up, title="gem")
     assert png_size(file.getvalue())[0] == 1800

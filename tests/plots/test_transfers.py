@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import SettingsError
 from mixseq.plots.transfers import heading, parts_of_both, transfer_sheet
 from mixseq.retargeting.report import evenly
 from mixseq.retargeting.transfer import Transfer, plan
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from tests.meshes import bar, rotation, tetrahedron
 
 pytest.importorskip("matplotlib")

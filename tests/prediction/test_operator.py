@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
+from mixseq.arrays import Float
 from mixseq.prediction import operator as module
 from mixseq.prediction.operator import LEFT_OUT, LENGTHS, WINDOW, Operator, Rows, chosen, with_middles
-from tests.meshes import Float, seeds
+from tests.meshes import seeds
 
 UNEVEN = np.array([0.0, 0.3, 0.4, 1.1, 1.5, 1.6, 2.4, 3.0])
 NATURAL = (0.0, 0.0)

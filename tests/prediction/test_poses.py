@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import continued, normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.operator import LENGTHS, Operator, chosen, with_middles
 from mixseq.prediction.poses import Neighbours, Poses, blended, chained, predicted, predicted_alone
-from tests.meshes import Float, Index, rigid_motions, rotation, seeds
+from tests.meshes import rigid_motions, rotation, seeds
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.making import gradient_transfer
-from mixseq.sequence import FloatArray
 from tests.meshes import Mesh, topology_of
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def subdivided(mesh: Mesh) -> Mesh:

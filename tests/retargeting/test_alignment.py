@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.alignment import Alignment, _quarter_turns, align
 from tests.meshes import grid, rigid_motions, rotation, seeds, tube
-
-Float = NDArray[np.float64]
 
 QUARTER = rotation((np.pi / 2, 0, 0))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rotations import matrices
 from mixseq.retargeting.blend import Blend
@@ -12,7 +13,7 @@ from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
-from tests.meshes import Float, topology_of, tube
+from tests.meshes import topology_of, tube
 
 SIDES, RINGS = 6, 9
 BAR, FACES = tube(SIDES, RINGS, length=8.0, closed=False)

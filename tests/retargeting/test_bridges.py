@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from hypothesis import given, settings
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
 
+from mixseq.arrays import Index
 from mixseq.retargeting.bridges import Bridges, bridges
 from tests.meshes import seeds
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def pieces_of(sizes: list[int]) -> list[Index]:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.retargeting.carried import carry_labels, carry_parts, vertex_parts, without_crumbs
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import from_subdivided, same, subdivided, to_subdivided
-
-Index = NDArray[np.int64]
 
 
 def by_height(mesh: Mesh, *heights: float) -> Index:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
 from mixseq.retargeting.gradients import normalised
 from mixseq.sequence import MeshSequence
@@ -27,8 +27,6 @@ from tests.meshes import (
     tube,
 )
 from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided
-
-Float = NDArray[np.float64]
 
 
 def shaped(points: Float) -> Float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.nearest import Nearest
@@ -16,9 +16,6 @@ from mixseq.retargeting.mixed import MixedTransfer
 from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BEND = 1.0
 """Radians by which `arched` turns the end of a tube."""

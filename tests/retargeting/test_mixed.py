@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.making import mixed_transfer
@@ -17,9 +17,6 @@ from mixseq.segmentation.joints import decompose
 from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 TUBE = tube(8, 33, radius=0.3)
 ELBOW = 1.3

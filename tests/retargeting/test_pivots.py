@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.retargeting.linkage import Linkage
 from mixseq.retargeting.pivots import REACH, Pivots
 from tests.meshes import rigid_motions, rotation, seeds
-
-Float = NDArray[np.float64]
 
 
 def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Float]:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.creature.gait import DUTY, STEP
 from mixseq.errors import MixseqWarning, SettingsError
@@ -18,9 +18,6 @@ from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence
 from tests.meshes import rotation
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FRAMES = 24
 PAWS = ("forepaw.l", "forepaw.r", "hindpaw.l", "hindpaw.r")

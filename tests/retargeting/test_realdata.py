@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import FloatArray
 from mixseq.retargeting.transfer import METHODS, MethodName, plan
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq_io.correspondence.markers import read_markers
 from tests.meshes import rotation
 from tests.retargeting.pairs import furthest

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mixseq.arrays import FloatArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare
@@ -14,7 +15,7 @@ from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import component_names, coverage
 from mixseq.retargeting.report import Counts, Meter, TransferReport, evenly, measure
 from mixseq.retargeting.transfer import Transfer, plan
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.surface import MeshObject, Surface
 from mixseq.topology import Topology
 from tests.meshes import bar, bent, grid, joined, rotation, tetrahedron, tube

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, SegmentationError, SettingsError
 from mixseq.retargeting.sources import source_motion
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.spaces import MixedSpace
 from tests.meshes import bar
 from tests.retargeting.pairs import furthest

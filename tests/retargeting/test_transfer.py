@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import mixseq
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
@@ -21,14 +21,11 @@ from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.mixed import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import METHODS, MethodName, plan
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from tests.meshes import SEQUENCES, bar, rigid_motions, rotation
 from tests.retargeting.pairs import from_subdivided, furthest, subdivided, to_subdivided
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 both = pytest.mark.parametrize("method", METHODS)
 

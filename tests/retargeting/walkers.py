@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.retargeting.contacts import Planted, plant
 from mixseq.retargeting.linkage import Contact, Linkage
-
-Float = NDArray[np.float64]
 
 CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.5, 0.08
 BONES = {"thigh": 0.5, "shank": 0.45, "foot": 0.06}

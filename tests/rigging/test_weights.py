@@ -6,15 +6,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from mixseq.arrays import Float
 from mixseq.rigging.bones import merged, motion_of, move, seeded, transposed, vertex_labels
 from mixseq.rigging.correctives import principal_shapes
 from mixseq.rigging.weights import Binding, bind
 from tests.meshes import rotation
-
-Float = NDArray[np.float64]
 
 
 def random_bones(bones: int, frames: int, seed: int = 3) -> Float:

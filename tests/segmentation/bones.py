@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.arrays import Index
 from mixseq.sequence import MeshSequence
-from tests.meshes import Index, rotation, tube
+from tests.meshes import rotation, tube
 
 
 def three_bones() -> tuple[MeshSequence, Index]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.arrays import Index
 from mixseq.segmentation import segment_by_labels
 from mixseq.segmentation.boundaries import Boundaries
-from tests.meshes import Index, Mesh, flipped, grid, joined, pages, rotation, topology_of, tube
+from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, topology_of, tube
 
 
 def cut(mesh: Mesh, *heights: float, axis: int = 2) -> Index:

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, Mask
 from mixseq.segmentation import motion
 from mixseq.segmentation.clusters import Clusters, moments_of, motions_of, tally
 from mixseq.segmentation.elements import Elements
 from mixseq.segmentation.rigid_error import Moments, moments
 from mixseq.topology import Topology, face_patches
-from tests.meshes import SEQUENCES, Float, bending, pages, seeds, topology_of, torus, tube
-
-Labels = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from tests.meshes import SEQUENCES, bending, pages, seeds, topology_of, torus, tube
 
 MESH = torus(12, 7)
 TOPOLOGY = topology_of(MESH)
@@ -46,7 +43,7 @@ def test_tallies_are_moments() -> None:
         np.testing.assert_allclose(motions[k, :, :, 3], shift, atol=1e-9)
 
 
-def by_definition(labels: Labels, rounds: int) -> Float:
+def by_definition(labels: Index, rounds: int) -> Float:
     """Costs ``(F, K)``, written down without short cuts."""
     topology = topology_of(MESH)
     columns = []

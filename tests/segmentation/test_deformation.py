@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.segmentation.deformation import (
     angle_variation,
     length_variation,
@@ -13,7 +14,7 @@ from mixseq.segmentation.deformation import (
     vertex_strain,
 )
 from mixseq.topology import Topology
-from tests.meshes import Float, bar, bending, grid, rotation, topology_of, tube
+from tests.meshes import bar, bending, grid, rotation, topology_of, tube
 
 SQUARE = Topology(np.array([[0, 1, 2], [1, 0, 3]]), 4)
 

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.segmentation.growing import Passes, check_parts, flood
 from mixseq.topology import Topology, face_patches
-from tests.meshes import Float, grid, joined, seeds, tetrahedron, topology_of
+from tests.meshes import grid, joined, seeds, tetrahedron, topology_of
 
 
 def chain(heights: list[float], areas: list[float] | None = None) -> Passes:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.segmentation import Decomposition, decompose, segment_by_labels, segment_by_motion
 from mixseq.topology import Topology, face_patches
@@ -26,8 +26,6 @@ from tests.meshes import (
     torus,
     tube,
 )
-
-Labels = NDArray[np.int64]
 
 
 def assert_sound(topology: Topology, decomposition: Decomposition) -> None:
@@ -118,7 +116,7 @@ def test_what_always_holds_on_awkward_sequences(name: str, width: int) -> None:
     assert_sound(topology, decompose(topology, labels, width, sequence.points))
 
 
-def halves(mesh: Mesh, cut: float, axis: int) -> Labels:
+def halves(mesh: Mesh, cut: float, axis: int) -> Index:
     """Faces below and above a plane."""
     return np.asarray(mesh[0][mesh[1]].mean(axis=1)[:, axis] > cut, dtype=np.int64)
 

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.segmentation import MotionSettings, segment_by_motion
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology, face_patches
-from tests.meshes import SEQUENCES, Float, bar, bending, grid, joined, rotation, tube
-
-Labels = NDArray[np.int64]
+from tests.meshes import SEQUENCES, bar, bending, grid, joined, rotation, tube
 
 
-def segmented(sequence: MeshSequence, parts: int | None = None) -> tuple[Topology, Labels]:
+def segmented(sequence: MeshSequence, parts: int | None = None) -> tuple[Topology, Index]:
     topology = Topology(sequence.faces, sequence.vertex_count)
     return topology, segment_by_motion(sequence.points, topology, parts)
 
 
-def assert_sound(topology: Topology, labels: Labels) -> None:
+def assert_sound(topology: Topology, labels: Index) -> None:
     assert labels.shape == (len(topology.faces),)
     np.testing.assert_array_equal(np.unique(labels), np.arange(labels.max() + 1))
     for part in range(labels.max() + 1):

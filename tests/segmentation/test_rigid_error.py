@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
+from mixseq.arrays import Float
 from mixseq.segmentation.rigid_error import Moments, moments, union_errors
-from tests.meshes import Float, rotation, seeds
+from tests.meshes import rotation, seeds
 
 
 def random_set(rng: np.random.Generator, count: int, frames: int = 4) -> tuple[Float, Float, Float]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.arrays import Float, Index
 from mixseq.segmentation import SpanningTreeSettings, adjusted_rand_index, segment_by_spanning_tree
 from mixseq.topology import Topology
-from tests.meshes import Float, Index, grid, rotation
+from tests.meshes import grid, rotation
 from tests.segmentation.bones import three_bones
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
@@ -16,7 +17,7 @@ from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
-from tests.meshes import Float, Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
+from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
 
 BAR = tube(6, 9, closed=False)
 BENT: Mesh = (bent(BAR[0], 1.2), BAR[1])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import inverse, normalised, product
 from mixseq.shells.frames import FrameGraph, connected
-from tests.meshes import Float, topology_of, torus
+from tests.meshes import topology_of, torus
 
 TOPOLOGY = topology_of(torus(10, 6))
 COUNT, PAIRS = len(TOPOLOGY.faces), TOPOLOGY.hinge_faces

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import kabsch
@@ -13,7 +14,7 @@ from mixseq.shells import relaxation_kernels as kernels
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.shell import Relaxation, Shell
-from tests.meshes import Float, Mesh, grid, rotation, topology_of, torus, tube
+from tests.meshes import Mesh, grid, rotation, topology_of, torus, tube
 
 MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]
 

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.patch import Patch
 from mixseq.shells.unfold import unfold
 from tests.meshes import (
-    Float,
     Mesh,
     bent,
     flipped,

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.signals.curve import Curve, fit_curve, least_squares_curve
 
-Float = NDArray[np.float64]
 TIMES = np.array([0.0, 0.1, 0.5, 0.6, 1.1, 1.5, 2.0])
 
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.signals.layout import plane
 from mixseq.signals.pose import PoseMap, choose_keys, key_map, principal_modes
-
-Float = NDArray[np.float64]
 
 
 def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:

@@ -16,9 +16,10 @@ import pytest
 
 import mixseq
 from mixseq import stored, table
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, MixseqError
 from mixseq.mapping import on_threads, serially
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals import Model, fit
 from tests.meshes import SEQUENCES, bar
 

@@ -6,12 +6,10 @@ import pickle
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.spaces.basis import BasisSpace
 from tests.meshes import tube
-
-Float = NDArray[np.float64]
 
 FIELDS = np.random.default_rng(1).normal(size=(4, 30)) * np.array([[1.0], [1e-3], [10], [1e4]])
 SPACE = BasisSpace(FIELDS, 2.5)

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.sequence import FloatArray, IntArray
 from mixseq.spaces.gradient import FULL, GradientSpace
 from mixseq.spaces.normals import FLAT
 from mixseq.topology import Topology
-from tests.meshes import SEQUENCES, Float, Mesh, bar, grid, rotation, tetrahedron, torus, tube
+from tests.meshes import SEQUENCES, Mesh, bar, grid, rotation, tetrahedron, torus, tube
 
 
 def space_of(points: FloatArray, faces: IntArray) -> GradientSpace:

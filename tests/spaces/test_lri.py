@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mixseq
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import SettingsError
-from mixseq.sequence import FloatArray, IntArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.spaces.lri import LRISpace
 from mixseq.topology import Topology
-from tests.meshes import SEQUENCES, Float, Mesh, grid, rigid_motions, rotation, tetrahedron, torus, tube
+from tests.meshes import SEQUENCES, Mesh, grid, rigid_motions, rotation, tetrahedron, torus, tube
 
 AWKWARD = ("folding sheet", "inconsistent", "zero area", "bowtie", "three pages")
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 
+from mixseq.arrays import Float
 from mixseq.spaces.normals import across, face_normals, unit, vertex_normals
-from tests.meshes import Float, grid, rigid_motions, tetrahedron, topology_of
+from tests.meshes import grid, rigid_motions, tetrahedron, topology_of
 
 
 def test_normals_of_faces_are_twice_as_long_as_areas() -> None:

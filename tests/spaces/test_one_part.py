@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.rigid import kabsch, mean_shape, transform
 from mixseq.segmentation import decompose
 from mixseq.spaces import VertexSpace, mixed_space
 from mixseq.spaces.mixed import PLACEMENTS, PlacementName
 from tests.meshes import rotation, topology_of, tube
-
-Float = NDArray[np.float64]
 
 
 def frames() -> Float:

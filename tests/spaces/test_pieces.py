@@ -6,9 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
-from tests.meshes import SEQUENCES, Float, grid, joined, rigid_motions, tetrahedron, topology_of, tube
+from tests.meshes import SEQUENCES, grid, joined, rigid_motions, tetrahedron, topology_of, tube
 
 
 def two_and_a_point() -> tuple[Topology, Float]:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.prediction.operator import Operator
 from mixseq.spaces.posed import PosedSpace
 from mixseq.topology import Topology
-from tests.meshes import Float, rigid_motions, rotation, tetrahedron
+from tests.meshes import rigid_motions, rotation, tetrahedron
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import Single
 from mixseq.errors import ReconstructionError
 from mixseq.sequence import MeshSequence
 from mixseq.stored import stored
 from mixseq.viewing.playback import Moment, Playback
-from mixseq.viewing.shown import Item, Points, Shot
+from mixseq.viewing.shown import Item, Shot
 from tests.meshes import tetrahedron
 
 PATIENCE = 30.0
@@ -49,7 +50,7 @@ class Watched(Item):
     held: dict[int, Event] = field(default_factory=dict)
     broken: set[int] = field(default_factory=set)
 
-    def pose(self, elapsed: float) -> Points:
+    def pose(self, elapsed: float) -> Single:
         """Return points that are all at the number of the frame."""
         frame = round(elapsed * FPS)
         self.decoded.append(frame)

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.sequence import MeshSequence
 from mixseq.stored import stored
 from mixseq.viewing.arrangement import FIELD, GAP, HEIGHT, MARGIN, Arrangement, arranged
 from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar, tetrahedron, tube
-
-Float = NDArray[np.float64]
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> MeshSequence:

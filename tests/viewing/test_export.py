@@ -19,9 +19,10 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from mixseq import table
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.plots.camera import View, broadside, shared_limits, y_up
-from mixseq.sequence import FloatArray, MeshSequence
+from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.stored import stored
 from mixseq.viewing.assets import CHART_SCRIPTS

@@ -11,9 +11,10 @@ from threading import enumerate as all_threads
 import numpy as np
 import pytest
 
+from mixseq.arrays import Single
 from mixseq.errors import ReconstructionError
 from mixseq.viewing.frames import Frames
-from mixseq.viewing.shown import Points, Shot
+from mixseq.viewing.shown import Shot
 from tests.viewing.staged import PATIENCE, Watched, eventually, shot_of, watched
 
 POSE = 48
@@ -36,8 +37,8 @@ def make() -> Iterator[Make]:
         frames.close()
 
 
-def wait_for(frames: Frames, shot: Shot, frame: int, ahead: bool = False) -> tuple[Points, ...]:
-    found: list[tuple[Points, ...]] = []
+def wait_for(frames: Frames, shot: Shot, frame: int, ahead: bool = False) -> tuple[Single, ...]:
+    found: list[tuple[Single, ...]] = []
 
     def came() -> bool:
         found.extend(filter(None, [frames.want(shot, frame, ahead)]))
@@ -113,10 +114,10 @@ def test_threads_share_the_work(make: Make) -> None:
 class Counted(Watched):
     """Knows how many of its poses there are."""
 
-    made: list[weakref.ref[Points]] = field(default_factory=list)
+    made: list[weakref.ref[Single]] = field(default_factory=list)
     alive: list[int] = field(default_factory=list)
 
-    def pose(self, elapsed: float) -> Points:
+    def pose(self, elapsed: float) -> Single:
         """Make a pose, and count those that there are."""
         made = super().pose(elapsed)
         self.alive.append(sum(pose() is not None for pose in self.made))

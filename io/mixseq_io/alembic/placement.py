@@ -14,13 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors
-from mixseq.sequence import FloatArray
 from mixseq_io.alembic.library import selector
-from mixseq_io.alembic.timing import Times, Track, locate, sample_times
-
-Matrix = NDArray[np.float64]
+from mixseq_io.alembic.timing import Track, locate, sample_times
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,7 @@ class Placement:
 
     above: tuple[tuple[Any, Track], ...]
 
-    def to_world(self, frame: int) -> Matrix:
+    def to_world(self, frame: int) -> Float:
         """Return the matrix ``(4, 4)`` of a frame."""
         world = np.eye(4)
         for schema, track in self.above:
@@ -47,16 +45,16 @@ class Placement:
         return world
 
 
-def place(above: tuple[Any, ...], frames: Times) -> Placement:
+def place(above: tuple[Any, ...], frames: Float) -> Placement:
     """Find the samples of the transforms that frames lie between."""
     return Placement(tuple((schema, locate(_times(schema), frames)) for schema in above))
 
 
-def _times(schema: Any) -> Times:
+def _times(schema: Any) -> Float:
     return np.zeros(1) if schema.isConstant() else sample_times(schema)
 
 
-def _local(schema: Any, before: int, weight: float) -> tuple[Matrix, bool]:
+def _local(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
     if not schema.getNumSamples():
         return np.eye(4), True
     first = schema.getValue(selector(schema, before))
@@ -67,13 +65,13 @@ def _local(schema: Any, before: int, weight: float) -> tuple[Matrix, bool]:
     return matrix, bool(first.getInheritsXforms())
 
 
-def determinant(matrix: Matrix) -> float:
+def determinant(matrix: Float) -> float:
     """Return the determinant of a matrix's upper part; negative if it turns left into right."""
     with np.errstate(all="ignore"):
         return float(np.linalg.det(matrix[:3, :3]))
 
 
-def between(first: Matrix, second: Matrix, weight: float) -> Matrix:
+def between(first: Float, second: Float, weight: float) -> Float:
     """Interpolate two affine matrices ``(4, 4)``.
 
     Examples
@@ -94,7 +92,7 @@ def between(first: Matrix, second: Matrix, weight: float) -> Matrix:
     return mixed
 
 
-def moved(points: FloatArray, matrix: Matrix) -> NDArray[np.float32]:
+def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
     """Apply a matrix to points ``(V, 3)``, or only its upper part ``(3, 3)`` to vectors."""
     if np.array_equal(matrix, np.eye(len(matrix))):
         return np.asarray(points, dtype=np.float32)

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.alembic.library import ERRORS, length, open_archive, values
 from mixseq_io.alembic.placement import Placement, determinant, moved, place
 from mixseq_io.alembic.scene import Mesh, choose_meshes
 from mixseq_io.alembic.surfaces import Source, read_piece
-from mixseq_io.alembic.timing import Times, Track, frame_rate, locate, merged, sample_times
+from mixseq_io.alembic.timing import Track, frame_rate, locate, merged, sample_times
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
 from mixseq_io.pieces import join
@@ -108,7 +109,7 @@ class _AlembicReader(SequenceReader):
             yield block
 
 
-def _frames(meshes: list[Mesh]) -> Times:
+def _frames(meshes: list[Mesh]) -> Float:
     """Return the times at which something changes; if nothing does, those of the samples that are there."""
     points = [mesh.schema.getPositionsProperty() for mesh in meshes]
     transforms = [schema for mesh in meshes for schema in mesh.above]
@@ -117,7 +118,7 @@ def _frames(meshes: list[Mesh]) -> Times:
     return merged([sample_times(each) for each in changing or [longest]])
 
 
-def _parts(path: Path, room: int, meshes: list[Mesh], frames: Times) -> list[_Part]:
+def _parts(path: Path, room: int, meshes: list[Mesh], frames: Float) -> list[_Part]:
     parts, vertex = [], 0
     for mesh in meshes:
         points, placement = mesh.schema.getPositionsProperty(), place(mesh.above, frames)

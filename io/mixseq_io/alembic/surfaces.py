@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import creases_of_normals
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
 from mixseq_io.alembic.scene import Mesh
-from mixseq_io.alembic.timing import Times, sample_times
+from mixseq_io.alembic.timing import sample_times
 from mixseq_io.blocks import warn
 from mixseq_io.pieces import Piece
 
@@ -46,7 +47,7 @@ class Source:
     mirrored : bool
         Whether the transforms above it turn left into right.
     frames : (T,) float
-        Times of the frames, for messages.
+        Float of the frames, for messages.
     """
 
     path: Path
@@ -54,7 +55,7 @@ class Source:
     mesh: Mesh
     vertices: slice
     mirrored: bool
-    frames: Times
+    frames: Float
 
 
 def read_piece(source: Source) -> Piece:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
-from mixseq.polygons import FloatArray, IntArray, reversed_corners
+from mixseq.polygons import reversed_corners
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, array_of, imath
 from mixseq_io.pieces import Piece
 

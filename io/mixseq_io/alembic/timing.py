@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError
 from mixseq.sequence import DEFAULT_FPS
-
-Times = NDArray[np.float64]
 
 SAME_TIME = 0.999e-6
 """Times closer than this count once, in seconds."""
@@ -28,7 +27,7 @@ _MOST_SAMPLES = 1_000_000
 _USUAL_RATES = (24, 25, 30, 48, 50, 60, 24000 / 1001, 30000 / 1001, 60000 / 1001, 100, 120, 240)
 
 
-def sample_times(sampled: Any) -> Times:
+def sample_times(sampled: Any) -> Float:
     """Return the times ``(N,)`` in seconds of a property's or schema's samples.
 
     Raises
@@ -49,7 +48,7 @@ def sample_times(sampled: Any) -> Times:
     return stored[sample] if kind.isAcyclic() else stored[sample] + cycle * kind.getTimePerCycle()
 
 
-def merged(times: Sequence[Times]) -> Times:
+def merged(times: Sequence[Float]) -> Float:
     """Return all times in order, those that are the same once.
 
     Examples
@@ -74,7 +73,7 @@ class Track:
     """
 
     before: NDArray[np.int64]
-    weight: Times
+    weight: Float
 
     def at(self, frame: int) -> tuple[int, float]:
         """Return the sample before a frame, and the weight of the one after."""
@@ -86,7 +85,7 @@ class Track:
         return not self.weight.any() and bool((np.diff(self.before) > 0).all())
 
 
-def locate(own: Times, frames: Times) -> Track:
+def locate(own: Float, frames: Float) -> Track:
     """Find the samples, at the times `own`, that frames lie between.
 
     Examples
@@ -102,7 +101,7 @@ def locate(own: Times, frames: Times) -> Track:
     return Track(before, weight)
 
 
-def frame_rate(times: Times, declared: str) -> float:
+def frame_rate(times: Float, declared: str) -> float:
     """Return the frames per second of a time line.
 
     Parameters

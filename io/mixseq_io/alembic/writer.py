@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
 from mixseq_io.alembic.library import ERRORS, Abc, AbcCoreAbstract, AbcGeom, open_archive
 from mixseq_io.alembic.targets import Target, unique_names, valid_name

@@ -35,10 +35,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import IntArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.given import Mesh, from_barycentric, from_triangles, from_vertices
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.sequence import IntArray
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.rows import Kind, read_rows
 from mixseq_io.npz import DAMAGE

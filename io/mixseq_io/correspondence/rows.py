@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError
 from mixseq_io.correspondence.text import parse_json, read_text
-
-Float = NDArray[np.float64]
 
 Kind = Literal["vertices", "triangles", "barycentric"]
 

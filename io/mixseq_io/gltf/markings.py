@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mixseq.polygons import FloatArray
+from mixseq.arrays import FloatArray
 from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.gltf.skinning import Shape

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Single
 from mixseq.geometry.normals import shared_normals
 from mixseq.rigging.rigs import Morph
 from mixseq_io.blocks import as_float32
@@ -25,9 +25,6 @@ from mixseq_io.gltf.buffers import VERTICES, Layout, append
 from mixseq_io.gltf.morphs import MovingMesh
 from mixseq_io.gltf.standalone import new_scene
 from mixseq_io.gltf.tracks import Track, animate
-
-Float = NDArray[np.float64]
-Vectors = NDArray[np.float32]
 
 _ILL_DEFINED = 1e-6
 """Combinations of weights that are smaller than this, relative to the largest, say nothing of normals; ours."""
@@ -89,7 +86,7 @@ def _scaled(morph: Morph) -> Morph:
     )
 
 
-def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Vectors, targets: Vectors) -> None:
+def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: Single) -> None:
     normals, normal_targets = _normals(mesh, morph)
     for each in mesh.primitives:
         shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
@@ -105,10 +102,10 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Vectors, targets:
                 append(each.entry, "targets", attributes)
 
 
-def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Vectors, Vectors]:
+def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
     """Return the normals of the base ``(G, 3)`` and what targets add to them ``(M, G, 3)``, see the module's head."""
 
-    def normals_of(points: Float) -> Vectors:
+    def normals_of(points: Float) -> Single:
         return shared_normals(points[:, mesh.piece.vertices], mesh.piece.polygons, mesh.piece.creases)
 
     (base,) = normals_of(morph.base[None])

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import shared_normals
-from mixseq.polygons import FloatArray, IntArray
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, BufferWriter, Json, Layout, append

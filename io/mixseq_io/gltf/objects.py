@@ -7,8 +7,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import IntArray
 from mixseq.geometry.normals import creases_of_normals
-from mixseq.polygons import IntArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.choosing import chosen, moving
 from mixseq_io.gltf.animation import Channel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray
+from mixseq.arrays import IntArray
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.extensions import COMPRESSIONS
 from mixseq_io.gltf.fields import Fields

@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
@@ -29,7 +30,7 @@ from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.markings import colours_of, skinning_of
 from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
 from mixseq_io.gltf.primitives import primitives_of
-from mixseq_io.gltf.scene import Matrices, Pose, Scene, read_scene
+from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.gltf.skinning import Shape, bearers, read_shape
 from mixseq_io.gltf.timing import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
@@ -156,7 +157,7 @@ def _welded(document: Document, mesh: int) -> Weld | None:
     return weld(document, mesh) if primitives else None
 
 
-def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Matrices]:
+def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Float]:
     """Return the matrices of all nodes that bear meshes, which have many nodes above them in common."""
     return scene.world((node for shape in shapes for node in shape.bearers), pose)
 
@@ -218,7 +219,7 @@ class _GltfReader(SequenceReader):
                 points = [shape.points(pose, world, len(times)).astype(np.float32) for shape in self._shapes]
             yield np.concatenate(points, axis=1)
 
-    def _check_handedness(self, world: Mapping[int, Matrices], first: int) -> None:
+    def _check_handedness(self, world: Mapping[int, Float], first: int) -> None:
         for shape, mirrored in zip(self._shapes, self._mirrored, strict=True):
             turned = shape.handedness(world) * (-1 if mirrored else 1) < 0
             if turned.any() and shape.skin is None:

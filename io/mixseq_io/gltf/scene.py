@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq_io.choosing import SceneObject
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.fields import Fields
 
-Matrices = NDArray[np.float64]
 """``(B, 4, 4)``, or ``(1, 4, 4)`` where nothing changes over the B frames."""
 
 Pose = Mapping[tuple[int, str], NDArray[np.float64]]
@@ -70,7 +70,7 @@ class Scene:
                 node = self.parents[node]
         return found - {-1}
 
-    def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Matrices]:
+    def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
         """Return the matrices of nodes, from their own space to the world's.
 
         Parameters
@@ -80,7 +80,7 @@ class Scene:
         pose : Pose
             What is animated in these frames.
         """
-        found: dict[int, Matrices] = {-1: np.eye(4)[None]}
+        found: dict[int, Float] = {-1: np.eye(4)[None]}
         for node in wanted:
             missing = []
             while node not in found:
@@ -177,7 +177,7 @@ def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int
     return hidden
 
 
-def _local(node: Fields, index: int, pose: Pose) -> Matrices:
+def _local(node: Fields, index: int, pose: Pose) -> Float:
     """Return the matrices of a node, from its own space to its parent's."""
     animated = [name for name in _REST if (index, name) in pose]
     matrix = node.numbers("matrix", 16)

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mixseq.sequence import FloatArray
+from mixseq.arrays import Float, FloatArray
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.fields import Fields
-from mixseq_io.gltf.scene import Matrices, Pose, Scene
+from mixseq_io.gltf.scene import Pose, Scene
 from mixseq_io.gltf.welding import Weld, deltas, influences, target_count
 
 
@@ -37,7 +37,7 @@ class Skin:
     inverse_binds: NDArray[np.float64]
     weights: csr_array
 
-    def matrices(self, world: Mapping[int, Matrices]) -> NDArray[np.float64]:
+    def matrices(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
         """Return the matrices ``(B, J, 4, 4)`` that move what is bound to the joints."""
         joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
         return np.stack(joints, axis=1) @ self.inverse_binds
@@ -75,7 +75,7 @@ class Shape:
         """The nodes whose matrices move it."""
         return [self.node] if self.skin is None else self.skin.joints
 
-    def handedness(self, world: Mapping[int, Matrices]) -> NDArray[np.float64]:
+    def handedness(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
         """Return 1 for each of the B frames where the mesh is as modelled, -1 where it is mirrored, 0 where flat.
 
         Of a skin's joints, the majority decides.
@@ -91,7 +91,7 @@ class Shape:
         matrices = self.skin.matrices(world)
         return np.asarray(np.sign(_signs(matrices[:, used]).sum(axis=1)))
 
-    def points(self, pose: Pose, world: Mapping[int, Matrices], frames: int) -> FloatArray:
+    def points(self, pose: Pose, world: Mapping[int, Float], frames: int) -> FloatArray:
         """Return the points ``(B, W, 3)`` in world space in the B frames of a pose, with its bearers' matrices."""
         own = self._morphed(pose, frames)
         if self.skin is None:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.polygons import IntArray, Polygons
+from mixseq.arrays import IntArray
+from mixseq.polygons import Polygons
 from mixseq.surface import FaceSet
 from mixseq_io.pieces import Piece
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import IntArray
 from mixseq.errors import FormatError
-from mixseq.polygons import IntArray
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.primitives import Primitive, primitives_of
 

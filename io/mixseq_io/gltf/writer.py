@@ -9,8 +9,9 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import as_float32, checked, warn
 from mixseq_io.gltf.buffers import Layout, writing_buffer

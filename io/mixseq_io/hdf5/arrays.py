@@ -13,11 +13,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import FormatError
 from mixseq_io.hdf5.files import CHECKED, whole
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _CHUNK_ELEMENTS = 1 << 17
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them

@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError
 from mixseq.geometry.rotations import matrices
 from mixseq.retargeting.anchored import AnchoredPlacement
@@ -25,7 +26,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces import mixed_space
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-from mixseq_io.hdf5.arrays import Float, floats, increasing
+from mixseq_io.hdf5.arrays import floats, increasing
 from mixseq_io.hdf5.files import read_header
 from mixseq_io.hdf5.mixed import mixed_blocks, read_free, read_placement, read_segmentation
 from mixseq_io.hdf5.settings import read_scale, read_shell

@@ -23,8 +23,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import checked
 from mixseq_io.hdf5.files import (
     CHECKED,

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
 from mixseq.geometry.quaternions import continued, quaternions
 from mixseq.geometry.rotations import matrices
@@ -14,7 +15,7 @@ from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
-from mixseq_io.hdf5.arrays import Float, floats, increasing, put
+from mixseq_io.hdf5.arrays import floats, increasing, put
 from mixseq_io.hdf5.space import (
     FIRST_WITH_QUATERNIONS,
     Blocks,

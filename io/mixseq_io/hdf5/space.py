@@ -7,6 +7,7 @@ from pathlib import Path
 
 import h5py
 
+from mixseq.arrays import Float
 from mixseq.errors import FormatError, OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import (
@@ -23,7 +24,7 @@ from mixseq.spaces import (
 )
 from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
-from mixseq_io.hdf5.arrays import Float, floats, put
+from mixseq_io.hdf5.arrays import floats, put
 from mixseq_io.hdf5.mixed import mixed_blocks, read_mixed_space, write_mixed_space
 from mixseq_io.hdf5.settings import read_scale, read_settings, read_shell, write_settings
 

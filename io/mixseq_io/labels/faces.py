@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mixseq.arrays import Index
 from mixseq.polygons import Polygons, frozen
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from mixseq.arrays import FloatArray, Index
 from mixseq.errors import FormatError
-from mixseq.polygons import FloatArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.surface import FaceSet
-from mixseq_io.labels.faces import Index, Labels, most_frequent, triangle_labels
+from mixseq_io.labels.faces import Labels, most_frequent, triangle_labels
 from mixseq_io.labels.markings import SMALLEST_JOINT, Skinning, shortest
 from mixseq_io.labels.tidying import without_crumbs
 

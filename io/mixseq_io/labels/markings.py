@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixseq.polygons import FloatArray
+from mixseq.arrays import FloatArray
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 

@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import AmbiguousError, FormatError, SettingsError
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq_io.labels.faces import Labels, triangle_labels
 from mixseq_io.labels.markings import COLOURS, FAMILY, LABELS, SKELETON, SMALLEST_JOINT

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from mixseq.arrays import Index
 from mixseq.polygons import Polygons
 from mixseq.topology import Topology
-
-Index = NDArray[np.int64]
 
 
 def without_crumbs(of_polygon: Index, polygons: Polygons, vertex_count: int, fewest: float) -> Index:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import OutputError
-from mixseq.polygons import IntArray
-from mixseq.sequence import FloatArray, MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import warn

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
-from mixseq.sequence import FloatArray, Polygons, SequenceHeader
+from mixseq.sequence import Polygons, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import checked, warn

@@ -32,7 +32,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mixseq.sequence import DEFAULT_FPS, FloatArray, SequenceHeader
+from mixseq.arrays import FloatArray
+from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.numbered.files import open_files, write_files
 from mixseq_io.numbered.obj_encoder import lost_in_obj, obj_encoder
 from mixseq_io.numbered.obj_parser import parse_obj

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.geometry.normals import shared_normals
-from mixseq.polygons import FloatArray
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.losses import lost_surface

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mixseq.polygons import IntArray, Polygons
+from mixseq.arrays import IntArray
+from mixseq.polygons import Polygons
 from mixseq.surface import FaceSet, MeshObject
 
 NOTHING = "(null)"

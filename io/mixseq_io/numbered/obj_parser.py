@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
 from mixseq.geometry.normals import creases_of_normals
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.numbered.files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped

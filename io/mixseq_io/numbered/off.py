@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
-from mixseq.polygons import FloatArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.losses import lost_surface
 from mixseq_io.numbered.files import Encoder, MeshFile, open_files, write_files

@@ -24,8 +24,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.losses import lost_surface

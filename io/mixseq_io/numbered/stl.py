@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.geometry.normals import vector_areas
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.blocks import as_float32, warn
 from mixseq_io.losses import lost_surface

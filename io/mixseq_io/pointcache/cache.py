@@ -20,8 +20,9 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, MixseqError, OutputError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import as_float32, checked
 from mixseq_io.losses import lost_scale, warn_of_losses

@@ -26,8 +26,9 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.pointcache.cache import Layout, MeshPath, Timing, open_cache, write_cache
 from mixseq_io.reader import SequenceReader
 from mixseq_io.times import on_grid

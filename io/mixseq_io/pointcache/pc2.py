@@ -28,8 +28,9 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
-from mixseq.sequence import DEFAULT_FPS, FloatArray, SequenceHeader
+from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.pointcache.cache import Layout, MeshPath, Timing, open_cache, write_cache
 from mixseq_io.reader import SequenceReader
 

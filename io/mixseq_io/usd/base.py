@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from mixseq.arrays import IntArray
 from mixseq.errors import FormatError, OutputError
 from mixseq.polygons import reversed_corners
-from mixseq.sequence import IntArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.pieces import Piece, split
 from mixseq_io.usd.diagnostics import reading_usd
 from mixseq_io.usd.paths import is_prim_path

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Vt
 
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
-from mixseq.sequence import FloatArray, IntArray
 from mixseq_io.blocks import Numbered, as_float32
 from mixseq_io.pieces import Piece
 
-Matrix = NDArray[np.float64]
 Frame = tuple[float, Mapping[str, Any]]
 """A time code, and values by the paths of their attributes."""
 
@@ -39,8 +38,8 @@ class Space:
         The transforms from it to the world and back, for rows: x' = x M.
     """
 
-    to_world: Matrix
-    to_local: Matrix
+    to_world: Float
+    to_local: Float
 
 
 WORLD = Space(np.eye(4), np.eye(4))

@@ -13,8 +13,9 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
 from scipy.sparse import csr_array
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.polygons import FloatArray, Polygons
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.labels.markings import (

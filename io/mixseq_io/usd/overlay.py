@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import OutputError
-from mixseq.sequence import FloatArray
 from mixseq_io.blocks import warn
 from mixseq_io.pieces import Piece
 from mixseq_io.usd.base import Base, Fit

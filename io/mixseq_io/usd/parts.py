@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from mixseq.polygons import IntArray
+from mixseq.arrays import IntArray
 from mixseq_io.labels.markings import FAMILY
 from mixseq_io.usd.markings import NUMBER
 from mixseq_io.usd.paths import identifier

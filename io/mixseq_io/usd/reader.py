@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.arrays import FloatArray
+from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name, moving

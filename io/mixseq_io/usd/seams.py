@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, UsdGeom, UsdSkel
 
-from mixseq.polygons import IntArray, Polygons
+from mixseq.arrays import IntArray
+from mixseq.polygons import Polygons
 
 VERTICES = "mixseq:vertices"
 

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
+from mixseq.arrays import IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import creases_of_normals
-from mixseq.polygons import IntArray, Polygons, reversed_corners
+from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.pieces import Piece
 from mixseq_io.reader import naming

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Ar, Sdf
 
+from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError, SettingsError
-from mixseq.sequence import FloatArray, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
 from mixseq_io.usd.base import Base, open_base

@@ -10,8 +10,8 @@ from typing import Literal, Protocol, get_args
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Array
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.measures import MEASURES, Measure, distances
 from mixseq.plots.video.timing import Track
@@ -27,10 +27,10 @@ SMALLEST = 1e-12
 class Timed(Protocol):
     """A number at every vertex, which may depend on the frame of the film."""
 
-    def __call__(self, points: Array, frame: int) -> Array:
+    def __call__(self, points: Float, frame: int) -> Float:
         """Return numbers ``(V,)`` of the pose that a frame of the film shows."""
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """Return what of a frame's numbers the colour scale must reach."""
 
 
@@ -51,11 +51,11 @@ class Change:
         """Measure what a colour of `MEASURES` shows."""
         return cls(MEASURES[colour].of(track.pose(0), track.header.faces))
 
-    def __call__(self, points: Array, frame: int) -> Array:
+    def __call__(self, points: Float, frame: int) -> Float:
         """Return numbers ``(V,)``; the pose alone decides."""
         return self.measure(points)
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """Return what the measure takes for the largest."""
         return self.measure.largest(values)
 
@@ -94,16 +94,16 @@ class Error:
             )
         return cls(original, bounding_diagonal(original.poses[0:1][0]) or 1.0)
 
-    def __call__(self, points: Array, frame: int) -> Array:
+    def __call__(self, points: Float, frame: int) -> Float:
         """Return distances ``(V,)`` in diagonals of the original's first frame."""
         return distances(points, self.original.pose(frame), self.unit)
 
-    def largest(self, values: Array) -> float:
+    def largest(self, values: Float) -> float:
         """All count."""
         return float(values.max())
 
 
-def colour_scale() -> Array:
+def colour_scale() -> Float:
     """Return the colours ``(256, 3)`` from zero to the largest number, as those of the errors on paper."""
     scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
     return np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
-from mixseq.plots.camera import Array
 from mixseq.plots.colours import CLAY, segmentation_colours
 from mixseq.plots.measures import MEASURES
 from mixseq.plots.raster import Picture
@@ -191,7 +191,7 @@ def _stored(motion: Frames | Stored, progress: Progress) -> Stored:
     return motion if isinstance(motion, Stored) else stored(motion, progress)
 
 
-def _track(motion: Model | Stored, times: Array, progress: Progress, workers: OrderedMap) -> Track:
+def _track(motion: Model | Stored, times: Float, progress: Progress, workers: OrderedMap) -> Track:
     if isinstance(motion, Model):
         return track_of_model(motion, times, progress, workers)
     return track_of_sequence(motion, times)
@@ -219,7 +219,7 @@ def _measures(
     return [Error.of(track, original, str(item)) for item, track in zip(shown, tracks, strict=True)]
 
 
-def _colours(shown: Sequence[Shown]) -> list[Array]:
+def _colours(shown: Sequence[Shown]) -> list[Float]:
     """Return colours ``(F, 3)`` of the parts of each mesh: its own, or of a model of the same triangles."""
     models = [item.motion for item in shown if isinstance(item.motion, Model)]
     mixed = [model for model in models if isinstance(model.space, MixedSpace)]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Array
 from mixseq.plots.colours import INK
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.measures import two_digits
@@ -96,7 +96,7 @@ def page_of(
     height: int,
     panels: Sequence[Rectangle],
     names: Sequence[str],
-    palette: Array | None = None,
+    palette: Float | None = None,
     top: float = 0.0,
     meaning: str = "",
 ) -> Picture:
@@ -115,7 +115,7 @@ def page_of(
 
 
 def _draw_bar(
-    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Array, top: float, meaning: str
+    image: Any, draw: ImageDraw, font: FreeTypeFont, palette: Float, top: float, meaning: str
 ) -> None:
     width, height = image.size
     strip, letters = line_height(height), _letters(height)

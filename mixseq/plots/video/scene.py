@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.plots.camera import Array, Limits, View, broadside, shared_limits, y_up
+from mixseq.arrays import Float
+from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
 from mixseq.plots.raster import Picture, render_mesh
 from mixseq.plots.video.colouring import Timed
 from mixseq.plots.video.timing import Track
@@ -63,7 +64,7 @@ class Camera:
 
     view: View
     turn: float
-    centre: Array
+    centre: Float
     ground: float
     limits: Limits
 
@@ -112,11 +113,11 @@ class Scene:
     panels: Sequence[Rectangle]
     page: Picture
     frames: int
-    palette: Array | None = None
+    palette: Float | None = None
     top: float = 1.0
 
 
-Moment = tuple[int, list[tuple[Array, Array | None]]]
+Moment = tuple[int, list[tuple[Float, Float | None]]]
 """A frame's number, and the points and numbers ``(V,)`` of each actor in it."""
 
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
@@ -20,9 +20,6 @@ from mixseq.sequence import Frames, SequenceHeader
 from mixseq.signals import Model
 from mixseq.stored import Stored, stored
 from mixseq.table import Table, new_table
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 STILL = 4.0
 """Seconds that a film of a single pose takes."""

@@ -12,10 +12,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.segmentation.joints import make_joint
-from mixseq.sequence import FloatArray
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.joint import sound_lengths
 from mixseq.shells.patch import Patch
@@ -24,9 +23,6 @@ from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.edge.volume import VolumeTerm, is_sheet, surface_area, volume
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class ShellPiece(NamedTuple):

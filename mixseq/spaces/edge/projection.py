@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mixseq.arrays import Float
 from mixseq.shells.fitting import ShellReport, ShellSettings
-
-Float = NDArray[np.float64]
 
 
 class Wanted(NamedTuple):

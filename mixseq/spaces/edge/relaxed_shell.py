@@ -14,10 +14,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index
 from mixseq.pickling import Remade
 from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
@@ -28,9 +28,6 @@ from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ROUNDS = 10
 """So often what does not fit is divided among frames that were chained; ours, as the numbers below."""

@@ -15,8 +15,8 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.progress import Progress, silent
@@ -30,7 +30,6 @@ from mixseq.spaces.mixed.space import ANGLE
 from mixseq.spaces.posed import PosedSpace
 from mixseq.threads import one_blas_thread
 
-Float = NDArray[np.float64]
 ProjectionName = Literal["steps", "dso"]
 PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 

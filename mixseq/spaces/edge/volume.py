@@ -17,9 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.sequence import FloatArray, IntArray
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float, FloatArray, IntArray
 
 FLAT = 1e-3
 """Volume over area to the 3/2 below which a surface is a sheet; that of a sphere is 0.094. The number is ours."""

@@ -21,9 +21,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
 from mixseq.geometry.quaternions import quaternions, rotations_of
 from mixseq.geometry.rigid import turned
@@ -31,7 +31,6 @@ from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Neighbours, blended, predicted
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.boundaries import Boundaries
-from mixseq.sequence import FloatArray
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.spaces.mixed.settling import Settling
@@ -39,10 +38,6 @@ from mixseq.spaces.mixed.sides import Sides
 from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
 from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 JOINT = 0.001
 """What lengths and angles weigh in the metric, where unposed vertices, which weigh 1, tell of the same shape."""

@@ -17,13 +17,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index, IntArray, Mask
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
 from mixseq.pickling import Remade
-from mixseq.polygons import IntArray
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.hinge_kernels import measured
@@ -32,10 +31,6 @@ from mixseq.shells.relaxation_kernels import turned_sides
 from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 ROUNDS = 3
 """So often what does not fit between frames is divided among them."""

@@ -13,20 +13,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
 from mixseq.geometry.quaternions import continued, quaternions
 from mixseq.geometry.rigid import kabsch
 from mixseq.progress import Progress, silent
-from mixseq.sequence import FloatArray
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
 from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
 from mixseq.threads import one_blas_thread
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class FreeBlocks(NamedTuple):

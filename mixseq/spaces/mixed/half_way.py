@@ -12,14 +12,11 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Mask
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import FloatArray
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.table import Table
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 STRETCH = 0.015
 """Where meshes settle, faces with edges that are wrong by more of their length half-way are joints; ours."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import FloatArray, Mask
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
@@ -14,7 +14,7 @@ from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
-from mixseq.sequence import FloatArray, bounding_diagonal
+from mixseq.sequence import bounding_diagonal
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
@@ -24,9 +24,6 @@ from mixseq.spaces.mixed.shares import fitted_shares
 from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
 from mixseq.table import Table
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FEWEST, MOST = 6, 20
 """So many steps are taken if hardly any faces are joints, and if all are; in between in proportion. Ours."""

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.shells.frames import FrameGraph
 from mixseq.shells.hinge_kernels import measured
@@ -20,9 +20,6 @@ from mixseq.shells.relaxation_kernels import turned_sides
 from mixseq.shells.shell import Relaxation, Relaxed, Shell
 from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 ROUNDS = 2
 """So often what does not fit between frames is divided among them."""

@@ -15,19 +15,15 @@ edges, by two steps of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import turned
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.mixed import share_kernels as kernels
 from mixseq.spaces.registered import registered
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 RINGS = 6.0
 """How far parts are followed, in edges. Ours; chosen on half of the animations of the benchmarks, as are the others."""

@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float, Index
 from mixseq.pickling import Remade
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 HOLD = 1.0
 r"""Weight :math:`\eta` of posed vertices against sides. Ours. Between .01 and 1 frames between frames are nearly

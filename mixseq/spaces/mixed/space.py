@@ -7,18 +7,14 @@ from functools import cached_property
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import FloatArray
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.registered import radii_of_gyration, registered
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import inverse, normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.pickling import Remade
@@ -30,9 +31,6 @@ from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BEND = 10.0
 """A face bends if the frames of its corners differ by more than so many degrees. Ours; chosen on half of the animations

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.viewing.arrangement import FIELD, HEIGHT, Float, arranged
+from mixseq.arrays import Float
+from mixseq.viewing.arrangement import FIELD, HEIGHT, arranged
 from mixseq.viewing.colouring import Colouring
 from mixseq.viewing.painting import Bytes, Paint
 from mixseq.viewing.picking import Picked, pick

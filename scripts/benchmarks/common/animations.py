@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import mixseq
-from mixseq.polygons import FloatArray, IntArray, Polygons
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 
 

@@ -10,12 +10,10 @@ import sys
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.timing import Timing, repeated
-
-Float = NDArray[np.float64]
 
 ITERATIONS = 30
 INFLUENCES = 4

@@ -11,16 +11,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.solvers import Analysis
 from mixseq.shells.unfold import unfold
 from mixseq.topology import Topology
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.prediction.operator import chosen
 from mixseq.sequence import MeshSequence
 
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 Motion = Callable[[Float], Float]
 """From times ``(N,)`` to points ``(N, V, 3)``."""
 

@@ -8,11 +8,9 @@ periods of 1 to 4 loops.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 import mixseq
-
-Float = NDArray[np.float64]
+from mixseq.arrays import Float
 
 WAVES = 3
 BENDS = 6

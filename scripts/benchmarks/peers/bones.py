@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 import mixseq
+from mixseq.arrays import Float, Index
 from scripts.benchmarks.common.dembones import INFLUENCES, skinned, skinning
-from scripts.benchmarks.peers.coder import Float, Int
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma
 from scripts.benchmarks.peers.prediction import prediction
 
@@ -110,17 +110,17 @@ class Bones:
         return np.asarray(skinned(rest, weights, transforms) * diagonal + centre)
 
 
-def _onto(values: Float, box: Float | np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> Int:
+def _onto(values: Float, box: Float | np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> Index:
     low, high = np.asarray(box, np.float64)
     return np.asarray(np.rint(FINE * (values - low) / np.maximum(high - low, 1e-30)), np.int64)
 
 
-def _from(whole: Int, box: Float | np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> Float:
+def _from(whole: Index, box: Float | np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> Float:
     low, high = np.asarray(box, np.float64)
     return np.asarray(low + whole / FINE * (high - low))
 
 
-def _spread(chosen: Int, others: Int, bones: int) -> Float:
+def _spread(chosen: Index, others: Index, bones: int) -> Float:
     """Return weights ``(B, V)``: the first of each vertex is what the others leave."""
     weights = np.zeros((bones, chosen.shape[1]))
     np.add.at(weights, (chosen[1:], np.arange(chosen.shape[1])), others / WEIGHT)
@@ -132,7 +132,7 @@ def _centres(weights: Float, rest: Float) -> Float:
     return np.asarray((weights @ rest) / np.maximum(weights.sum(axis=1), 1e-9)[:, None])
 
 
-def _timed(motion: Int) -> bytes:
+def _timed(motion: Index) -> bytes:
     """Code rows of frames as they are or by differences, whatever is smaller; the first byte tells."""
     found = [
         bytes([order]) + to_lzma(planes(np.diff(motion, order, axis=0, prepend=_zeros(order, motion)).T, 3))
@@ -141,10 +141,10 @@ def _timed(motion: Int) -> bytes:
     return min(found, key=len)
 
 
-def _zeros(rows: int, like: Int) -> Int:
+def _zeros(rows: int, like: Index) -> Index:
     return np.zeros((rows, like.shape[1]), np.int64)
 
 
-def _untimed(data: bytes, frames: int) -> Int:
+def _untimed(data: bytes, frames: int) -> Index:
     rows = numbers(from_lzma(data[1:]), 3).reshape(-1, frames).T
     return np.cumsum(rows, axis=0) if data[0] else rows

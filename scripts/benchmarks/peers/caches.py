@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import mixseq
-from scripts.benchmarks.peers.coder import Float, as_file
+from mixseq.arrays import Float
+from scripts.benchmarks.peers.coder import as_file
 
 
 class Cache:

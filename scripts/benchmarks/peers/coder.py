@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from mixseq.arrays import Float
 
 KG_TARGETS = (1.0, 0.5, 0.1, 0.05, 0.02)
 """KG errors in percent that rates are told at."""

@@ -14,8 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mixseq.polygons import FloatArray
-from scripts.benchmarks.peers.coder import Float
+from mixseq.arrays import Float, FloatArray
 
 Space = Literal["shape", "trajectory"]
 

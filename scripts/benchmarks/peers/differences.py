@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 import mixseq
-from scripts.benchmarks.peers.coder import KG_SWEEP, Float, step_of
+from mixseq.arrays import Float
+from scripts.benchmarks.peers.coder import KG_SWEEP, step_of
 from scripts.benchmarks.peers.packing import from_zstd, numbers, planes, to_zstd, width
 
 _HEAD = struct.Struct("<IB4d")  # frames, bytes a number, origin, step

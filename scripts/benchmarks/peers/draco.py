@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError
-from scripts.benchmarks.peers.coder import Float, Int
 
 LEVEL = 10
 LATTICE = 10  # bits a coordinate
@@ -81,7 +81,7 @@ def _connectivity(faces: bytes, vertices: int) -> int:
 
 
 @cache
-def _order(faces: bytes, vertices: int) -> Int:
+def _order(faces: bytes, vertices: int) -> Index:
     """Return which vertex each of those that Draco decodes is; kept, as it is the same for all frames."""
     import DracoPy
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 import mixseq
+from mixseq.arrays import Float
 from scripts.benchmarks.common.child import MIXSEQ, run
-from scripts.benchmarks.peers.coder import ERROR_TARGETS, KG_TARGETS, Float, as_file
+from scripts.benchmarks.peers.coder import ERROR_TARGETS, KG_TARGETS, as_file
 
 FILE = "coded.h5"
 

@@ -6,7 +6,7 @@ import lzma
 
 import numpy as np
 
-from scripts.benchmarks.peers.coder import Int
+from mixseq.arrays import Index
 
 ZSTD_LEVEL = 19
 
@@ -21,13 +21,13 @@ _LZMA = {
 }
 
 
-def width(values: Int) -> int:
+def width(values: Index) -> int:
     """Return how many bytes the largest number needs, at least one."""
     largest = int(_zigzag(values).max(initial=0))
     return max(1, (largest.bit_length() + 7) // 8)
 
 
-def planes(values: Int, size: int) -> bytes:
+def planes(values: Index, size: int) -> bytes:
     """Return all lowest bytes, then all second ones, ...
 
     Examples
@@ -39,7 +39,7 @@ def planes(values: Int, size: int) -> bytes:
     return low_first[:, :size].T.tobytes()
 
 
-def numbers(data: bytes, size: int) -> Int:
+def numbers(data: bytes, size: int) -> Index:
     """Undo `planes`: the numbers in one row."""
     cut = np.frombuffer(data, np.uint8).reshape(size, -1)
     whole = np.zeros((cut.shape[1], 8), np.uint8)
@@ -48,7 +48,7 @@ def numbers(data: bytes, size: int) -> Int:
     return (z >> np.uint64(1)).astype(np.int64) ^ -(z & np.uint64(1)).astype(np.int64)
 
 
-def _zigzag(values: Int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
+def _zigzag(values: Index) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
     """0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
     return ((values << 1) ^ (values >> 63)).astype(np.uint64)
 

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 import mixseq
-from scripts.benchmarks.peers.coder import KG_SWEEP, Float, Int, spread
+from mixseq.arrays import Float, Index
+from scripts.benchmarks.peers.coder import KG_SWEEP, spread
 from scripts.benchmarks.peers.components import Space, components, to_points
 from scripts.benchmarks.peers.packing import from_lzma, numbers, planes, to_lzma, width
 from scripts.benchmarks.peers.prediction import prediction
@@ -94,21 +95,21 @@ class _Stream(NamedTuple):
     """A field or a track as it is written: by which prediction, what is left, and about how many bits that takes."""
 
     choice: int
-    residuals: Int
+    residuals: Index
     bits: float
 
 
-def _whole(values: Float, step: float) -> Int:
+def _whole(values: Float, step: float) -> Index:
     return np.rint(values / step).astype(np.int64)
 
 
-def _smallest(candidates: Sequence[Int]) -> _Stream:
+def _smallest(candidates: Sequence[Index]) -> _Stream:
     bits = [_bits(each) for each in candidates]
     best = int(np.argmin(bits))
     return _Stream(best, candidates[best], bits[best])
 
 
-def _bits(values: Int) -> float:
+def _bits(values: Index) -> float:
     r"""Estimate the bits of integers by the entropy of the two-sided geometric distribution of their mean size.
 
     :math:`P(k) = \frac{1-\theta}{1+\theta} \theta^{|k|}` has :math:`E|k| = m = 2\theta / (1 - \theta^2)`.
@@ -120,7 +121,7 @@ def _bits(values: Int) -> float:
     return float(values.size * (np.log2((1 + theta) / (1 - theta)) - m * np.log2(theta)))
 
 
-def _differences(track: Int, frames: int) -> _Stream:
+def _differences(track: Index, frames: int) -> _Stream:
     """Take the differences of the order that makes a track, or three one after the other, smallest."""
     found = [track.reshape(-1, frames)]
     for _ in range(_ORDERS - 1):
@@ -128,14 +129,14 @@ def _differences(track: Int, frames: int) -> _Stream:
     return _smallest(found)
 
 
-def _sums(values: Int, order: int) -> Int:
+def _sums(values: Index, order: int) -> Index:
     """Undo differences: ``(n, T)`` to all values in one row."""
     for _ in range(order):
         values = np.cumsum(values, axis=1)
     return values.reshape(-1)
 
 
-def _fields(mesh: mixseq.Topology, streams: Sequence[tuple[int, Int]]) -> Int:
+def _fields(mesh: mixseq.Topology, streams: Sequence[tuple[int, Index]]) -> Index:
     """Undo the prediction of fields, those with the same predictor together: ``(K, c V)``."""
     over_mesh = prediction(mesh)
     fields = np.empty((len(streams), 0 if not streams else streams[0][1].size), np.int64)
@@ -158,7 +159,7 @@ def _written(streams: Sequence[_Stream]) -> bytes:
     return table + b"".join(planes(each.residuals, size) for each, size in zip(streams, widths, strict=True))
 
 
-def _read(body: bytes, lengths: Sequence[int]) -> list[tuple[int, Int]]:
+def _read(body: bytes, lengths: Sequence[int]) -> list[tuple[int, Index]]:
     """Undo `_written`: the choice and the values of each stream."""
     at, streams = 2 * len(lengths), []
     for i, length in enumerate(lengths):

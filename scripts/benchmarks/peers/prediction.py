@@ -14,8 +14,8 @@ import numpy as np
 from scipy import sparse
 
 import mixseq
+from mixseq.arrays import Index
 from mixseq.compiled import compiled
-from scripts.benchmarks.peers.coder import Int
 
 BITS = 14
 HALF = 1 << (BITS - 1)
@@ -25,14 +25,14 @@ HALF = 1 << (BITS - 1)
 class Prediction:
     """Order ``(V,)`` of the vertices, and the integer weights ``(V, V)`` of each predictor; the first has none."""
 
-    order: Int
+    order: Index
     weights: tuple[sparse.csr_array, ...]
 
-    def residuals(self, values: Int, predictor: int) -> Int:
+    def residuals(self, values: Index, predictor: int) -> Index:
         """Subtract from values ``(V, n)`` what the predictor says of them."""
         return values - ((self.weights[predictor] @ values + HALF) >> BITS)
 
-    def values(self, residuals: Int, predictor: int) -> Int:
+    def values(self, residuals: Index, predictor: int) -> Index:
         """Undo `residuals`."""
         matrix = self.weights[predictor]
         values = residuals.copy()
@@ -65,7 +65,7 @@ def prediction(mesh: mixseq.Topology) -> Prediction:
     return Prediction(order, tuple(_fixed(each) for each in (none, near, across, (near + across) / 2)))
 
 
-def traversal(mesh: mixseq.Topology) -> Int:
+def traversal(mesh: mixseq.Topology) -> Index:
     """Return all vertices ``(V,)``: breadth first across edges, from the first face of every component."""
     starts = np.concatenate([[0], np.cumsum(mesh.edge_face_counts)])
     faces_at = np.argsort(mesh.face_edges.reshape(-1), kind="stable") // 3
@@ -87,7 +87,7 @@ def _fixed(matrix: sparse.csr_array) -> sparse.csr_array:
 
 
 @compiled
-def _traverse(faces: Int, face_edges: Int, starts: Int, faces_at: Int, vertices: int) -> Int:
+def _traverse(faces: Index, face_edges: Index, starts: Index, faces_at: Index, vertices: int) -> Index:
     order = np.empty(vertices, np.int64)
     met = np.zeros(vertices, np.bool_)
     done = np.zeros(len(faces), np.bool_)
@@ -124,7 +124,7 @@ def _traverse(faces: Int, face_edges: Int, starts: Int, faces_at: Int, vertices:
 
 
 @compiled
-def _fill(order: Int, indptr: Int, indices: Int, weights: Int, values: Int) -> None:
+def _fill(order: Index, indptr: Index, indices: Index, weights: Index, values: Index) -> None:
     """Turn residuals ``(V, n)`` into values, in place."""
     total = np.empty(values.shape[1], np.int64)
     for v in order:

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mixseq.arrays import Float
 from scripts.paper_study.common.errors import errors
 from scripts.paper_study.common.methods import Blended, Method
-from scripts.paper_study.common.poses import MESHES, Float, Poses, between
+from scripts.paper_study.common.poses import MESHES, Poses, between
 from scripts.paper_study.common.record import Json
 
 

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.normals import shared_normals
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.plots.camera import View, y_up
 from mixseq.polygons import Polygons
-from scripts.paper_study.common.poses import Float, Index, Poses
+from scripts.paper_study.common.poses import Poses
 
 OPPOSITE = -0.7
 """Cosine of normals below which one side of a limb is opposite the other."""

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from scripts.paper_study.common.poses import Float, Poses
+from scripts.paper_study.common.poses import Poses
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)
 ANGLE_SHARES = (1.0, 0.9999, 0.999, 0.99)

@@ -22,6 +22,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.softness import Softening
@@ -34,7 +35,7 @@ from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_spac
 from mixseq.spaces.mixed.assembly import FreeFrame
 from mixseq.spaces.registered import registered
 from mixseq.threads import one_blas_thread
-from scripts.paper_study.common.poses import Float, Index, Poses
+from scripts.paper_study.common.poses import Poses
 from scripts.paper_study.common.registered import Registered
 from scripts.paper_study.msgi.multiscale import MultiScale
 

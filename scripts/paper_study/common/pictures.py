@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.plots import CLAY, broadside, draw_mesh, segmentation_colours, shared_limits
 from mixseq.plots.camera import Limits, View, y_up
 from mixseq.plots.charts import LINES, chart_style, new_page
 from mixseq.plots.layout import Sheet
 from mixseq.segmentation.joints import Decomposition
-from scripts.paper_study.common.poses import Float, Index, Poses
+from scripts.paper_study.common.poses import Poses
 
 DPI = 80
 CLOSE = 0.13

@@ -8,18 +8,15 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import mixseq
+from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation import MotionSettings, segment_by_motion
 from mixseq.sequence import bounding_diagonal
 from mixseq.topology import Topology
 from scripts.benchmarks.common.animations import animation, subdivided
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class Source(NamedTuple):

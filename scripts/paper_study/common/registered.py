@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import transform
 from mixseq.spaces.mixed import FreeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Index
 from mixseq.errors import SettingsError
 from mixseq.topology import Topology
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

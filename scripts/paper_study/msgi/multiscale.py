@@ -26,10 +26,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellReport, ShellSettings
@@ -41,9 +41,6 @@ from mixseq.topology import Topology
 from scripts.paper_study.common.registration import Overlaps, register
 from scripts.paper_study.common.stitching import Seams, stitch
 from scripts.paper_study.msgi.hierarchy import Region, divide
-
-Float = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LEAF = 300
 """Leaves have at most so many faces, before they grow."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from mixseq.arrays import Float
 from mixseq.operations.interpolation import Blend
 from mixseq.spaces import SpaceName
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
-from scripts.paper_study.common.poses import Float, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = ("lion", "cat", "horse", "elephant_gallop")

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Float
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Free, softened, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery, heat
 from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Float, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")

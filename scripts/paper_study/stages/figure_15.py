@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Index
 from mixseq.segmentation.agreement import adjusted_rand_index
 from mixseq.segmentation.methods import METHODS, segment
 from mixseq.topology import split_labels
@@ -15,7 +16,7 @@ from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import Clock, Free, softened, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery
 from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Index, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.printed import FIGURE_15
 from scripts.paper_study.common.record import Json, Results
 from scripts.paper_study.common.variants import row_of

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Float, Index
 from mixseq.plots import broadside
 from mixseq.spaces.edge.space import EdgeSettings
 from scripts.benchmarks.common.section import markdown_table
@@ -15,7 +16,7 @@ from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS, Edge, Method, strips
 from scripts.paper_study.common.pictures import Panel, cut, gallery, heat
 from scripts.paper_study.common.poses import MESHES as ALL
-from scripts.paper_study.common.poses import Float, Index, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = tuple(mesh for mesh in ALL if mesh != "horse_gallop")

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.shells.fitting import ShellSettings
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery, heat
-from scripts.paper_study.common.poses import Float, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 from scripts.paper_study.stages.figure_14 import MOST, at_vertices
 

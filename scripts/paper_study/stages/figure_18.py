@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.plots import broadside, draw_layout, draw_mesh, shared_limits
 from mixseq.plots.camera import y_up
@@ -17,7 +18,7 @@ from mixseq.sequence import MeshSequence
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text
 from scripts.paper_study.common.pictures import CLOSE, DPI, Panel, gallery, heat
-from scripts.paper_study.common.poses import Float, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 from scripts.paper_study.stages.figure_14 import MOST, at_vertices
 

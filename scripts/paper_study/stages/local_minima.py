@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Float, Index
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.edge import EdgeSettings
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.methods import Anchored, Edge, Printed, strips
-from scripts.paper_study.common.poses import Float, Index, Poses, between
+from scripts.paper_study.common.poses import Poses, between
 from scripts.paper_study.common.record import Json, Results
 
 MESHES = ("lion", "cat", "horse")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.arrays import Index
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.methods import METHODS, Clock, Method, Mixed
-from scripts.paper_study.common.poses import ALL, Index, Poses, between
+from scripts.paper_study.common.poses import ALL, Poses, between
 from scripts.paper_study.common.printed import TABLE_1
 from scripts.paper_study.common.record import Json, Results
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import kabsch
@@ -14,7 +15,7 @@ from mixseq.spaces.edge.projection import EdgeProjection, Wanted
 from mixseq.spaces.edge.relaxed_shell import RelaxedShell
 from mixseq.spaces.edge.volume import volume
 from mixseq.spaces.pieces import Pieces
-from tests.meshes import Float, Mesh, bent, grid, joined, pages, tetrahedron, topology_of, torus, tube
+from tests.meshes import Mesh, bent, grid, joined, pages, tetrahedron, topology_of, torus, tube
 
 MESH: Mesh = joined(tube(6, 9), tetrahedron(), torus(9, 5), pages(3, 4, 2))
 STRAY: Mesh = np.concatenate([MESH[0], [[9.0, 9, 9]]]), MESH[1]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.geometry.rigid import kabsch
@@ -23,7 +24,7 @@ from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.edge.volume import volume
 from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.topology import Topology
-from tests.meshes import SEQUENCES, Float, bent, rotation, torus, tube
+from tests.meshes import SEQUENCES, bent, rotation, torus, tube
 
 STEPS = EdgeSettings()
 DSO = EdgeSettings("dso")

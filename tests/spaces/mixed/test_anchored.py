@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import inverse, product, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.operator import Operator, with_middles
@@ -17,7 +18,7 @@ from mixseq.spaces import mixed_space
 from mixseq.spaces.mixed import AnchoredSpace
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.spaces.mixed.anchored import JOINT, SIDE
-from tests.meshes import SEQUENCES, Float, bar, bent, rotation, seeds, topology_of, tube
+from tests.meshes import SEQUENCES, bar, bent, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import anchored, chain, error, of_slices, sequence_of
 
 MOVING = [

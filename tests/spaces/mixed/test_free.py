@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import kabsch
@@ -14,7 +15,7 @@ from mixseq.segmentation import decompose
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces import mixed_space
 from mixseq.spaces.mixed import FreeSpace
-from tests.meshes import Float, topology_of, tube
+from tests.meshes import topology_of, tube
 from tests.spaces.mixed.made import anchored, free, sequence_of
 
 

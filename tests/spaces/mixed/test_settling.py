@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 from mixseq.spaces.mixed import AnchoredSpace
-from tests.meshes import SEQUENCES, Float, rotation, tube
+from tests.meshes import SEQUENCES, rotation, tube
 
 
 def curled() -> MeshSequence:

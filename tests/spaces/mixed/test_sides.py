@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import normalised, quaternions
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.spaces.mixed.sides import COTANGENTS, HOLD, Sides
-from tests.meshes import Float, Mesh, grid, rotation, seeds, tube
+from tests.meshes import Mesh, grid, rotation, seeds, tube
 
 
 def sides_of(mesh: Mesh, free: list[int]) -> Sides:

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from scipy import sparse
 
+from mixseq.arrays import Float
 from mixseq.geometry.quaternions import normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation import decompose
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
-from tests.meshes import Float, grid, joined, rigid_motions, rotation, seeds, topology_of, tube
+from tests.meshes import grid, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import sliced
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3
