@@ -12,7 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 LAYERS = (
-    ("arrays", "compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
+    ("arrays",),
+    ("compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
     ("cluster", "mapping", "polygons", "table"),
     ("surface",),
     ("sequence",),

@@ -7,12 +7,14 @@ quantile of that share.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.poses import Poses
 
 LENGTH_SHARES = (1.0, 0.999, 0.99)
@@ -76,3 +78,9 @@ def text(values: list[float] | tuple[float, ...]) -> str:
         return f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
     return " / ".join(map(one, values))
+
+
+def error_table(head: str, summaries: Mapping[str, Any]) -> str:
+    """Return summaries of errors as a table, with a row for each name; the head of the names comes first."""
+    rows = [(name, text(found["lengths"]), text(found["degrees"])) for name, found in summaries.items()]
+    return markdown_table((head, "lengths, 99 / 99.9 / 100 %", "degrees"), rows)

@@ -8,8 +8,7 @@ from pathlib import Path
 from mixseq.arrays import Float
 from mixseq.operations.interpolation import Blend
 from mixseq.spaces import SpaceName
-from scripts.benchmarks.common.section import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import error_table, errors
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import Poses, between
@@ -48,14 +47,10 @@ def page(results: Results) -> list[str]:
         "(relative) and angles (degrees) against the means of the two poses."
     ]
     for mesh, result in results.items():
-        rows = [
-            (name, text(found["lengths"]), text(found["degrees"]))
-            for name, found in result["methods"].items()
-        ]
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![Blends in four shape spaces, {mesh}](figure-1-{mesh}.png)",
-            markdown_table(("space", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+            error_table("space", result["methods"]),
         ]
     return blocks
 

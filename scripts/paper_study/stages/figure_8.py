@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from scripts.benchmarks.common.section import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import MESHES as ALL
@@ -35,11 +34,10 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
 def page(results: Results) -> list[str]:
     blocks = ["Pairs are as on the [other pages](figures-10-12.md), which also tell how far apart they are."]
     for mesh, result in results.items():
-        rows = [(w, text(found["lengths"]), text(found["degrees"])) for w, found in result["weights"].items()]
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![Blends, {mesh}](figure-8-{mesh}.png)",
-            markdown_table(("weight", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+            error_table("weight", result["weights"]),
         ]
     return blocks
 

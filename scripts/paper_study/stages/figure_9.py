@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scripts.benchmarks.common.section import markdown_table
-from scripts.paper_study.common.errors import errors, text
+from scripts.paper_study.common.errors import error_table, errors, text
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
 from scripts.paper_study.common.poses import MESHES as ALL
@@ -43,14 +42,10 @@ def page(results: Results) -> list[str]:
         "means of all six lengths and angles; the paper shows pictures only."
     ]
     for mesh, result in results.items():
-        rows = [
-            (name, text(found["lengths"]), text(found["degrees"]))
-            for name, found in result["methods"].items()
-        ]
         blocks += [
             f"## {mesh}: {result['title']}",
             f"![Six poses and their blends, {mesh}](figure-9-{mesh}.png)",
-            markdown_table(("method", "lengths, 99 / 99.9 / 100 %", "degrees"), rows),
+            error_table("method", result["methods"]),
         ]
     return blocks
 
