@@ -26,6 +26,7 @@ import mixseq
 from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
+from mixseq.cli.settings import Setting
 from mixseq.coding.coded import CodingParameters
 from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
@@ -287,14 +288,18 @@ def test_reference_has_every_option(name: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None
     described = section("docs/cli.md", f"mixseq {name}")
+    settings = [parameter for parameter in command.params if isinstance(parameter, Setting)]
     options = {
         option
         for parameter in command.params
-        if isinstance(parameter, click.Option)
+        if isinstance(parameter, click.Option) and parameter not in settings
         for option in (*parameter.opts, *parameter.secondary_opts)
     }
+    long = {option for each in settings for option in (*each.opts, *each.secondary_opts)}
     named = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", described))
-    assert named == {option for option in options if option.startswith("--")}
+    assert named - long == {option for option in options if option.startswith("--")}
+    for setting in settings:
+        assert re.search(rf"\b{setting.key}[`=]", described), setting.key
     for short in options - named:
         assert f"`{short}`" in page("docs/cli.md")
 

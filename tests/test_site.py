@@ -20,6 +20,7 @@ import yaml
 import mixseq
 from mixseq import errors, operations
 from mixseq.cli import main
+from mixseq.cli.settings import Setting
 from scripts.site.anchors import anchor
 from scripts.site.check import faults
 from scripts.site.commands import commands_page
@@ -64,7 +65,9 @@ def test_commands_are_whole(name: str) -> None:
     assert command is not None
     section = commands_page().partition(f"\n## mixseq {name}\n")[2].partition("\n## ")[0]
     for parameter in command.get_params(CONTEXT):
-        if isinstance(parameter, click.Option):
+        if isinstance(parameter, Setting):
+            assert f"--set {parameter.key}=" in section
+        elif isinstance(parameter, click.Option):
             row = next(
                 line for line in section.splitlines() if re.search(rf"[ >]{parameter.opts[-1]}\b", line)
             )

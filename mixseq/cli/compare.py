@@ -15,6 +15,7 @@ import mixseq
 from mixseq.cli.console import print_json, print_table, progress_bar
 from mixseq.cli.files import counted, options_of
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import MixseqWarning, SettingsError
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "compare",
+    cls=CommandWithSettings,
     epilog=examples("mixseq compare walk.usdc decoded.usdc", "mixseq compare walk.usdc walk.h5 --json"),
 )
 @click.argument("reference", type=FILE)

@@ -11,10 +11,12 @@ import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, counted, write_sequence
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
+from mixseq.cli.settings import CommandWithSettings
 
 
 @click.command(
     "convert",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq convert walk.usdc walk.h5",
         "mixseq convert walk.usdc walk_####.obj",

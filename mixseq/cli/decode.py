@@ -13,6 +13,7 @@ from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, read_sequence, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
 from mixseq.cli.rigs import RigSettings, check_origin, rows
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def _as_seconds(
 
 @click.command(
     "decode",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq decode walk.h5 walk48.usdc --fps 48",
         "mixseq decode walk.h5 still.obj --times 0.73",
@@ -74,8 +76,8 @@ def _as_seconds(
     type=click.Choice(["skin", "morph"]),
     help="Write glTF for engines: a skin over moving bones, or a mesh with few morph targets.",
 )
-@click.option("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
-@click.option(
+@setting("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
+@setting(
     "--correctives",
     type=click.FloatRange(min=0, min_open=True),
     metavar="E",
@@ -87,9 +89,7 @@ def _as_seconds(
     metavar="E",
     help="Largest error of a morph, in diagonals; without it a morph is exact.",
 )
-@click.option(
-    "--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most."
-)
+@setting("--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most.")
 @writer_options
 @workers_options
 @quiet_option

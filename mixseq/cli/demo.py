@@ -16,13 +16,14 @@ from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import read_sequence
 from mixseq.cli.info import dimension_rows
 from mixseq.cli.options import FILE, examples, quiet_option
+from mixseq.cli.settings import CommandWithSettings
 
 if TYPE_CHECKING:
     from mixseq.sequence import MeshSequence
     from mixseq.signals import Model
 
 
-@click.command("demo", epilog=examples("mixseq demo --out fox --frames 24"))
+@click.command("demo", cls=CommandWithSettings, epilog=examples("mixseq demo --out fox --frames 24"))
 @click.option(
     "--out",
     type=FILE,

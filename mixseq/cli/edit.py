@@ -12,6 +12,7 @@ import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ A script has a table for every edit:
 
 @click.command(
     "edit",
+    cls=CommandWithSettings,
     epilog=SCRIPT
     + examples(
         "mixseq edit run.h5 attack.h5 --script attack.toml",

@@ -25,6 +25,7 @@ from mixseq.cli.options import (
     reader_options,
     workers_options,
 )
+from mixseq.cli.settings import CommandWithSettings, setting
 
 if TYPE_CHECKING:
     from mixseq.coding.coded import Coded
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "encode",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq encode walk.usdc walk.h5 --check",
         "mixseq encode walk.usdc walk.h5 --exact",
@@ -50,13 +52,13 @@ if TYPE_CHECKING:
 @aim_options
 @fit_options
 @labels_options
-@click.option(
+@setting(
     "--knots",
     type=click.IntRange(min=0),
     metavar="N",
     help="Number of inner knots of all curves over time.  [default: as the tolerance asks, else all]",
 )
-@click.option(
+@setting(
     "--pose",
     type=click.Choice(["modes", "keys"]),
     default="modes",

@@ -15,6 +15,7 @@ import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, is_model, options_of
 from mixseq.cli.options import FILE
+from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -82,25 +83,25 @@ def film_options(command: Command) -> Command:
         metavar="N",
         help="Frames per second of the film; models are decoded at its times.  [default: those of the first file]",
     )
-    @click.option(
+    @setting(
         "--seconds",
         type=float,
         metavar="S",
         help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
     )
-    @click.option("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film.")
+    @setting("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film.")
     @click.option(
         "--colour",
         type=click.Choice(COLOURS),
         help="What colours show in the film; parts need a model, error needs --against.  [default: clay]",
     )
-    @click.option(
+    @setting(
         "--scale",
         type=float,
         metavar="X",
         help="Error (diagonals), strain or bend (degrees) of the last colour.  [default: the largest]",
     )
-    @click.option(
+    @setting(
         "--names",
         callback=_as_names,
         metavar="A,B,...",

@@ -8,12 +8,15 @@ import click
 
 from mixseq.cli.console import print_table
 from mixseq.cli.options import examples
+from mixseq.cli.settings import CommandWithSettings, setting
 
 Table = Sequence[Sequence[str]]
 
 
-@click.command("formats", epilog=examples("mixseq formats", "mixseq formats --markdown"))
-@click.option("--markdown", is_flag=True, help="Print the tables in Markdown.")
+@click.command(
+    "formats", cls=CommandWithSettings, epilog=examples("mixseq formats", "mixseq formats --markdown")
+)
+@setting("--markdown", is_flag=True, help="Print the tables in Markdown.")
 def command(markdown: bool) -> None:
     """List the file formats: what each can hold, which motion is read from it, and its options."""
     from mixseq_io.formats import capabilities, motions

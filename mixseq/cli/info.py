@@ -13,6 +13,7 @@ from mixseq.cli.compressed import coding_facts, coding_rows
 from mixseq.cli.console import format_bytes, print_json, print_table
 from mixseq.cli.files import is_model
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings
 
 if TYPE_CHECKING:
     from mixseq.sequence import SequenceHeader
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 
-@click.command("info", epilog=examples("mixseq info walk.usdc", "mixseq info walk.h5 --json"))
+@click.command(
+    "info", cls=CommandWithSettings, epilog=examples("mixseq info walk.usdc", "mixseq info walk.h5 --json")
+)
 @click.argument("path", metavar="FILE", type=FILE)
 @json_option
 @reader_options

@@ -25,6 +25,7 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def pose_of(text: str) -> Pose:
 
 @click.command(
     "interpolate",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq interpolate lion.npz half.obj --pose 2=0.5 --pose 5=0.5",
         "mixseq interpolate lion.npz mean.ply --pose 0=1/3 --pose 2=1/3 --pose 5=1/3 --space edge",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -36,26 +37,26 @@ def reader_options(command: Command) -> Command:
         metavar="PATH",
         help="Mesh to read, or something above it, in USD, Alembic and glTF; / is all.  [default: all that move]",
     )
-    @click.option(
+    @setting(
         "--animation",
         metavar="NAME",
         help="Animation to read of glTF; none is the pose at rest.  [default: the first]",
     )
-    @click.option(
+    @setting(
         "--input-fps",
         "fps",
         type=float,
         metavar="N",
         help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
     )
-    @click.option("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
-    @click.option("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
-    @click.option(
+    @setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
+    @setting("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
+    @setting(
         "--up-axis",
         type=click.Choice(["X", "Y", "Z"]),
         help="Axis that points up, where the file does not tell; nothing is turned.",
     )
-    @click.option(
+    @setting(
         "--units",
         "metres_per_unit",
         type=click.FloatRange(min=0, min_open=True),
@@ -94,10 +95,10 @@ def writer_options(command: Command) -> Command:
     @click.option(
         "--flatten", is_flag=True, help="Write USD or glTF that does not build on the original file."
     )
-    @click.option(
+    @setting(
         "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
     )
-    @click.option(
+    @setting(
         "--clips",
         type=click.IntRange(min=1),
         metavar="N",
@@ -154,7 +155,7 @@ def space_options(command: Command) -> Command:
         metavar="N",
         help="Number of parts; every connected component has at least one.  [default: automatic]",
     )
-    @click.option(
+    @setting(
         "--joint-width",
         type=click.IntRange(min=1),
         default=3,
@@ -162,25 +163,25 @@ def space_options(command: Command) -> Command:
         metavar="N",
         help="Largest width of joints, in strips of triangles on each side of a boundary.",
     )
-    @click.option(
+    @setting(
         "--placement",
         type=click.Choice(["anchored", "free"]),
         default="anchored",
         show_default=True,
         help="How parts are placed: by a pose each, or where lengths and angles put them.",
     )
-    @click.option(
+    @setting(
         "--shrink",
         type=click.FloatRange(min=0, min_open=True),
         metavar="X",
         help="Let joints go on inside parts where blending shortens edges by more than this share.",
     )
-    @click.option(
+    @setting(
         "--projection",
         type=click.Choice(["steps", "dso"]),
         help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
     )
-    @click.option(
+    @setting(
         "--volume",
         type=click.FloatRange(min=0),
         metavar="W",

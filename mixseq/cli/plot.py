@@ -12,6 +12,7 @@ from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, read_sequence
 from mixseq.cli.filmed import FilmOptions, film_options, make_film
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
 
 @click.command(
     "plot",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq plot walk.h5 walk.png",
         "mixseq plot walk.h5 errors.png --kind error-vertices --against walk.usdc",

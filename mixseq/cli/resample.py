@@ -19,6 +19,7 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "resample",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq resample walk.usdc walk60.usdc --fps 60",
         "mixseq resample walk.h5 slow.usdc --speed 0.25 --start 0.5 --end 1 --velocities",
@@ -68,7 +70,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Play by a curve instead: lines output,source in seconds (CSV), or TOML.",
 )
-@click.option("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
+@setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
 @click.option(
     "--velocities/--no-velocities",
     default=False,

@@ -15,6 +15,7 @@ from mixseq.cli.console import announce, print_json, print_table, progress_bar
 from mixseq.cli.files import check_target
 from mixseq.cli.labelled import chosen_labels, connected
 from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _GIVEN = METHODS[3:]
 
 @click.command(
     "segment",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq segment walk.usdc parts.usda",
         "mixseq segment walk.usdc parts.npz --parts 12 --no-picture",
@@ -53,7 +55,7 @@ _GIVEN = METHODS[3:]
     metavar="N",
     help="Number of parts; every connected component has at least one.  [default: automatic]",
 )
-@click.option(
+@setting(
     "--seed",
     type=click.IntRange(min=0),
     metavar="N",

@@ -25,6 +25,7 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.cli.transferred import facts, rows
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 
@@ -49,6 +50,7 @@ _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every f
 
 @click.command(
     "transfer",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
         "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
@@ -85,7 +87,7 @@ _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every f
     metavar="N",
     help="Number of parts of SOURCE; every connected component has at least one.  [default: automatic]",
 )
-@click.option(
+@setting(
     "--joint-width",
     type=click.IntRange(min=1),
     metavar="N",
@@ -98,7 +100,7 @@ _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every f
     metavar="FILE",
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
-@click.option("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
+@setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
 @click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside OUT]")
 @click.option("--no-picture", is_flag=True, help="Draw no picture.")
 @json_option

@@ -11,13 +11,18 @@ import click
 import mixseq
 from mixseq.cli.console import print_json, print_table, progress_bar
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq_io.verification import Verification
 
 
-@click.command("verify", epilog=examples("mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json"))
+@click.command(
+    "verify",
+    cls=CommandWithSettings,
+    epilog=examples("mixseq verify walk.h5", "mixseq verify walk.h5 walk.usdc --json"),
+)
 @click.argument("path", metavar="FILE", type=FILE)
 @click.argument("original", required=False, type=FILE)
 @json_option

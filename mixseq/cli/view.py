@@ -18,6 +18,7 @@ import mixseq
 from mixseq.cli.console import announce, needed, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, options_of, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.progress import Progress, silent
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "view",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq view walk.h5",
         "mixseq view walk.usdc walk.h5 --against walk.usdc",
@@ -48,24 +50,22 @@ if TYPE_CHECKING:
     metavar="N",
     help="Frames per second; models are decoded at any rate.  [default: those of the first file]",
 )
-@click.option(
+@setting(
     "--host",
     metavar="ADDRESS",
     help="Listen here; 0.0.0.0 lets everybody in who can reach this machine.  [default: 127.0.0.1, this machine only]",
 )
-@click.option(
+@setting(
     "--port",
     type=click.IntRange(1, 65535),
     metavar="N",
     help="Listen at this port.  [default: 8080, or the next one that is free]",
 )
-@click.option(
+@setting(
     "--overlaid", is_flag=True, help="Meshes stand in one place at first, not side by side; on pages, too."
 )
-@click.option(
-    "--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]"
-)
-@click.option(
+@setting("--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]")
+@setting(
     "--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card."
 )
 @click.option(
@@ -78,10 +78,8 @@ if TYPE_CHECKING:
     metavar="PAGE",
     help="Write a page (.html) that plays on its own, without a network, and end.",
 )
-@click.option(
-    "--every", type=click.IntRange(min=1), metavar="N", help="Of the frames of PAGE, keep every N-th."
-)
-@click.option("--largest", type=float, metavar="MB", help="PAGE may be so large.  [default: 200]")
+@setting("--every", type=click.IntRange(min=1), metavar="N", help="Of the frames of PAGE, keep every N-th.")
+@setting("--largest", type=float, metavar="MB", help="PAGE may be so large.  [default: 200]")
 @reader_options
 @quiet_option
 def command(

@@ -10,6 +10,7 @@ from html import escape
 import click
 
 from mixseq.cli import main
+from mixseq.cli.settings import Setting
 
 INTRODUCTION = """# Commands and options
 
@@ -43,6 +44,8 @@ def _section(command: click.Command, context: click.Context) -> Iterator[str]:
         record = parameter.get_help_record(context)
         if record is not None and isinstance(parameter, click.Option):
             names, meaning = record
+            if isinstance(parameter, Setting):
+                names = f"--set {parameter.usage(context)}"
             rows.append(f"| {_code(names)} | {_plain(meaning)} |")
     yield "\n".join(rows)
     more, _, examples = (command.epilog or "").replace("\b\n", "").partition("Examples:\n")

@@ -11,6 +11,7 @@ import click
 from mixseq.cli.console import print_table, progress_bar
 from mixseq.cli.files import options_of
 from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
+from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "batch",
+    cls=CommandWithSettings,
     epilog=examples(
         "mixseq batch shots/*.usdc --out models",
         "mixseq batch shots --out models --tolerance 0.001",
