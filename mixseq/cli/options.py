@@ -156,6 +156,13 @@ def space_options(command: Command) -> Command:
         help="Number of parts; every connected component has at least one.  [default: automatic]",
     )
     @setting(
+        "--segmentation",
+        type=click.Choice(["motion", "silhouettes", "spanning-tree"]),
+        default="motion",
+        show_default=True,
+        help="How parts are found.",
+    )
+    @setting(
         "--joint-width",
         type=click.IntRange(min=1),
         default=3,
@@ -200,7 +207,7 @@ def space_options(command: Command) -> Command:
     return with_options
 
 
-_MAKING = ("space", "parts", "joint_width", "placement", "shrink")
+_MAKING = ("space", "parts", "segmentation", "joint_width", "placement", "shrink")
 
 
 def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:

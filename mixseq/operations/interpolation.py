@@ -25,7 +25,8 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.pickling import Remade
 from mixseq.progress import Progress, Stages, silent
-from mixseq.segmentation import MotionSettings
+from mixseq.renamed import renamed
+from mixseq.segmentation import Segmentation
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.signals.detail import encode
@@ -67,7 +68,7 @@ class Blend(Remade):
         placement: PlacementName = "anchored",
         parts: int | ArrayLike | None = None,
         joint_width: int = 3,
-        motion: MotionSettings | None = None,
+        segmentation: Segmentation = "motion",
         shrink: float | None = None,
         shell: ShellSettings | None = None,
         edge: EdgeSettings | None = None,
@@ -82,7 +83,7 @@ class Blend(Remade):
         among : (n,) int array_like, optional
             The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
-        settings = SpaceSettings(placement, parts, joint_width, motion, shrink, 0.0, shell, edge)
+        settings = SpaceSettings(placement, parts, joint_width, segmentation, shrink, 0.0, shell, edge)
         check_space(space, settings, usual=SpaceSettings(settling_from=0.0))
         check_frames(poses)
         count = poses.header.frame_count
@@ -151,6 +152,7 @@ class Blend(Remade):
             return np.concatenate([weights @ shapes, placement])[None]
 
 
+@renamed(motion="segmentation")
 def interpolate(
     poses: Frames,
     weights: ArrayLike,
@@ -159,7 +161,7 @@ def interpolate(
     placement: PlacementName = "anchored",
     parts: int | ArrayLike | None = None,
     joint_width: int = 3,
-    motion: MotionSettings | None = None,
+    segmentation: Segmentation = "motion",
     shrink: float | None = None,
     shell: ShellSettings | None = None,
     edge: EdgeSettings | None = None,
@@ -189,8 +191,10 @@ def interpolate(
     shrink : float, optional
         Mixed space: joints go on inside parts where a blend would shorten an edge by more than this share of its
         length; by default they are at boundaries. The free placement follows lengths and angles more closely with .03.
-    motion, shell, edge : optional
-        Details of the segmentation; of the edge space, fits to lengths and angles, and its projection.
+    segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
+        Mixed space: how parts are found; settings of a method are that method.
+    shell, edge : optional
+        Edge space: fits to lengths and angles, and the projection.
     progress : callable, optional
         Told about every stage.
     workers : OrderedMap, optional
@@ -229,7 +233,7 @@ def interpolate(
         placement=placement,
         parts=parts,
         joint_width=joint_width,
-        motion=motion,
+        segmentation=segmentation,
         shrink=shrink,
         shell=shell,
         edge=edge,

@@ -15,6 +15,8 @@ from mixseq.topology import Topology
 
 MethodName = Literal["motion", "silhouettes", "spanning-tree"]
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
+Segmentation = MethodName | MethodSettings
+"""A method by its name, or with settings of its own, which tell what method they are for."""
 
 
 class Method(NamedTuple):
@@ -30,6 +32,25 @@ METHODS: dict[MethodName, Method] = {
     "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
 }
 """The methods that need nothing but the moving mesh."""
+
+
+def chosen(segmentation: Segmentation) -> tuple[MethodName, MethodSettings]:
+    """Return a method and its settings.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such method.
+    """
+    for name, method in METHODS.items():
+        if isinstance(segmentation, method.settings):
+            return name, segmentation
+        if isinstance(segmentation, str) and segmentation == name:
+            return name, method.settings()
+    raise SettingsError(
+        f"segmentation is {segmentation!r}; one of {', '.join(METHODS)}, or settings of one, is expected "
+        "(labels of the faces are given as parts)"
+    )
 
 
 def segment(

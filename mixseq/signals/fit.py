@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, on_threads
 from mixseq.progress import Progress, Stages, silent
-from mixseq.segmentation import MotionSettings
+from mixseq.renamed import renamed
+from mixseq.segmentation import Segmentation
 from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, PoseForm, build, encode
@@ -31,6 +32,7 @@ _MARGIN = 10.0
 """Lengths and angles are fitted to so much more accurately than frames have to be."""
 
 
+@renamed(motion="segmentation")
 def fit(
     sequence: Frames,
     exact: bool = False,
@@ -43,7 +45,7 @@ def fit(
     *,
     knots: int | ArrayLike | None = None,
     pose: PoseForm = "modes",
-    motion: MotionSettings | None = None,
+    segmentation: Segmentation = "motion",
     shrink: float | None = None,
     shell: ShellSettings | None = None,
     edge: EdgeSettings | None = None,
@@ -83,7 +85,7 @@ def fit(
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
-        angles. Only S_m has a use for `placement`, `parts`, `joint_width` and `motion`.
+        angles. Only S_m has a use for `placement`, `parts`, `joint_width`, `segmentation` and `shrink`.
     knots : int or (n,) array_like, optional
         Inner knots of all curves: how many, evenly spread, or their times in seconds. By default one at (almost)
         every frame, or as few as `tolerance` allows.
@@ -92,8 +94,8 @@ def fit(
     shrink : float, optional
         Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
         `mixseq.segmentation.softness`; by default they are at boundaries only.
-    motion : MotionSettings, optional
-        Details of the segmentation.
+    segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
+        How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
     shell, edge : optional
         Details of the edge space: fits to lengths and angles; its projection, and what else it keeps.
     progress : callable, optional
@@ -131,7 +133,7 @@ def fit(
     settling_from = (
         FAR if rank is None and knots is None else NEVER
     )  # signals of few numbers do not tell lengths
-    settings = SpaceSettings(placement, parts, joint_width, motion, shrink, settling_from, shell, edge)
+    settings = SpaceSettings(placement, parts, joint_width, segmentation, shrink, settling_from, shell, edge)
     check_space(space, settings, usual=SpaceSettings(settling_from=settling_from))
     direct = exact or rank is not None or knots is not None
     stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)

@@ -13,16 +13,17 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import OrderedMap, serially
 from mixseq.progress import Progress, Stages, silent
 from mixseq.segmentation import (
-    MotionSettings,
     Observed,
+    Segmentation,
     Softening,
     Watched,
+    chosen,
     decompose,
     frames_to_look_at,
     gather,
     observe,
+    segment,
     segment_by_labels,
-    segment_by_motion,
 )
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells.fitting import ShellSettings
@@ -55,8 +56,8 @@ class SpaceSettings:
         Mixed space: number of parts, or the part of every triangle; found from the motion if not given.
     joint_width : int
         Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
-    motion : MotionSettings, optional
-        Mixed space: details of the segmentation.
+    segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
+        Mixed space: how parts are found.
     shrink : float, optional
         Mixed space: joints go on inside parts where blending would shorten an edge by more than this share of its
         length, see `mixseq.segmentation.softness`; by default they are at boundaries only.
@@ -71,7 +72,7 @@ class SpaceSettings:
     placement: PlacementName = "anchored"
     parts: int | ArrayLike | None = None
     joint_width: int = 3
-    motion: MotionSettings | None = None
+    segmentation: Segmentation = "motion"
     shrink: float | None = None
     settling_from: float = NEVER
     shell: ShellSettings | None = None
@@ -79,7 +80,7 @@ class SpaceSettings:
 
 
 _USES: dict[SpaceName, tuple[str, ...]] = {
-    "mixed": ("placement", "parts", "joint_width", "motion", "shrink", "settling_from"),
+    "mixed": ("placement", "parts", "joint_width", "segmentation", "shrink", "settling_from"),
     "edge": ("shell", "edge"),
 }
 
@@ -168,7 +169,7 @@ def make_space(
 
 
 def part_of_faces(frames: Stored | MeshSequence, settings: SpaceSettings) -> NDArray[np.int64]:
-    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found from the motion.
+    """Return the part ``(F,)`` of every triangle in the mixed space: given, or found.
 
     Raises
     ------
@@ -181,9 +182,9 @@ def part_of_faces(frames: Stored | MeshSequence, settings: SpaceSettings) -> NDA
     topology = Topology(header.faces, header.vertex_count)
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
-    motion = settings.motion or MotionSettings()
-    some = points[frames_to_look_at(len(points), motion.frames)]
-    return segment_by_motion(some, topology, None if parts is None else int(parts), motion)
+    name, details = chosen(settings.segmentation)
+    some = points[frames_to_look_at(len(points), details.frames)]
+    return segment(some, topology, name, None if parts is None else int(parts), details)
 
 
 def _mixed(

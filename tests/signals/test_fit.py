@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SegmentationError, SettingsError
-from mixseq.segmentation import MotionSettings, segment_by_labels
+from mixseq.operations.segmenting import segment
+from mixseq.segmentation import METHODS, MethodName, MotionSettings, segment_by_labels
 from mixseq.sequence import MeshSequence
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import fit
 from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, SpaceName
-from mixseq.spaces.mixed import FreeSpace
+from mixseq.spaces.mixed import FreeSpace, MixedSpace
 from mixseq.topology import Topology
 from tests.meshes import bar
 
@@ -37,7 +38,8 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"space": "lri", "parts": np.zeros(150, dtype=int)}, r"the lri space has no use for parts"),
         ({"space": "edge", "placement": "free"}, r"the edge space has no use for placement"),
         ({"space": "gradient", "joint_width": 2}, r"the gradient space has no use for joint_width"),
-        ({"space": "edge", "motion": MotionSettings()}, r"the edge space has no use for motion"),
+        ({"space": "edge", "segmentation": "silhouettes"}, r"the edge space has no use for segmentation"),
+        ({"segmentation": "skin"}, r"segmentation is 'skin'; one of motion, silhouettes, spanning-tree"),
         ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='edge'"),
         ({"placement": "free", "shell": ShellSettings()}, r"the mixed space has no use for shell"),
         ({"edge": EdgeSettings()}, r"the mixed space has no use for edge; .* space='edge'"),
@@ -69,7 +71,7 @@ def test_the_number_of_parts_is_used(parts: int) -> None:
 
 
 def test_placement_and_details_are_used() -> None:
-    model = fit(SMALL, placement="free", joint_width=2, motion=MotionSettings(bend=200.0))
+    model = fit(SMALL, placement="free", joint_width=2, segmentation=MotionSettings(bend=200.0))
     assert isinstance(model.space, FreeSpace) and model.space.placement == "free"
     assert len(model.decomposition.parts) == 1
     assert fit(SMALL, joint_width=1).decomposition.widths.max() == 1
@@ -129,3 +131,13 @@ def test_other_spaces_have_no_parts(space: SpaceName) -> None:
         SettingsError, match=f"the {space} space has no parts; fit a model with space='mixed'"
     ):
         _ = fit(SMALL, rank=1, space=space).decomposition
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_parts_are_found_by_any_method(method: MethodName) -> None:
+    by_name = fit(SMALL, segmentation=method, rank=1)
+    by_settings = fit(SMALL, segmentation=METHODS[method].settings(), rank=1)
+    labels = segment(SMALL, method)
+    for model in (by_name, by_settings):
+        assert isinstance(model.space, MixedSpace)
+        np.testing.assert_array_equal(model.space.decomposition.part_of_face, labels)
