@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("arrays",),
     ("compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
-    ("cluster", "mapping", "polygons", "renamed", "table"),
+    ("cluster", "mapping", "polygons", "renamed", "table", "warned"),
     ("surface",),
     ("sequence",),
     ("topology", "geometry", "stored"),

@@ -21,11 +21,12 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 import click
 
 from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.warned import warnings_heard
 
 _LATER = 0.2  # seconds
 _ENDING = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]  # which Windows has not
@@ -67,23 +68,8 @@ def _say(message: str) -> None:
 def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", MixseqWarning)
-        usual = warnings.showwarning
-
-        def show(
-            message: Warning | str,
-            category: type[Warning],
-            filename: str,
-            lineno: int,
-            file: TextIO | None = None,
-            line: str | None = None,
-        ) -> None:
-            if issubclass(category, MixseqWarning):
-                _say(f"warning: {message}")
-            else:
-                usual(message, category, filename, lineno, file, line)
-
-        warnings.showwarning = show
-        yield
+        with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
+            yield
 
 
 @contextmanager

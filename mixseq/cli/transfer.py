@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -28,6 +28,7 @@ from mixseq.cli.options import (
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.cli.transferred import facts, rows
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.warned import warnings_heard
 
 if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
@@ -167,13 +168,14 @@ def command(
     )
     _check_formats(out, drawn, save_map)
     common = {name: value for name, value in reading.items() if name in _OF_ALL}
+    notes: list[str] = []
     with (
         workers as work,
         progress_bar(quiet) as progress,
-        _noted() as notes,
+        warnings_heard(notes.append),
         _opened(source, reading) as opened,
     ):
-        from mixseq.retargeting.report import Meter, evenly
+        from mixseq.retargeting.report import Meter
         from mixseq.retargeting.sources import source_motion
         from mixseq.retargeting.transfer import plan
 
@@ -195,7 +197,7 @@ def command(
         )
         if save_map is not None:
             _save_map(save_map, made)
-        meter, shown = Meter(made), _Shown(_frames_to_draw(made, frame, rest_file, evenly))
+        meter, shown = Meter(made), _Shown(_frames_to_draw(made, frame, rest_file))
         blocks = shown.passing(meter.passing(made.blocks(progress, work)))
         write_sequence(out, made.header, blocks, None, writing)
         report = meter.report()
@@ -293,24 +295,6 @@ def _check_formats(out: Path, picture: Path | None, save_map: Path | None) -> No
         matplotlib_module("figure")
 
 
-@contextmanager
-def _noted() -> Iterator[list[str]]:
-    """Yield a list to which warnings are added, beside that they are told."""
-    notes: list[str] = []
-    usual: Callable[..., None] = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-        if issubclass(category, MixseqWarning):
-            notes.append(str(message))
-        usual(message, category, *where)
-
-    warnings.showwarning = show  # type: ignore[assignment]
-    try:
-        yield notes
-    finally:
-        warnings.showwarning = usual
-
-
 def _opened(source: Path, reading: Mapping[str, Any]) -> AbstractContextManager[SequenceReader | Model]:
     """Open a sequence, or load a model."""
     if not is_model(source):
@@ -384,13 +368,13 @@ def _save_map(path: Path, made: Transfer) -> None:
     write_map(path, made.correspondence, made.source.header.faces, made.header.faces)
 
 
-def _frames_to_draw(
-    made: Transfer, frame: int, rest_file: Path | None, evenly: Callable[[int, int], tuple[int, ...]]
-) -> list[int]:
+def _frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
     """Choose frames for the picture; the one that is the rest is drawn anyway."""
+    from mixseq.arrays import evenly
+
     count = made.header.frame_count
-    chosen = evenly(count, COLUMNS)
-    return [each for each in chosen if rest_file is not None or each != frame % count] or list(chosen)
+    chosen = [int(each) for each in evenly(count, COLUMNS)]
+    return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
 
 
 class _Shown:

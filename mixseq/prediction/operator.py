@@ -29,7 +29,7 @@ import numpy as np
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, Index, evenly
 
 Ends = Literal["natural", "not-a-knot"]
 
@@ -103,7 +103,7 @@ class Operator:
         Either by kriging alone, or by the usual cubic spline.
         """
         inner = np.arange(1, len(self.times) - 1)
-        left = inner[np.unique(np.linspace(0, len(inner) - 1, min(len(inner), LEFT_OUT)).round().astype(int))]
+        left = inner[evenly(len(inner), LEFT_OUT)]
         size = min(WINDOW, len(self.times) - 1)
         starts = np.clip(left - size // 2, 0, len(self.times) - 1 - size)
         frames = starts[:, None] + np.arange(size)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, evenly
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import OrderedMap
 from mixseq.progress import Progress, silent
@@ -192,17 +192,6 @@ def measure(
     return meter.report()
 
 
-def evenly(count: int, most: int) -> tuple[int, ...]:
-    """Choose at most so many of `count` frames, evenly, the first and the last among them.
-
-    Examples
-    --------
-    >>> evenly(9, 3), evenly(2, 8)
-    ((0, 4, 8), (0, 1))
-    """
-    return tuple(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist())
-
-
 class Meter:
     """Measures a transfer while its frames pass by.
 
@@ -221,7 +210,7 @@ class Meter:
         self._strain, self._excess = Gathered(self._count * edges), Gathered(self._count * edges)
         self._source_strain = Gathered(self._count * source_edges)
         self._acceleration = Acceleration(), Acceleration()
-        self._looked_at = evenly(self._count, FRAMES)
+        self._looked_at = tuple(evenly(self._count, FRAMES).tolist())
         self._crossings: list[tuple[int, int]] = []
         self._turned_over: list[int] = []
         self._flat: list[int] = []

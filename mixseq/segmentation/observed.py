@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray, Index, Mask
+from mixseq.arrays import Float, FloatArray, Index, Mask, evenly
 from mixseq.geometry.rigid import aligning_rotations, mean_shape
 from mixseq.topology import Topology, vertices_of
 
@@ -31,8 +31,7 @@ FLAT = 1e-5
 
 def frames_to_look_at(frame_count: int, at_most: int = 24) -> Index:
     """Choose frames, evenly spread, that stand for a sequence: for finding its parts and their shapes."""
-    chosen = np.linspace(0, frame_count - 1, min(frame_count, at_most)).round()
-    return np.unique(chosen.astype(np.int64))
+    return evenly(frame_count, at_most)
 
 
 @dataclass(frozen=True, eq=False)

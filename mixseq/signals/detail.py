@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.arrays import Float, FloatArray, Index, evenly
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import continued
 from mixseq.mapping import OrderedMap, serially
@@ -132,8 +132,7 @@ def encode(
     count, size = len(sequence.points), space.shape_dim
     shapes = new_table((count, size))
     placement = np.empty((count, space.placement_dim))
-    vertices = np.linspace(0, sequence.header.vertex_count - 1, SAMPLED).round()
-    some = np.unique(vertices).astype(np.int64)
+    some = evenly(sequence.header.vertex_count, SAMPLED)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
     for apart, seen in workers(_encoded, (space, some), blocks_of(sequence.points)):

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, Single
+from mixseq.arrays import Float, Single, evenly
 from mixseq.plots.video.timing import film_times, model_times, nearest_frames
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
@@ -100,6 +100,4 @@ class Shot:
 
     def spread(self, most: int) -> Sequence[int]:
         """Return at most so many frames, evenly spaced, the first one among them."""
-        return [
-            int(frame) for frame in np.unique(np.linspace(0, self.count - 1, min(most, self.count)).round())
-        ]
+        return [int(frame) for frame in evenly(self.count, most)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, evenly
 from mixseq.operations.dragging import default_reach
 from mixseq.plots.signals import dense_times, largest_coordinates
 from mixseq.signals import Model
@@ -87,9 +87,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
 
 def _spread(values: Float, most: int) -> Float:
     """Choose `most` of the values, evenly, the first and the last among them; all if there are no more."""
-    if len(values) <= most:
-        return values
-    return values[np.linspace(0, len(values) - 1, most).round().astype(np.intp)]
+    return values[evenly(len(values), most)]
 
 
 def _rounded(values: Float, largest: float) -> list[Any]:

@@ -13,7 +13,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare
 from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import component_names, coverage
-from mixseq.retargeting.report import Counts, Meter, TransferReport, evenly, measure
+from mixseq.retargeting.report import Counts, Meter, TransferReport, measure
 from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence import MeshSequence
 from mixseq.surface import MeshObject, Surface
@@ -213,10 +213,3 @@ def test_accelerations_of_no_frames() -> None:
     acceleration.add(np.zeros((1, 3, 3)))
     acceleration.add(np.ones((1, 3, 3)))
     assert (acceleration.rms, acceleration.max) == (0, 0)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 100])
-def test_frames_are_chosen_evenly(count: int) -> None:
-    frames = evenly(count, 8)
-    assert (frames[0], frames[-1], len(frames)) == (0, count - 1, min(count, 8))
-    assert np.ptp(np.diff(frames)) <= 1 if count > 1 else True

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from mixseq.errors import MissingExtraError, MixseqWarning
+from mixseq.errors import MissingExtraError
 from mixseq.viewing.live.address import address, free_port
 from mixseq.viewing.live.bridge import add_bridge
 from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
@@ -21,6 +20,7 @@ from mixseq.viewing.painting import Paint
 from mixseq.viewing.picking import Picked
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Save, Session
+from mixseq.warned import warnings_heard
 
 
 @dataclass(frozen=True)
@@ -201,30 +201,10 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
             server = viser.ViserServer(settings.host, port, label="mixseq", verbose=False)
         stack.callback(_stop, server)
         running = Viewer(server, paint, settings, save, stack)
-        stack.enter_context(_told_warnings(running))
+        stack.enter_context(
+            warnings_heard(lambda text: running.tell("Please note", text))
+        )  # of threads of ours
         yield running
-
-
-@contextmanager
-def _told_warnings(running: Viewer) -> Iterator[None]:
-    """Let pages show warnings, too, which come from threads of ours."""
-    usual = warnings.showwarning
-
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        usual(message, category, filename, lineno, file, line)
-        if issubclass(category, MixseqWarning):
-            running.tell("Please note", str(message))
-
-    warnings.showwarning = show
-    yield
-    warnings.showwarning = usual
 
 
 def _stop(server: Any) -> None:
