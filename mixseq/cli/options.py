@@ -20,6 +20,9 @@ Command = Callable[..., None]
 
 FILE = click.Path(path_type=Path)
 
+SEGMENTATIONS = ("motion", "silhouettes", "spanning-tree")
+"""Ways to find parts, as in `mixseq.segmentation.METHODS`, which is not imported for it."""
+
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 
@@ -157,7 +160,7 @@ def space_options(command: Command) -> Command:
     )
     @setting(
         "--segmentation",
-        type=click.Choice(["motion", "silhouettes", "spanning-tree"]),
+        type=click.Choice(SEGMENTATIONS),
         default="motion",
         show_default=True,
         help="How parts are found.",

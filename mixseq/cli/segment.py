@@ -14,7 +14,15 @@ import mixseq
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
 from mixseq.cli.files import check_target
 from mixseq.cli.labelled import chosen_labels, connected
-from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
+from mixseq.cli.options import (
+    FILE,
+    SEGMENTATIONS,
+    examples,
+    json_option,
+    labels_options,
+    quiet_option,
+    reader_options,
+)
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import OutputError, SettingsError
 
@@ -27,8 +35,8 @@ if TYPE_CHECKING:
     from mixseq.sequence import SequenceHeader
     from mixseq_io import Labels, SequenceReader
 
-METHODS = ("motion", "silhouettes", "spanning-tree", "labels", "skeleton")
-_GIVEN = METHODS[3:]
+_GIVEN = ("labels", "skeleton")
+METHODS = (*SEGMENTATIONS, *_GIVEN)
 
 
 @click.command(

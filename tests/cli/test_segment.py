@@ -14,6 +14,8 @@ from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.cli.labelled import numbered
+from mixseq.cli.options import SEGMENTATIONS
+from mixseq.segmentation import METHODS
 from mixseq_io import read_labels
 from tests.formats.gltf_maker import Maker
 
@@ -170,3 +172,7 @@ def test_names_of_many_pieces() -> None:
     assert numbered(["arm", "arm", "arm_1", "arm", "leg"]) == ("arm", "arm_2", "arm_1", "arm_3", "leg")
     many = numbered(["hair"] * 30_000)  # in a moment
     assert (many[0], many[-1], len(set(many))) == ("hair", "hair_29999", 30_000)
+
+
+def test_methods_are_those_of_the_code() -> None:
+    assert tuple(METHODS) == SEGMENTATIONS

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.shells.block_pattern import BlockPattern
-from mixseq.shells.equations import Equations
 from mixseq.shells.fitting import Pull, ShellProblem
 from mixseq.shells.fitting_kernels import conjugate_gradients
-from mixseq.shells.patch import Patch
+from mixseq.shells.patch import Equations, Patch
 from tests.meshes import seeds
 from tests.shells.test_fitting import MESHES, problem_of
 
