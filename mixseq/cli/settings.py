@@ -67,9 +67,9 @@ class CommandWithSettings(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments, after what is set is spelled as options."""
-        return super().parse_args(ctx, list(self._spelled(args)) if self.settings else args)
+        return super().parse_args(ctx, list(self._spelled(ctx, args)) if self.settings else args)
 
-    def _spelled(self, args: list[str]) -> Iterator[str]:
+    def _spelled(self, ctx: click.Context, args: list[str]) -> Iterator[str]:
         rest = iter(args)
         for arg in rest:
             option, given, text = arg.partition("=")
@@ -85,7 +85,7 @@ class CommandWithSettings(click.Command):
             if found is None or not given:
                 names = ", ".join(self.settings)
                 raise click.BadParameter(
-                    f"{text!r} is not NAME=VALUE with one of: {names}", param_hint="'--set'"
+                    f"{text!r} is not NAME=VALUE with one of: {names}", ctx=ctx, param_hint="'--set'"
                 )
             yield from found.spelled(value)
 

@@ -54,7 +54,7 @@ def energy(
 
 
 @compiled
-def kept(x: Float, hinges: Index, turns: Float) -> Float:
+def nearness(x: Float, hinges: Index, turns: Float) -> Float:
     """Return how little hinges are off, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn ``(H,)``.
 
     What they should have is told by cosines and sines ``(H, 2)``.

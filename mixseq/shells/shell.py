@@ -56,6 +56,9 @@ THIN = 1e-6
 STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
 
+NEAR = 0.5
+"""Where hinges are off by less than a right angle, which is this, an energy of nothing means that they are not off."""
+
 EXACT = 1e-8
 """With no larger weighted residuals, on average, lengths and angles are those of the mesh: nothing is to be done."""
 
@@ -95,7 +98,7 @@ class Relaxed(NamedTuple):
     points : (V, 3) float64
         Its vertices.
     energy : float
-        What is left of the energy.
+        What is left of the energy, in which hinges that were far off at the start count less.
     """
 
     points: Float
@@ -169,10 +172,14 @@ class Shell(Remade):
         return np.asarray(self.bend > THIN)
 
     @cached_property
-    def _weights(self) -> tuple[Float, Float, Float]:
-        """Weights of lengths ``(E,)`` and angles ``(H,)``, and squares ``(H, 2)`` that normals have at least."""
-        smallest = np.square(SHRUNK * self._normals[self.topology.hinge_faces])
-        return self.stretch, self.bending * self.bend, smallest
+    def _bend(self) -> Float:
+        """Weights ``(H,)`` of angles."""
+        return self.bending * self.bend
+
+    @cached_property
+    def _smallest(self) -> Float:
+        """Squares ``(H, 2)`` that normals have at least."""
+        return np.square(SHRUNK * self._normals[self.topology.hinge_faces])
 
     @cached_property
     def _side_weights(self) -> Float:
@@ -233,11 +240,12 @@ class Shell(Remade):
             If lengths, angles or the start are not finite.
         """
         turns = _turns(angles)
-        near = kernels.kept(start, self.topology.hinges, turns)
-        gradient, energy = self._gradient(start, lengths, turns, near)
+        near = kernels.nearness(start, self.topology.hinges, turns)
+        bend = near * self._bend
+        gradient, energy = self._gradient(start, lengths, turns, bend)
         if not np.isfinite(energy):
             raise ReconstructionError("lengths, angles or vertices are not finite")
-        if not steps or self.agree(energy):
+        if not steps or (self.agree(energy) and near.min(initial=1.0) > NEAR):
             return Relaxed(start, energy)
         largest = SAFE * self.largest
         middle, half = 0.5 * (largest + largest / RANGE), 0.5 * (largest - largest / RANGE)
@@ -245,7 +253,7 @@ class Shell(Remade):
         step = self.factor.solve(gradient) / -middle
         x, left = start + step, energy
         for number in range(steps):
-            gradient, left = self._gradient(x, lengths, turns, near)
+            gradient, left = self._gradient(x, lengths, turns, bend)
             if number == steps - 1:
                 break
             before, ratio = ratio, 1.0 / (2.0 * middle / half - ratio)
@@ -257,14 +265,19 @@ class Shell(Remade):
         """Whether lengths and angles with this energy are those of the mesh."""
         return energy <= 0.5 * EXACT**2 * (len(self.topology.edges) + len(self.topology.hinges))
 
-    def _gradient(self, x: Float, lengths: Float, turns: Float, near: Float) -> tuple[Float, float]:
+    def energy(self, x: Float, lengths: Float, angles: Float) -> float:
+        """Return the energy of a mesh ``(V, 3)``, in which all hinges count, also those that are far off."""
+        return self._gradient(x, lengths, _turns(angles), self._bend)[1]
+
+    def _gradient(self, x: Float, lengths: Float, turns: Float, bend: Float) -> tuple[Float, float]:
         """The gradient ``(V, 3)`` of the energy, and the energy.
 
-        Cosines and sines ``(H, 2)`` of angles are wanted; `near` ``(H,)`` is how little hinges were off.
+        Cosines and sines ``(H, 2)`` of angles are wanted, with weights ``(H,)``.
         """
-        (stretch, bend, smallest), gradient = self._weights, np.empty_like(x)
-        edges, hinges = self.topology.edges, self.topology.hinges
-        energy = kernels.energy(x, edges, hinges, lengths, turns, stretch, bend * near, smallest, gradient)
+        topology, gradient = self.topology, np.empty_like(x)
+        energy = kernels.energy(
+            x, topology.edges, topology.hinges, lengths, turns, self.stretch, bend, self._smallest, gradient
+        )
         return gradient, float(energy)
 
     @cached_property
@@ -272,12 +285,13 @@ class Shell(Remade):
         """The largest curvature of the energy of the reference, in the metric of the matrix, by power iteration."""
         x, topology = self.reference, self.topology
         lengths, turns = edge_lengths(x, topology.edges), _turns(dihedral_angles(x, topology.hinges))
-        near = np.ones(len(turns))
         way, curvature = np.random.default_rng(0).normal(size=x.shape), 0.0
         size = STEP * max(float(np.median(self.typical)), NO_LENGTH) * np.sqrt(len(x))
         for _ in range(ROUNDS):
             way *= size / max(float(np.linalg.norm(way)), NO_LENGTH)
-            ahead, behind = (self._gradient(x + sign * way, lengths, turns, near)[0] for sign in (1, -1))
+            ahead, behind = (
+                self._gradient(x + sign * way, lengths, turns, self._bend)[0] for sign in (1, -1)
+            )
             way = self.factor.solve(0.5 * (ahead - behind))
             curvature = float(np.linalg.norm(way)) / size
         return max(curvature, NO_LENGTH)

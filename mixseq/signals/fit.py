@@ -130,9 +130,8 @@ def fit(
     """
     check_frames(sequence)
     _check(exact, tolerance, rank, knots, pose)
-    settling_from = (
-        FAR if rank is None and knots is None else NEVER
-    )  # signals of few numbers do not tell lengths
+    few = rank is not None or knots is not None  # numbers: they do not tell lengths and angles well enough
+    settling_from = NEVER if few else FAR
     settings = SpaceSettings(placement, parts, joint_width, segmentation, shrink, settling_from, shell, edge)
     check_space(space, settings, usual=SpaceSettings(settling_from=settling_from))
     direct = exact or rank is not None or knots is not None

@@ -44,7 +44,7 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
     mesh = tube(6, 9)
     shell, x = shell_of(mesh, bending=0.3), shaken(mesh, 0.1)
     lengths, angles = measured(shell, shaken(mesh, 0.1, 1))
-    stretch, bend, smallest = shell._weights
+    stretch, bend, smallest = shell.stretch, shell._bend, shell._smallest
     turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     arrays = shell.topology.edges, shell.topology.hinges, lengths, turns, stretch, bend, 0.0 * smallest
     gradient = np.empty_like(x)
@@ -161,3 +161,25 @@ def test_what_is_not_finite_is_refused() -> None:
 def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         Relaxation(**settings)  # type: ignore[arg-type]
+
+
+def test_hinges_count_less_the_farther_they_are_off() -> None:
+    mesh = tube(6, 9)
+    shell, x = shell_of(mesh), shaken(mesh, 0.1)
+    off = np.linspace(-np.pi, np.pi, len(shell.topology.hinges))
+    wanted = measured(shell, x)[1] - off
+    turns = np.stack([np.cos(wanted), np.sin(wanted)], axis=1)
+    near = kernels.nearness(x, shell.topology.hinges, turns)
+    np.testing.assert_allclose(near, np.cos(off / 2) ** 2, atol=1e-12)
+
+
+def test_the_energy_counts_all_hinges() -> None:
+    """Also those that are half a turn off, which the steps leave alone: such a mesh does not agree."""
+    mesh = tube(6, 9)
+    shell, x = shell_of(mesh), mesh[0]
+    lengths, angles = measured(shell, x)
+    assert shell.energy(x, lengths, angles) < 1e-20
+    angles[7] += np.pi
+    expected = 2.0 * (shell.bending * shell.bend[7]) ** 2
+    assert shell.energy(x, lengths, angles) == pytest.approx(expected, rel=1e-9)
+    assert not shell.agree(shell.energy(x, lengths, angles))

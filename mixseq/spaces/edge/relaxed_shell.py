@@ -139,7 +139,8 @@ class RelaxedShell(Remade):
         steps = 0
         for _ in range(CYCLES):
             start = self.shell.integrated(turned_sides(frames, flat), NOTHING, best.points)
-            found, steps = self.shell.relaxed(start, lengths, angles, STEPS), steps + STEPS
+            points, steps = self.shell.relaxed(start, lengths, angles, STEPS).points, steps + STEPS
+            found = Relaxed(points, self.shell.energy(points, lengths, angles))
             done = self.shell.agree(found.energy) or found.energy > (1.0 - settings.tolerance) * best.energy
             best = min(found, best, key=lambda each: each.energy)
             if done:

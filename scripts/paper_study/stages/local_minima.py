@@ -113,7 +113,8 @@ def settled(poses: Poses, labels: Index) -> Search:
     wanted = space.settling.targets(x, blocks.lengths[0], blocks.angles[0])
 
     def search(size: float, rng: np.random.Generator) -> float:
-        return 2.0 * space.settling.from_start(shaken(x, length, size, rng), *wanted).energy
+        found = space.settling.from_start(shaken(x, length, size, rng), *wanted).points
+        return 2.0 * space.settling.shell.energy(found, *wanted)
 
     return search
 
