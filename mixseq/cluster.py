@@ -1,6 +1,6 @@
 """Work on several processes or machines, with dask.distributed (extra ``dask``).
 
-A cluster is an `OrderedMap`: the same function, shared object and items give the same results in the same order as
+A cluster is an `Executor`: the same function, shared object and items give the same results in the same order as
 `mixseq.mapping.serially`. A worker that dies costs time, not results. Everything that a task needs is part of a task
 that the scheduler can send again, the shared object too: data that is merely *scattered* is gone with its worker [1]_.
 
@@ -57,7 +57,7 @@ def cluster(address: str) -> Iterator[Cluster]:
     Yields
     ------
     Cluster
-        An `OrderedMap`.
+        An `Executor`.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 
 
 class Cluster:
-    """An `OrderedMap` over the workers of a cluster; made by `cluster`.
+    """An `Executor` over the workers of a cluster; made by `cluster`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Work on many items at once: results come in order, and are the same whoever does it.
 
-Everything that is done frame by frame goes through an *ordered map*: a function of something shared (a model, a
+Everything that is done frame by frame goes through an *executor*: a function of something shared (a model, a
 space) and of an item (a block of frames). What does the work, the caller's thread, several threads, or the workers
 of a cluster, is chosen by the caller; the function knows nothing of it, and the same item has the same result.
 """
@@ -21,7 +21,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class OrderedMap(Protocol):
+class Executor(Protocol):
     """Applies ``function(shared, item)`` to every item, and yields the results in the order of the items.
 
     Items are taken as results are: a long sequence is never in memory as a whole. `function` is a plain function
@@ -44,8 +44,8 @@ def serially(
         yield result
 
 
-def on_threads(count: int | None = None) -> OrderedMap:
-    """Return an ordered map that works on `count` threads; by default on `thread_count`.
+def on_threads(count: int | None = None) -> Executor:
+    """Return an executor that works on `count` threads; by default on `thread_count`.
 
     Examples
     --------

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 Made = TypeVar("Made")
 
 
-class Remade:
+class PickledWithoutCaches:
     """A dataclass that is pickled as its fields, and made of them again.
 
     What it computed and kept (cached properties) stays behind: it is large, parts of it, such as factored matrices,

@@ -19,11 +19,11 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.arrays import Index, IntArray, Mask
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 
 
 @dataclass(frozen=True, eq=False)
-class Topology(Remade):
+class Topology(PickledWithoutCaches):
     """Connectivity of a triangle mesh.
 
     Parameters

@@ -14,10 +14,10 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("arrays",),
     ("compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
-    ("cluster", "mapping", "polygons", "renamed", "table", "warned"),
+    ("cluster", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("surface",),
     ("sequence",),
-    ("topology", "geometry", "stored"),
+    ("topology", "geometry", "frame_store"),
     ("prediction", "segmentation"),
     ("shells",),
     ("spaces",),

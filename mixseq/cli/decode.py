@@ -17,7 +17,7 @@ from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.progress import Progress
     from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
@@ -108,7 +108,7 @@ def command(
     max_error: float | None,
     max_targets: int | None,
     writing: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -157,7 +157,7 @@ def _sequence(
     start: float | None,
     end: float | None,
     progress: Progress,
-    workers: OrderedMap,
+    workers: Executor,
 ) -> MeshSequence:
     """Decode the chosen frames of a model into memory, or read a sequence."""
     from mixseq.sequence import collect

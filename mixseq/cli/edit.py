@@ -16,7 +16,7 @@ from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.signals import Model
 
 
@@ -71,7 +71,7 @@ def command(
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     quiet: bool,
 ) -> None:
     """Edit the motion of a model by a script.

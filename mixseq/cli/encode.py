@@ -29,7 +29,7 @@ from mixseq.cli.settings import CommandWithSettings, setting
 
 if TYPE_CHECKING:
     from mixseq.coding.coded import Coded
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.metrics import Comparison
     from mixseq.sequence import SequenceHeader
     from mixseq.signals import Model
@@ -84,7 +84,7 @@ def command(
     knots: int | None,
     pose: Literal["modes", "keys"],
     check: bool,
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
     quiet: bool,
 ) -> None:

@@ -15,7 +15,7 @@ from mixseq.progress import Progress
 
 if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
 
@@ -60,7 +60,7 @@ def write_frames(
     velocities: bool,
     writing: Mapping[str, Any],
     progress: Progress,
-    workers: OrderedMap,
+    workers: Executor,
 ) -> None:
     """Decode the frames of a header and write them as they come, with velocities or without."""
     from mixseq_io import in_step
@@ -138,7 +138,7 @@ class Decoded:
 
     model: Model
     progress: Progress
-    workers: OrderedMap
+    workers: Executor
 
     @property
     def header(self) -> SequenceHeader:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
 
 
 class Pose(NamedTuple):
@@ -102,7 +102,7 @@ def command(
     label_source: str | None,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     quiet: bool,
 ) -> None:
     """Blend poses of a mesh in a shape space.

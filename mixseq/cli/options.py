@@ -14,7 +14,7 @@ from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
 
 Command = Callable[..., None]
 
@@ -241,7 +241,7 @@ def labels_options(command: Command) -> Command:
 
 
 def workers_options(command: Command) -> Command:
-    """Add the options that say who works; the command gets ``workers``, a context that yields an `OrderedMap`."""
+    """Add the options that say who works; the command gets ``workers``, a context that yields an `Executor`."""
 
     @click.option(
         "--threads", type=click.IntRange(min=1), metavar="N", help="Threads to work on.  [default: all cores]"
@@ -258,7 +258,7 @@ def workers_options(command: Command) -> Command:
     return with_options
 
 
-def _workers(threads: int | None, address: str | None) -> AbstractContextManager[OrderedMap]:
+def _workers(threads: int | None, address: str | None) -> AbstractContextManager[Executor]:
     if address is None:
         from mixseq.mapping import on_threads
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.operations.resampling import Resampling
     from mixseq.progress import Progress
     from mixseq.signals import Model
@@ -103,7 +103,7 @@ def command(
     exact: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     quiet: bool,
 ) -> None:
     """Change the frame rate, speed or direction of a sequence.
@@ -139,7 +139,7 @@ def command(
 
 
 def _model(
-    source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress, workers: OrderedMap
+    source: Path, tolerance: float | None, reading: dict[str, Any], progress: Progress, workers: Executor
 ) -> Model:
     """Load a model, or fit one to a sequence as it is read."""
     if not is_model(source):

@@ -117,10 +117,10 @@ def command(
     if drawn is not None:
         _check_picture(drawn)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:
+        from mixseq.frame_store import frame_store
         from mixseq.segmentation import frames_to_look_at
-        from mixseq.stored import stored
 
-        frames = stored(reader, progress)
+        frames = frame_store(reader, progress)
         some = frames.points[frames_to_look_at(len(frames.points))]
         if how in _GIVEN:
             wanted = "skeleton" if how == "skeleton" else label_source

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
     from mixseq.correspondence.dense import Correspondence
     from mixseq.correspondence.markers import Markers
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
     from mixseq.retargeting.sources import SourceMotion
     from mixseq.retargeting.transfer import MethodName, Transfer
     from mixseq.sequence import MeshSequence
@@ -130,7 +130,7 @@ def command(
     as_json: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     quiet: bool,
 ) -> None:
     """Move a mesh as another one moves.

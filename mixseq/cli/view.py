@@ -23,8 +23,8 @@ from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
+    from mixseq.frame_store import FrameStore
     from mixseq.signals import Model
-    from mixseq.stored import Stored
     from mixseq.viewing.painting import Paint
     from mixseq.viewing.shown import Shot
 
@@ -140,9 +140,9 @@ def _opened(
     fps: float | None,
     reading: Mapping[str, Any],
     progress: Progress,
-) -> tuple[Shot, Stored | None]:
+) -> tuple[Shot, FrameStore | None]:
     """Open models, and read sequences."""
-    from mixseq.stored import stored
+    from mixseq.frame_store import frame_store
     from mixseq.viewing.shown import Item, Shot
 
     every = [*files, *([against] if against else [])]
@@ -150,9 +150,9 @@ def _opened(
     for name in reading.keys() - set().union(*known):
         raise SettingsError(f"none of the files is read with an option {name!r}")
 
-    def read(file: Path) -> Stored:
+    def read(file: Path) -> FrameStore:
         with mixseq.open_sequence(file, **options_of(file, reading)) as reader:
-            return stored(reader, progress)
+            return frame_store(reader, progress)
 
     items = tuple(
         Item(name, mixseq.load(file) if is_model(file) else read(file))
@@ -171,7 +171,7 @@ def _names(files: Sequence[Path]) -> list[str]:
     return [f"{number + 1} {file.name}" for number, file in enumerate(files)]
 
 
-def _paint(shot: Shot, original: Stored | None) -> Paint:
+def _paint(shot: Shot, original: FrameStore | None) -> Paint:
     from mixseq.viewing.painting import Paint, check_original
 
     if original is not None:

@@ -17,7 +17,7 @@ from mixseq.coding.factors import Factors
 from mixseq.coding.graph import SignalGraph
 from mixseq.coding.parts import Part
 from mixseq.coding.streams import basis_of, chunks, write_fields, write_tracks
-from mixseq.stored import Stored, blocks_of
+from mixseq.frame_store import FrameStore, blocks_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Attempt:
 
 
 def attempt(
-    sequence: Stored,
+    sequence: FrameStore,
     factors: Sequence[Factors],
     step: float,
     parts: Sequence[Part],
@@ -72,7 +72,7 @@ def attempt(
 
     Parameters
     ----------
-    sequence : Stored
+    sequence : FrameStore
         The sequence.
     factors : sequence of Factors
         The fields of every part, all of one kind.
@@ -104,7 +104,7 @@ def attempt(
 
 
 def _corrections(
-    sequence: Stored, basis: Basis, tracks: Float, frames: range, bound: float, graph: SignalGraph
+    sequence: FrameStore, basis: Basis, tracks: Float, frames: range, bound: float, graph: SignalGraph
 ) -> bytes:
     def numbers(frame: int) -> NDArray[np.int64]:
         one = slice(frame, frame + 1)

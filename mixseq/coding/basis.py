@@ -18,7 +18,7 @@ from scipy import linalg
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.coded import FactorName
-from mixseq.stored import Stored, block_size, blocks_of
+from mixseq.frame_store import FrameStore, block_size, blocks_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Basis:
         """Fields whose tracks are coded: all but the mean shape."""
         return slice(0 if self.name == "trajectories" else 1, None)
 
-    def fit(self, sequence: Stored) -> Float:
+    def fit(self, sequence: FrameStore) -> Float:
         """Return the tracks ``(T, K, 3 / c)`` of the free fields that are nearest to a sequence, least squares."""
         scales = self.norms[self.free]
         scaled = self.fields[self.free] / scales[:, None, None]
@@ -88,7 +88,7 @@ class Basis:
         )
 
     def blocks(self, tracks: Float) -> Iterator[Float]:
-        """Yield the frames of tracks in blocks of those of `mixseq.stored.blocks_of`."""
+        """Yield the frames of tracks in blocks of those of `mixseq.frame_store.blocks_of`."""
         size = block_size(self.fields.shape[2])
         for start in range(0, len(tracks), size):
             yield self.frames(tracks[start : start + size])

@@ -16,9 +16,9 @@ from mixseq.coding.decode import to_model
 from mixseq.coding.graph import mesh_graph
 from mixseq.coding.search import ROUNDS, Search
 from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.frame_store import FrameStore, blocks_of, frame_store
 from mixseq.progress import Progress, Stages, silent
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
-from mixseq.stored import Stored, blocks_of, stored
 from mixseq.threads import one_blas_thread
 
 
@@ -59,7 +59,7 @@ def compress(
     _check(max_error, kg, size)
     stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
-        frames = stored(sequence, stages.at(0))
+        frames = frame_store(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
         search = Search(frames, mesh_graph(sequence.header.faces, sequence.header.vertex_count), stages)
         if max_error is not None:
@@ -85,7 +85,7 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
         raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
 
 
-def _with_margin(bound: float, sequence: Stored) -> float:
+def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
     largest = max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(sequence.points))
     last = largest * 2.0**-40
@@ -99,7 +99,7 @@ def _with_margin(bound: float, sequence: Stored) -> float:
     return bound - min(1e-9 * bound + rounding, bound / 2)
 
 
-def _spread(sequence: Stored) -> float:
+def _spread(sequence: FrameStore) -> float:
     """Root of the sum of all squared distances from the centroids of the frames."""
     squares = largest = 0.0
     for block in blocks_of(sequence.points):
@@ -111,7 +111,7 @@ def _spread(sequence: Stored) -> float:
     return float(np.sqrt(squares))
 
 
-def _checked(sequence: Stored, best: Attempt, unit: float, bound: float | None) -> Coded:
+def _checked(sequence: FrameStore, best: Attempt, unit: float, bound: float | None) -> Coded:
     """Decode what was coded, and make sure of its errors: nothing is promised that was not seen."""
     coded = Coded(
         sequence.header,

@@ -17,7 +17,7 @@ from mixseq.coding.corrections import RUN, Correction, read_corrections
 from mixseq.coding.graph import SignalGraph, mesh_graph
 from mixseq.coding.streams import basis_of, read_fields, read_tracks
 from mixseq.errors import FormatError
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -107,7 +107,7 @@ def _affine(basis: Basis, tracks: Float, unit: float) -> tuple[ShapeSpace, Float
 
 
 @dataclass(frozen=True, eq=False)
-class CodedCorrections(Remade):
+class CodedCorrections(PickledWithoutCaches):
     """Corrections of a compressed sequence, decoded where they are asked for.
 
     Attributes

@@ -22,8 +22,8 @@ from scipy import linalg
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.coded import FactorName
-from mixseq.stored import Stored
-from mixseq.table import Table, column_blocks, new_table
+from mixseq.disk_array import LargeArray, column_blocks, new_large_array
+from mixseq.frame_store import FrameStore
 
 MOST = 3000
 """Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
@@ -41,23 +41,23 @@ class Factors:
     ----------
     name : {"trajectories", "shapes"}
         Which factors.
-    fields : (K, c, V) table of float64
+    fields : (K, c, V) array, perhaps on disk, of float64
         Fields without those that are constant over the mesh: c = 1 number a vertex of trajectories, 3 of shapes.
     sizes : (K,) float64
         Their norms, decreasing (but for the mean of shapes, the first).
     """
 
     name: FactorName
-    fields: Table
+    fields: LargeArray
     sizes: Float
 
 
-def factor(sequence: Stored, name: FactorName, least: float, some: Index | None = None) -> Factors:
+def factor(sequence: FrameStore, name: FactorName, least: float, some: Index | None = None) -> Factors:
     """Find the fields of a sequence, or of some of its vertices.
 
     Parameters
     ----------
-    sequence : Stored
+    sequence : FrameStore
         The sequence.
     name : {"trajectories", "shapes"}
         Which factors.
@@ -67,7 +67,7 @@ def factor(sequence: Stored, name: FactorName, least: float, some: Index | None 
         Vertices, by default all.
     """
     if some is not None:
-        sequence = Stored(sequence.header, _of_vertices(sequence, some))
+        sequence = FrameStore(sequence.header, _of_vertices(sequence, some))
     count, vertices = len(sequence.points), sequence.points.shape[1]
     rows, coordinates = (3, 1) if name == "trajectories" else (1, 3)
     stride = -(-min(rows * count, coordinates * vertices) // MOST)
@@ -78,7 +78,7 @@ def factor(sequence: Stored, name: FactorName, least: float, some: Index | None 
     # Each of the frames that were looked at stands for those beside it.
     sizes, blocks = _principal(table, least / np.sqrt(stride), most)
     first = [] if mean is None else [np.sqrt(count) * mean.T]
-    fields = new_table((len(first) + len(sizes), coordinates, vertices))
+    fields = new_large_array((len(first) + len(sizes), coordinates, vertices))
     for row, field in enumerate(first):
         fields[row : row + 1] = field[None]
     done = len(first)
@@ -91,7 +91,7 @@ def factor(sequence: Stored, name: FactorName, least: float, some: Index | None 
     )
 
 
-def _principal(table: Table, least: float, most: int) -> tuple[Float, Iterator[Float]]:
+def _principal(table: LargeArray, least: float, most: int) -> tuple[Float, Iterator[Float]]:
     """Return the singular values of rows ``(R, W)``, `most` of them, and their components scaled by them, in blocks."""
     height, width = table.shape
     if height <= width:
@@ -112,7 +112,7 @@ def _principal(table: Table, least: float, most: int) -> tuple[Float, Iterator[F
     return sizes[:kept], _projected(table, basis)
 
 
-def _projected(table: Table, basis: Float) -> Iterator[Float]:
+def _projected(table: LargeArray, basis: Float) -> Iterator[Float]:
     for start in range(0, len(basis), _AT_ONCE):
         some = basis[start : start + _AT_ONCE]
         components = np.empty((len(some), table.shape[1]))
@@ -121,29 +121,29 @@ def _projected(table: Table, basis: Float) -> Iterator[Float]:
         yield components
 
 
-def _centred(sequence: Stored, frames: Index, mean: Float | None) -> Table:
+def _centred(sequence: FrameStore, frames: Index, mean: Float | None) -> LargeArray:
     """Return trajectories without the mean of all vertices (3T, V), or frames without the mean shape (T, 3V)."""
     vertices = sequence.points.shape[1]
     if mean is not None:
-        table = new_table((len(frames), 3 * vertices))
+        table = new_large_array((len(frames), 3 * vertices))
         for row, frame in enumerate(frames):
             table[row : row + 1] = (sequence.points[frame : frame + 1][0] - mean).reshape(1, -1)
         return table
-    table = new_table((3 * len(frames), vertices))
+    table = new_large_array((3 * len(frames), vertices))
     for row, frame in enumerate(frames):
         points = sequence.points[frame : frame + 1][0].astype(np.float64)
         table[3 * row : 3 * row + 3] = (points - points.mean(axis=0)).T
     return table
 
 
-def _of_vertices(sequence: Stored, some: Index) -> Table:
-    points = new_table((len(sequence.points), len(some), 3), sequence.points.dtype)
+def _of_vertices(sequence: FrameStore, some: Index) -> LargeArray:
+    points = new_large_array((len(sequence.points), len(some), 3), sequence.points.dtype)
     for frame in range(len(points)):
         points[frame : frame + 1] = sequence.points[frame : frame + 1][:, some]
     return points
 
 
-def _mean_shape(sequence: Stored, frames: Index) -> Float:
+def _mean_shape(sequence: FrameStore, frames: Index) -> Float:
     total = np.zeros(sequence.points.shape[1:])
     for frame in frames:
         total += sequence.points[frame : frame + 1][0]

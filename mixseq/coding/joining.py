@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, Index
 from mixseq.coding.coded import MOST_PARTS
 from mixseq.errors import SegmentationError
+from mixseq.frame_store import FrameStore
 from mixseq.segmentation import segment
-from mixseq.stored import Stored
 from mixseq.topology import Topology
 
 FACES = 8
@@ -29,12 +29,12 @@ FRAMES = 32
 """So many frames, evenly spread, are looked at."""
 
 
-def vertex_parts(sequence: Stored, counts: tuple[int, ...]) -> dict[int, Index]:
+def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
     """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing.
 
     Parameters
     ----------
-    sequence : Stored
+    sequence : FrameStore
         The sequence.
     counts : tuple of int
         Numbers of parts, increasing.

@@ -22,8 +22,8 @@ from mixseq.coding.graph import SignalGraph
 from mixseq.coding.joining import vertex_parts
 from mixseq.coding.parts import Part, parts_of, whole
 from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore
 from mixseq.progress import Stages
-from mixseq.stored import Stored
 
 ROUNDS = 8
 """Steps that are tried at most."""
@@ -67,7 +67,7 @@ class Tried:
 class Search:
     """Attempts with several steps."""
 
-    def __init__(self, sequence: Stored, graph: SignalGraph, stages: Stages) -> None:
+    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: Stages) -> None:
         self._sequence = sequence
         self._graph = graph
         self._stages = stages
@@ -190,7 +190,7 @@ def _closest(
     return best
 
 
-def _least(sequence: Stored, name: FactorName, error: float) -> float:
+def _least(sequence: FrameStore, name: FactorName, error: float) -> float:
     """Norm of fields that are not worth looking at, if all of them together shall make an error."""
     rows = 3 if name == "trajectories" else 1
     return 0.1 * error / float(np.sqrt(rows * len(sequence.points)))

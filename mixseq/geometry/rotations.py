@@ -42,10 +42,10 @@ def continuous_vectors(rotations: FloatArray, reference: FloatArray | None = Non
     (T, ..., 3) float64
         Rotation vectors; each is the branch of the logarithm nearest to the frame before.
     """
-    return without_jumps(vectors(rotations), reference)
+    return unwrap(vectors(rotations), reference)
 
 
-def without_jumps(shortest: FloatArray, reference: FloatArray | None = None) -> Float:
+def unwrap(shortest: FloatArray, reference: FloatArray | None = None) -> Float:
     """Return the rotation vectors ``(T, ..., 3)`` of `continuous_vectors`, from those of any branch."""
     result = np.array(shortest, dtype=np.float64)
     previous = reference

@@ -22,7 +22,7 @@ from mixseq.operations.passes import SLACK
 from mixseq.operations.pieces import between, breakpoints, sites_of
 from mixseq.operations.retime import Retiming
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.signals.curve import Curve, Measure
 from mixseq.signals.model import MOST_FRAMES, Corrections, Model
 
@@ -114,7 +114,7 @@ def _near_kinks(outputs: Float, sources: Float) -> Float:
 
 
 @dataclass(frozen=True, eq=False)
-class RetimedCorrections(Remade):
+class RetimedCorrections(PickledWithoutCaches):
     """Corrections along a map of time.
 
     Attributes

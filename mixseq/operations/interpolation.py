@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, on_threads
-from mixseq.pickling import Remade
+from mixseq.frame_store import FrameStore, frame_store
+from mixseq.mapping import Executor, on_threads
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.progress import Progress, Stages, silent
 from mixseq.renamed import renamed
 from mixseq.segmentation import Segmentation
@@ -34,7 +35,6 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
 from mixseq.spaces.mixed import PlacementName
-from mixseq.stored import Stored, stored
 from mixseq.threads import one_blas_thread
 
 SUM = 1e-6
@@ -42,7 +42,7 @@ SUM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Blend(Remade):
+class Blend(PickledWithoutCaches):
     """Poses of a mesh as vectors of a shape space, to be blended with any weights. Make it with `Blend.of`.
 
     Attributes
@@ -74,7 +74,7 @@ class Blend(Remade):
         edge: EdgeSettings | None = None,
         among: ArrayLike | None = None,
         progress: Progress = silent,
-        workers: OrderedMap | None = None,
+        workers: Executor | None = None,
     ) -> Blend:
         """Make a space of poses, and encode them; parameters as of `interpolate`, and one more.
 
@@ -96,10 +96,10 @@ class Blend(Remade):
         stages = Stages(progress, 2 + MAKING, poses.header.frame_count)
         work = workers or on_threads()
         with one_blas_thread():
-            frames = stored(poses, stages.at(0))
+            frames = frame_store(poses, stages.at(0))
             if space == "mixed":
                 settings = replace(settings, parts=part_of_faces(frames, settings))
-            some = Stored(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
+            some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
             made = make_space(some, space, settings, work, stages.at(1, MAKING))
             encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
@@ -131,7 +131,7 @@ class Blend(Remade):
         return self.space.decode(vector)[0], []
 
     def along(
-        self, weights: ArrayLike, progress: Progress = silent, workers: OrderedMap | None = None
+        self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Yield the points ``(V, 3)`` of several blends with weights ``(m, n)``, one after the other; see `at`."""
         try:
@@ -166,7 +166,7 @@ def interpolate(
     shell: ShellSettings | None = None,
     edge: EdgeSettings | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> Float:
     """Blend any number of poses of a mesh in a shape space.
 
@@ -197,7 +197,7 @@ def interpolate(
         Edge space: fits to lengths and angles, and the projection.
     progress : callable, optional
         Told about every stage.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who looks at the poses; by default as many threads as there are cores.
 
     Returns

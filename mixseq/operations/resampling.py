@@ -16,7 +16,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap
+from mixseq.mapping import Executor
 from mixseq.operations.retime import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
@@ -51,13 +51,13 @@ class Resampling:
     slopes: Float
 
     def blocks(
-        self, size: int = FRAMES, progress: Progress = silent, workers: OrderedMap | None = None
+        self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[Float]:
         """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``; see `Model.blocks`."""
         return self.model.blocks(self.sources, size, progress, workers)
 
     def moving_blocks(
-        self, size: int = FRAMES, progress: Progress = silent, workers: OrderedMap | None = None
+        self, size: int = FRAMES, progress: Progress = silent, workers: Executor | None = None
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames with velocities: yields points and units per second of the output, ``(B, V, 3)`` each."""
         done = 0

@@ -26,14 +26,14 @@ from scipy import sparse
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import nearest_rotations
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.bridges import Bridges, bridges
 from mixseq.spaces.gradient import GradientSpace
 
 
 @dataclass(frozen=True, eq=False)
-class GradientTransfer(Remade):
+class GradientTransfer(PickledWithoutCaches):
     """From frames of the source to frames of the target.
 
     Attributes

@@ -7,6 +7,7 @@ import numpy as np
 from mixseq.arrays import Float, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
+from mixseq.disk_array import LargeArray
 from mixseq.retargeting.alignment import Alignment, align
 from mixseq.retargeting.carried import CarriedParts, carry_parts
 from mixseq.retargeting.gradients import GradientTransfer
@@ -16,7 +17,6 @@ from mixseq.segmentation.observed import Watched, frames_to_look_at, observe
 from mixseq.sequence import bounding_diagonal
 from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.gradient import GradientSpace
-from mixseq.table import Table
 from mixseq.topology import Topology
 
 
@@ -41,7 +41,11 @@ def _space(topology: Topology, rest: Float) -> GradientSpace:
 
 
 def mixed_transfer(
-    gradients: GradientTransfer, points: Table, part_of_face: Index, joint_width: int, settings: ShellSettings
+    gradients: GradientTransfer,
+    points: LargeArray,
+    part_of_face: Index,
+    joint_width: int,
+    settings: ShellSettings,
 ) -> MixedTransfer:
     """Make a transfer of the motion of parts.
 
@@ -49,7 +53,7 @@ def mixed_transfer(
     ----------
     gradients : GradientTransfer
         The two meshes at rest, and how they correspond.
-    points : (T, V, 3) table
+    points : (T, V, 3) array, perhaps on disk
         The frames of the source, in its units.
     part_of_face : (F,) int64
         Its parts.

@@ -22,7 +22,7 @@ import numpy as np
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.surfaces import Surface
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.anchored import AnchoredPlacement
 from mixseq.retargeting.carried import CarriedParts
@@ -86,7 +86,7 @@ class Parts:
 
 
 @dataclass(frozen=True, eq=False)
-class MixedTransfer(Remade):
+class MixedTransfer(PickledWithoutCaches):
     """From frames of the source to frames of the target.
 
     Attributes

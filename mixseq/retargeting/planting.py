@@ -9,25 +9,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
+from mixseq.frame_store import blocks_of
 from mixseq.geometry.rigid import turned
-from mixseq.mapping import OrderedMap
+from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.carried import vertex_parts
 from mixseq.retargeting.contacts import ContactReport, plant
 from mixseq.retargeting.linkage import Contact, leg_ratio
 from mixseq.retargeting.mixed import MixedTransfer, PartPoses
 from mixseq.sequence import SequenceHeader
-from mixseq.stored import blocks_of
-from mixseq.table import Table
 
 
 def planted(
     mover: MixedTransfer,
-    points: Table,
+    points: LargeArray,
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
-    workers: OrderedMap,
+    workers: Executor,
     progress: Progress = silent,
 ) -> tuple[MixedTransfer, PartPoses, ContactReport]:
     """Keep contacts from sliding where those of the source rest.
@@ -38,13 +38,13 @@ def planted(
     ----------
     mover : MixedTransfer
         The transfer.
-    points : (T, V, 3) table
+    points : (T, V, 3) array, perhaps on disk
         The frames of the source.
     header : SequenceHeader
         The target, at the times of the source.
     contacts : mapping of str to (k,) int
         Vertices of the target that touch the ground together, by the name of each contact.
-    workers : OrderedMap
+    workers : Executor
         Who works on blocks of frames.
     progress : callable, optional
         Told about every block.

@@ -23,7 +23,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, evenly
 from mixseq.errors import InvalidSequenceError
-from mixseq.mapping import OrderedMap
+from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import Coverage, coverage
@@ -150,7 +150,7 @@ def measure(
     transfer: Transfer,
     blocks: Iterable[FloatArray] | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> TransferReport:
     """Measure a transfer.
 
@@ -163,7 +163,7 @@ def measure(
         transfer itself, which are made for it.
     progress : callable, optional
         Told how many frames are done.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who makes the frames, see `mixseq.mapping`.
 
     Returns

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.disk_array import LargeArray
 from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.frame_store import frame_store
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.progress import Progress, silent
 from mixseq.segmentation import segment
@@ -18,8 +20,6 @@ from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames
 from mixseq.signals.model import Model
 from mixseq.spaces import MixedSpace
-from mixseq.stored import stored
-from mixseq.table import Table
 from mixseq.topology import Topology
 
 SAME_SIZE = 0.05
@@ -36,7 +36,7 @@ class SourceMotion:
         Mesh and times.
     topology : Topology
         Connectivity.
-    points : (T, V, 3) table
+    points : (T, V, 3) array, perhaps on disk
         The frames.
     rest : (V, 3) float64
         The shape at rest, as large as in the frames.
@@ -46,7 +46,7 @@ class SourceMotion:
 
     header: SequenceHeader
     topology: Topology
-    points: Table
+    points: LargeArray
     rest: Float
     parts: int | ArrayLike | None
 
@@ -106,10 +106,10 @@ def source_motion(
     if isinstance(source, Model):
         if parts is None and isinstance(source.space, MixedSpace):
             parts = source.space.decomposition.part_of_face
-        frames = stored(_Sampled(source), progress)
+        frames = frame_store(_Sampled(source), progress)
     else:
         check_frames(source)
-        frames = stored(source, progress)
+        frames = frame_store(source, progress)
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):
@@ -125,7 +125,7 @@ def source_motion(
     return SourceMotion(header, topology, frames.points, shape, parts)
 
 
-def _shape_at_rest(rest: MeshSequence, topology: Topology, points: Table) -> Float:
+def _shape_at_rest(rest: MeshSequence, topology: Topology, points: LargeArray) -> Float:
     """Return the first frame of a mesh at rest, as large as it is in the motion."""
     if not np.array_equal(rest.faces, topology.faces):
         raise InvalidSequenceError(

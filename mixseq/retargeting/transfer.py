@@ -14,7 +14,8 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.quality import Quality
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, on_threads
+from mixseq.frame_store import block_size
+from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.contacts import ContactReport
 from mixseq.retargeting.making import gradient_transfer, mixed_transfer
@@ -24,7 +25,6 @@ from mixseq.retargeting.sources import SourceMotion, source_motion
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames, collect
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
-from mixseq.stored import block_size
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
@@ -72,7 +72,7 @@ class Transfer:
     poses: PartPoses | None = None
     contacts: ContactReport = ContactReport()  # noqa: RUF009 - frozen all the way down
 
-    def blocks(self, progress: Progress = silent, workers: OrderedMap | None = None) -> Iterator[Float]:
+    def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
         done, count = 0, len(self.source.points)
         for block in (workers or on_threads())(_moved, self.mover, self._frames()):
@@ -112,7 +112,7 @@ def plan(
     joint_width: int = 3,
     shell: ShellSettings | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> Transfer:
     """Find all that a transfer needs to know before it makes frames; parameters and errors are those of `transfer`.
 
@@ -200,7 +200,7 @@ def transfer(
     joint_width: int = 3,
     shell: ShellSettings | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> MeshSequence:
     """Move a mesh as another one moves.
 
@@ -230,7 +230,7 @@ def transfer(
         S_m: settings of the joint solves.
     progress : callable, optional
         Told about every stage.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
 
     Returns

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
+from mixseq.frame_store import frame_store
 from mixseq.progress import Progress, silent
 from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.correctives import fit_correctives, fit_targets
@@ -18,7 +19,6 @@ from mixseq.rigging.rigs import INFLUENCES, Morph, Skin, without_sign_jumps
 from mixseq.rigging.weights import Binding
 from mixseq.segmentation import segment
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
-from mixseq.stored import stored
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
@@ -139,7 +139,7 @@ def fit_morph(
 
 
 def _points_of(sequence: Frames) -> tuple[SequenceHeader, Float]:
-    held = stored(sequence)
+    held = frame_store(sequence)
     return held.header, np.asarray(held.points[: held.header.frame_count], dtype=np.float64)
 
 

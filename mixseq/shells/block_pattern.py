@@ -17,7 +17,7 @@ from mixseq.shells.solvers import Analysis, analyse
 
 
 @dataclass(frozen=True, eq=False)
-class BlockPattern:
+class BlockSparsePattern:
     """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there.
 
     Attributes
@@ -40,7 +40,7 @@ class BlockPattern:
     keys: Index
 
     @classmethod
-    def of(cls, count: int, pairs: Index) -> BlockPattern:
+    def of(cls, count: int, pairs: Index) -> BlockSparsePattern:
         """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are none."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)

@@ -23,7 +23,7 @@ from scipy import sparse
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_gradients, length_gradients
-from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.block_pattern import BlockSparsePattern
 from mixseq.shells.fitting_kernels import conjugate_gradients, shell_equations, shell_residuals
 from mixseq.shells.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
 from mixseq.shells.patch import Patch
@@ -234,7 +234,7 @@ class _Fit:
         return result
 
 
-def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:
+def _step(pattern: BlockSparsePattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:
     """Solve for a step; also tell whether conjugate gradients, which are tried if `held`, are worth trying again.
 
     Where every vertex is held by a pull the matrix is well conditioned, and a few conjugate gradients are a tenth of
@@ -250,7 +250,7 @@ def _step(pattern: BlockPattern, values: Float, gradient: Float, held: bool) -> 
     return -pattern.analysis.factor(values).solve(gradient), False
 
 
-def _dense_step(pattern: BlockPattern, values: Float, gradient: Float, row: Float) -> Float:
+def _dense_step(pattern: BlockSparsePattern, values: Float, gradient: Float, row: Float) -> Float:
     """Solve ``(A + row row^T) step = -gradient`` with the factor of A alone (Sherman and Morrison 1950)."""
     both = pattern.analysis.factor(values).solve(np.stack([-gradient, row], axis=1))
     step, along = both.T

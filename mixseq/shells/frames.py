@@ -26,7 +26,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index, Mask
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells import rotation_kernels as kernels
 from mixseq.shells.solvers import Factor, factored_laplacian
 
@@ -40,7 +40,7 @@ class _Layers(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FrameGraph(Remade):
+class FrameGraph(PickledWithoutCaches):
     """Frames, and which of them know how they are turned against each other.
 
     Attributes

@@ -14,7 +14,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.block_pattern import BlockSparsePattern
 
 DampedStep = Callable[[float], Float]
 
@@ -146,7 +146,7 @@ def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tu
     return points, ShellReport(energy, settings.iterations, False)
 
 
-def damped(pattern: BlockPattern, values: Float) -> Callable[[float], Float]:
+def damped(pattern: BlockSparsePattern, values: Float) -> Callable[[float], Float]:
     """Return what adds a damping to the diagonal of a matrix with values ``(N,)`` in a pattern, which it reuses."""
     diagonal = values[pattern.diagonal]
 

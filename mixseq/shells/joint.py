@@ -7,8 +7,8 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import NO_PULL, Pull, ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
-from mixseq.shells.unfold import unfold
 
 NEAR = 0.5
 """A guess without a larger weighted residual is near the answer."""
@@ -66,11 +66,11 @@ def rebuild(
     lengths = sound_lengths(lengths, weights)
     problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
     if guess is None:
-        return fit_shell(problem, _unfolded(problem, positions), settings)
+        return fit_shell(problem, _initial(problem, positions), settings)
     start = np.array(positions, dtype=np.float64)
     start[patch.free] = guess
     if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
-        start = min(_unfolded(problem, positions), start, key=problem.energy)
+        start = min(_initial(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
 
 
@@ -85,9 +85,9 @@ def sound_lengths(lengths: Float, weights: Float) -> Float:
     return np.maximum(lengths, shortest)
 
 
-def _unfolded(problem: ShellProblem, positions: Float) -> Float:
+def _initial(problem: ShellProblem, positions: Float) -> Float:
     """The linear start; lengths and angles between fixed vertices are those they have."""
     patch = problem.patch
     lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
     lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles
-    return unfold(patch, lengths, angles, positions)
+    return linear_initialisation(patch, lengths, angles, positions)

@@ -13,14 +13,14 @@ from scipy import sparse
 
 from mixseq.arrays import Index, Mask
 from mixseq.segmentation.joints import Joint
-from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.block_pattern import BlockSparsePattern
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.shells.triangles import Hinges
 from mixseq.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class NormalEquations:
     """Lengths and angles around the free vertices of a patch, and the matrix they make.
 
     Attributes
@@ -31,7 +31,7 @@ class Equations:
         The free vertices.
     number : (n,) int64
         Place of every vertex among them, -1 if fixed.
-    pattern : BlockPattern
+    pattern : BlockSparsePattern
         Pattern of the matrix, one triple of unknowns for each free vertex.
     edge_blocks : (e',) int64
         Block that couples the two vertices of an edge, -1 if one is fixed.
@@ -43,18 +43,18 @@ class Equations:
     hinges: Index
     free: Index
     number: Index
-    pattern: BlockPattern
+    pattern: BlockSparsePattern
     edge_blocks: Index
     hinge_blocks: Index
 
     @classmethod
-    def of(cls, edges: Index, hinges: Index, free: Index, number: Index) -> Equations:
+    def of(cls, edges: Index, hinges: Index, free: Index, number: Index) -> NormalEquations:
         """Find the blocks."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
         pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
-        pattern = BlockPattern.of(len(free), pairs)
+        pattern = BlockSparsePattern.of(len(free), pairs)
         return cls(
             edges=np.ascontiguousarray(edges),
             hinges=np.ascontiguousarray(hinges),
@@ -138,16 +138,16 @@ class Patch:
         return Hinges(self.faces, self.hinges, self.hinge_faces)
 
     @cached_property
-    def equations(self) -> Equations:
+    def equations(self) -> NormalEquations:
         """The normal equations of lengths and angles around the free vertices."""
-        return Equations.of(
+        return NormalEquations.of(
             self.edges[self.free_edges], self.hinges[self.free_hinges], self.free, self.free_number
         )
 
     @cached_property
-    def frame_pattern(self) -> BlockPattern:
+    def frame_pattern(self) -> BlockSparsePattern:
         """Which frames of faces are coupled by hinges; those of fixed faces are none."""
-        return BlockPattern.of(int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces])
+        return BlockSparsePattern.of(int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces])
 
     @cached_property
     def face_number(self) -> Index:

@@ -27,7 +27,7 @@ import numpy as np
 from mixseq.arrays import Float, Index, Mask
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells import relaxation_kernels as kernels
 from mixseq.shells.joint import NO_LENGTH, length_weights
 from mixseq.shells.solvers import Factor, factored_laplacian
@@ -106,7 +106,7 @@ class Relaxed(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Shell(Remade):
+class Shell(PickledWithoutCaches):
     """A mesh whose lengths and angles are to be agreed on.
 
     Attributes

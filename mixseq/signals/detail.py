@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index, evenly
+from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore, blocks_of
 from mixseq.geometry.quaternions import continued
-from mixseq.mapping import OrderedMap, serially
+from mixseq.mapping import Executor, serially
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
@@ -21,8 +23,6 @@ from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Modes, choose_keys, key_map, principal_modes
 from mixseq.spaces.base import ShapeSpace
-from mixseq.stored import Stored, blocks_of
-from mixseq.table import Table, new_table
 
 PoseForm = Literal["modes", "keys"]
 
@@ -59,7 +59,7 @@ class Encoded:
         Mesh and times.
     space : ShapeSpace
         The space.
-    shapes : (T, S) table of float64
+    shapes : (T, S) array, perhaps on disk, of float64
         The vectors of the frames without their placement.
     placement : (T, P) float64
         The placement.
@@ -71,7 +71,7 @@ class Encoded:
 
     header: SequenceHeader
     space: ShapeSpace
-    shapes: Table
+    shapes: LargeArray
     placement: Float
     samples: Float
     pose: PoseForm = "modes"
@@ -103,23 +103,23 @@ class Encoded:
 
 
 def encode(
-    sequence: Stored | MeshSequence,
+    sequence: FrameStore | MeshSequence,
     space: ShapeSpace,
     pose: PoseForm = "modes",
-    workers: OrderedMap = serially,
+    workers: Executor = serially,
     progress: Progress = silent,
 ) -> Encoded:
     """Encode all frames of a sequence in a space.
 
     Parameters
     ----------
-    sequence : Stored or MeshSequence
+    sequence : FrameStore or MeshSequence
         The sequence.
     space : ShapeSpace
         The space.
     pose : {"modes", "keys"}
         What key shapes shall be.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who encodes blocks of frames.
     progress : callable, optional
         Told about every block.
@@ -130,13 +130,13 @@ def encode(
         If there is no room for the vectors, neither in memory nor in a temporary file.
     """
     count, size = len(sequence.points), space.shape_dim
-    shapes = new_table((count, size))
+    shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
     some = evenly(sequence.header.vertex_count, SAMPLED)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
     for apart, seen in workers(_encoded, (space, some), blocks_of(sequence.points)):
-        vectors = space.without_jumps(apart, previous)
+        vectors = space.unwrap(apart, previous)
         rows = slice(done, done + len(vectors))
         shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], seen
         previous, done = vectors[-1], rows.stop

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, on_threads
+from mixseq.frame_store import frame_store
+from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, Stages, silent
 from mixseq.renamed import renamed
 from mixseq.segmentation import Segmentation
@@ -20,7 +21,6 @@ from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
 from mixseq.spaces.edge.space import EdgeSettings
 from mixseq.spaces.making import MAKING, SPACES, SpaceName, SpaceSettings, check_space, make_space
 from mixseq.spaces.mixed import FAR, NEVER, PlacementName
-from mixseq.stored import stored
 from mixseq.threads import one_blas_thread
 
 __all__ = ["SPACES", "SpaceName", "fit"]
@@ -50,7 +50,7 @@ def fit(
     shell: ShellSettings | None = None,
     edge: EdgeSettings | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> Model:
     r"""Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
 
@@ -100,7 +100,7 @@ def fit(
         Details of the edge space: fits to lengths and angles; its projection, and what else it keeps.
     progress : callable, optional
         Told about every stage.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
 
     Returns
@@ -141,7 +141,7 @@ def fit(
     if edge is not None and edge.projection == "dso" and shell is None:
         settings = replace(settings, shell=ShellSettings(accuracy=wanted / _MARGIN))
     with one_blas_thread():
-        frames = stored(sequence, stages.at(0))
+        frames = frame_store(sequence, stages.at(0))
         shape_space = make_space(frames, space, settings, work, stages.at(1, MAKING))
         encoded = encode(frames, shape_space, pose, work, stages.at(1 + MAKING))
         if direct:

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, on_threads, serially
-from mixseq.pickling import Remade
+from mixseq.mapping import Executor, on_threads, serially
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
@@ -53,7 +53,7 @@ class Corrections(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Model(Remade):
+class Model(PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
 
     Attributes
@@ -266,7 +266,7 @@ class Model(Remade):
         times: ArrayLike,
         size: int = FRAMES,
         progress: Progress = silent,
-        workers: OrderedMap | None = None,
+        workers: Executor | None = None,
     ) -> Iterator[Float]:
         """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order.
 
@@ -280,7 +280,7 @@ class Model(Remade):
         times: ArrayLike,
         size: int = FRAMES,
         progress: Progress = silent,
-        workers: OrderedMap | None = None,
+        workers: Executor | None = None,
     ) -> Iterator[tuple[Float, Float]]:
         """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
         return self._decoded(_moving_points, times, size, progress, workers)
@@ -291,7 +291,7 @@ class Model(Remade):
         times: ArrayLike,
         size: int,
         progress: Progress,
-        workers: OrderedMap | None,
+        workers: Executor | None,
     ) -> Iterator[Decoded]:
         inside = self.inside(times)
         some = (inside[start : start + size] for start in range(0, len(inside), size))

@@ -20,9 +20,9 @@ import numpy as np
 from scipy import linalg
 
 from mixseq.arrays import Float, Index
+from mixseq.disk_array import LargeArray, column_blocks
 from mixseq.errors import SettingsError
 from mixseq.polygons import frozen
-from mixseq.table import Table, column_blocks
 
 NEGLIGIBLE = 1e-15
 """Modes below this fraction of the largest are rounding errors."""
@@ -96,7 +96,7 @@ class Modes:
         Mean vector.
     directions : (r, T) float64
         Unit vectors: how much of every vector is in a mode.
-    vectors : (T, D) table of float64
+    vectors : (T, D) array, perhaps on disk, of float64
         The vectors.
     """
 
@@ -104,7 +104,7 @@ class Modes:
     sizes: Float
     mean: Float
     directions: Float
-    vectors: Table
+    vectors: LargeArray
 
     def first(self, rank: int) -> Modes:
         """Return the first modes only."""
@@ -128,7 +128,7 @@ class Modes:
         return shapes
 
 
-def principal_modes(vectors: Table, metric: Float) -> Modes:
+def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
     r"""Find all modes of vectors.
 
     From the Gram matrix :math:`G = Y Y^T = U \Sigma^2 U^T` of the centred, weighted vectors (T x T, which is
@@ -137,7 +137,7 @@ def principal_modes(vectors: Table, metric: Float) -> Modes:
 
     Parameters
     ----------
-    vectors : (T, D) table of float64
+    vectors : (T, D) array, perhaps on disk, of float64
         Vectors of a shape space.
     metric : (D,) float64
         Weight of every coordinate in distances between vectors.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.mapping import OrderedMap
+from mixseq.frame_store import FrameStore
+from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals.detail import Detail, Encoded, build
 from mixseq.signals.model import Model
-from mixseq.stored import Stored
 
 LOSSLESS_TO_THE_EYE = 5e-4
 """Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
@@ -23,10 +23,10 @@ ROUNDS = 7
 
 def within(
     encoded: Encoded,
-    sequence: Stored | MeshSequence,
+    sequence: FrameStore | MeshSequence,
     tolerance: float,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> Model:
     """Find signals that reproduce a sequence to a tolerance.
 
@@ -37,13 +37,13 @@ def within(
     ----------
     encoded : Encoded
         The sequence in a shape space.
-    sequence : Stored or MeshSequence
+    sequence : FrameStore or MeshSequence
         The sequence itself.
     tolerance : float
         Largest distance of a vertex, in diagonals.
     progress : callable, optional
         Told about every model that is tried.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who decodes blocks of frames.
 
     Returns
@@ -71,9 +71,9 @@ def within(
 
 def largest_error(
     model: Model,
-    sequence: Stored | MeshSequence,
+    sequence: FrameStore | MeshSequence,
     stop: float = np.inf,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> float:
     """Return the largest distance of a vertex at the frames, in diagonals.
 
@@ -81,11 +81,11 @@ def largest_error(
     ----------
     model : Model
         A model of the sequence.
-    sequence : Stored or MeshSequence
+    sequence : FrameStore or MeshSequence
         The original.
     stop : float
         Do not look further once the error is above this.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who decodes blocks of frames.
     """
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0

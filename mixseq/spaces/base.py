@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Poses, predicted_alone
 from mixseq.progress import Progress, silent
@@ -16,7 +16,7 @@ DIFFERENCE = 1e-4
 """Step of difference quotients, relative to the size of a vector's metric."""
 
 
-class ShapeSpace(Remade, ABC):
+class ShapeSpace(PickledWithoutCaches, ABC):
     """A space of vectors, each of which is a shape of one mesh, that may be added and scaled.
 
     For every space and all frames x of the sequence it was made for ``decode(encode(x)) = x``, and an affine
@@ -117,13 +117,13 @@ class ShapeSpace(Remade, ABC):
         -------
         (T, D) float64
         """
-        return self.without_jumps(self.encode_apart(points), previous)
+        return self.unwrap(self.encode_apart(points), previous)
 
     @abstractmethod
     def encode_apart(self, points: FloatArray) -> Float:
-        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``, each by itself: `without_jumps` makes them a sequence."""
+        """Turn frames ``(T, V, 3)`` into vectors ``(T, D)``, each by itself: `unwrap` makes them a sequence."""
 
-    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Let vectors ``(T, D)`` of `encode_apart` go on from frame to frame, and from the one before, as in `encode`.
 
         Frames can be encoded in any order, which is most of the work, and be put in order afterwards. Here nothing

@@ -30,7 +30,7 @@ import numpy as np
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.rigid import nearest_rotations
-from mixseq.geometry.rotations import matrices, vectors, without_jumps
+from mixseq.geometry.rotations import matrices, unwrap, vectors
 from mixseq.progress import Progress, silent
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.integration import Integration
@@ -162,11 +162,11 @@ class GradientSpace(ShapeSpace):
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return result
 
-    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.without_jumps`."""
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.unwrap`."""
         before = None if previous is None else self.split(previous[None]).turns[0]
         blocks = self.split(vectors)
-        return self.join(blocks._replace(turns=without_jumps(blocks.turns, before)))
+        return self.join(blocks._replace(turns=unwrap(blocks.turns, before)))
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""

@@ -28,7 +28,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import nearest_rotations
-from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.block_pattern import BlockSparsePattern
 from mixseq.spaces.integration import Integration
 from mixseq.spaces.normals import FLAT, across, unit, vertex_normals
 from mixseq.spaces.posed import PosedSpace
@@ -80,9 +80,9 @@ class LRISpace(PosedSpace):
         return number
 
     @cached_property
-    def pattern(self) -> BlockPattern:
+    def pattern(self) -> BlockSparsePattern:
         """Which frames are coupled by edges."""
-        return BlockPattern.of(len(self.integration.solved), self.number[self.edges])
+        return BlockSparsePattern.of(len(self.integration.solved), self.number[self.edges])
 
     def prepare(self) -> None:
         """Implement `ShapeSpace.prepare`."""

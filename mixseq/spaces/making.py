@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, serially
+from mixseq.frame_store import FrameStore, blocks_of
+from mixseq.mapping import Executor, serially
 from mixseq.progress import Progress, Stages, silent
 from mixseq.segmentation import (
     Observed,
@@ -34,7 +35,6 @@ from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths
 from mixseq.spaces.mixed import NEVER, MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
-from mixseq.stored import Stored, blocks_of
 from mixseq.topology import Topology
 
 SpaceName = Literal["mixed", "vertex", "gradient", "lri", "edge"]
@@ -116,23 +116,23 @@ def check_space(name: SpaceName, settings: SpaceSettings, usual: SpaceSettings) 
 
 
 def make_space(
-    frames: Stored | MeshSequence,
+    frames: FrameStore | MeshSequence,
     name: SpaceName = "mixed",
     settings: SpaceSettings | None = None,
-    workers: OrderedMap = serially,
+    workers: Executor = serially,
     progress: Progress = silent,
 ) -> ShapeSpace:
     """Make the shape space of a sequence.
 
     Parameters
     ----------
-    frames : Stored or MeshSequence
+    frames : FrameStore or MeshSequence
         The sequence. Its first frame is the reference, and its diagonal the unit.
     name : str
         One of `SPACES`.
     settings : SpaceSettings, optional
         How it is made.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who looks at the frames; the space is the same whoever does.
     progress : callable, optional
         Told about every block of frames.
@@ -168,7 +168,7 @@ def make_space(
     return EdgeSpace(topology, scale, reference, lengths, shell, edge)
 
 
-def part_of_faces(frames: Stored | MeshSequence, settings: SpaceSettings) -> NDArray[np.int64]:
+def part_of_faces(frames: FrameStore | MeshSequence, settings: SpaceSettings) -> NDArray[np.int64]:
     """Return the part ``(F,)`` of every triangle in the mixed space: given, or found.
 
     Raises
@@ -188,7 +188,7 @@ def part_of_faces(frames: Stored | MeshSequence, settings: SpaceSettings) -> NDA
 
 
 def _mixed(
-    frames: Stored | MeshSequence, settings: SpaceSettings, workers: OrderedMap, stages: Stages
+    frames: FrameStore | MeshSequence, settings: SpaceSettings, workers: Executor, stages: Stages
 ) -> MixedSpace:
     """Find the parts, grow the joints between them, register the parts."""
     header, points = frames.header, frames.points

@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray
+from mixseq.disk_array import LargeArray
+from mixseq.frame_store import blocks_of
 from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.mapping import OrderedMap
+from mixseq.mapping import Executor
 from mixseq.progress import Progress
-from mixseq.stored import blocks_of
-from mixseq.table import Table
 
 
 def mean_lengths(
-    points: Table, edges: NDArray[np.integer], scale: float, workers: OrderedMap, progress: Progress
+    points: LargeArray, edges: NDArray[np.integer], scale: float, workers: Executor, progress: Progress
 ) -> Float:
     """Return mean lengths ``(E,)`` of edges ``(E, 2)`` over frames ``(T, V, 3)``, in units of the scale."""
     total, done = np.zeros(len(edges)), 0

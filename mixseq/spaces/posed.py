@@ -99,8 +99,8 @@ class PosedSpace(ShapeSpace):
             np.concatenate(blocks, out=vector)
         return result
 
-    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.without_jumps`."""
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.unwrap`."""
         shapes, turns, centres = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         shapes = self.shapes_without_jumps(shapes, None if before is None else before[0][0])

@@ -15,12 +15,12 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap
+from mixseq.frame_store import FrameStore, block_size
+from mixseq.mapping import Executor
 from mixseq.plots.video.timing import model_times, nearest_frames
 from mixseq.progress import Progress, silent
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
-from mixseq.stored import Stored, block_size
 from mixseq.version import __version__
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported, ExportedItem
@@ -92,7 +92,7 @@ class ExportReport:
 
 
 def poses_of(
-    motion: Model | Stored, workers: OrderedMap | None = None
+    motion: Model | FrameStore, workers: Executor | None = None
 ) -> Callable[[Float], Iterable[FloatArray]]:
     """Return what `Exported.poses` asks for: a model is decoded at any time, of frames the nearest are taken."""
 
@@ -101,7 +101,7 @@ def poses_of(
         yield from motion.blocks(model_times(motion.header, elapsed), workers=workers)
 
     def nearest(elapsed: Float) -> Iterator[FloatArray]:
-        assert isinstance(motion, Stored)
+        assert isinstance(motion, FrameStore)
         rows, size = nearest_frames(motion.header, elapsed), block_size(motion.header.vertex_count)
         for start in range(0, len(rows), size):
             yield motion.points[rows[start : start + size]]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
 from mixseq.plots.camera import View, broadside, y_up
 from mixseq.sequence import SequenceHeader, check_block
-from mixseq.table import Table, new_table
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported
 from mixseq.viewing.framing import Extent, extent_of
@@ -26,7 +26,7 @@ class Gathered:
 
     Attributes
     ----------
-    poses : (n, V, 3) table
+    poses : (n, V, 3) array, perhaps on disk
         As they were given.
     extent : Extent
         Where they are, from their own view and from that of the first mesh of the page.
@@ -36,7 +36,7 @@ class Gathered:
         Whether they are seen as the first mesh is: they have its triangles, and about its place and size.
     """
 
-    poses: Table
+    poses: LargeArray
     extent: Extent
     views: tuple[View, View]
     like_first: bool
@@ -66,7 +66,7 @@ def gather(
     header = item.header
     same = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None
-    table: Table | None = None
+    table: LargeArray | None = None
     extent: Extent | None = None
     done = 0
     for block in item.poses(elapsed):
@@ -74,7 +74,7 @@ def gather(
         if done + len(block) > len(elapsed):
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
         if table is None or views is None:
-            table = new_table((len(elapsed), header.vertex_count, 3), block.dtype)
+            table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
             own = first[1].views[0] if first and same else broadside(block[0], header.up_axis)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Single
 from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
-from mixseq.stored import Stored
 from mixseq.viewing.colouring import Colouring, clay, colourings_of
 from mixseq.viewing.shown import Item, Shot
 
@@ -32,12 +32,12 @@ class Paint:
     ----------
     shot : Shot
         As it was opened: edits are measured against the first frames that it had then.
-    original : Stored, optional
+    original : FrameStore, optional
         What errors are measured against.
     """
 
     shot: Shot
-    original: Stored | None = None
+    original: FrameStore | None = None
     _found: dict[int, dict[str, Colouring]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -94,7 +94,7 @@ class Paint:
         return Item("the original", self.original).pose
 
 
-def check_original(shot: Shot, original: Stored) -> None:
+def check_original(shot: Shot, original: FrameStore) -> None:
     """Refuse an original that is of no use.
 
     Raises

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Float, Single, evenly
+from mixseq.frame_store import FrameStore
 from mixseq.plots.video.timing import film_times, model_times, nearest_frames
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
-from mixseq.stored import Stored
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class Item:
     ----------
     name : str
         What it is called.
-    motion : Model or Stored
+    motion : Model or FrameStore
         What moves: a model, which is decoded at any time, or frames, of which the nearest is shown.
     """
 
     name: str
-    motion: Model | Stored
+    motion: Model | FrameStore
 
     @property
     def header(self) -> SequenceHeader:

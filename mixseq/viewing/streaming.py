@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray
+from mixseq.frame_store import blocks_of
 from mixseq.plots.camera import y_up
-from mixseq.stored import blocks_of
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.exporting import Exported, ExportedItem
 from mixseq.viewing.gathering import Gathered

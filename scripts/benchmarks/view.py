@@ -17,9 +17,9 @@ from io import StringIO
 import numpy as np
 
 import mixseq
+from mixseq.frame_store import frame_store
 from mixseq.mapping import thread_count
 from mixseq.sequence import MeshSequence
-from mixseq.stored import stored
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.painting import Paint
 from mixseq.viewing.playback import Moment, Playback
@@ -56,7 +56,7 @@ def main() -> int:
     for name in sys.argv[1:] or NAMES:
         item = Item(name, mixseq.fit(animation(name)))
         row(item, rounds(Shot((item,))))
-    row(Item("sheet, not a model", stored(sheet())), ["", "", ""])
+    row(Item("sheet, not a model", frame_store(sheet())), ["", "", ""])
     return 0
 
 

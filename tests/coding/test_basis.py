@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mixseq.coding.basis import Basis
+from mixseq.frame_store import FrameStore, block_size, frame_store
 from mixseq.sequence import MeshSequence
-from mixseq.stored import Stored, block_size, stored
 from tests.coding.one_part import basis_of
 from tests.meshes import bar, tube
 
@@ -15,10 +15,10 @@ RNG = np.random.default_rng(4)
 VERTICES = len(tube(5, 6)[0])
 
 
-def sequence_of(frames: int = 11) -> Stored:
+def sequence_of(frames: int = 11) -> FrameStore:
     points, faces = tube(5, 6)
     noise = np.random.default_rng(frames).normal(size=(frames, *points.shape))
-    return stored(MeshSequence.from_arrays(points + noise, faces))
+    return frame_store(MeshSequence.from_arrays(points + noise, faces))
 
 
 def trajectories(count: int = 4) -> Basis:
@@ -61,7 +61,7 @@ def test_tracks_of_shapes_are_least_squares() -> None:
 def test_what_the_fields_span_comes_back() -> None:
     basis = trajectories()
     tracks = RNG.normal(size=(3, 5, 3)) / basis.norms[:, None]
-    sequence = stored(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
+    sequence = frame_store(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
     np.testing.assert_allclose(
         basis.fit(sequence) * basis.norms[:, None], tracks * basis.norms[:, None], atol=1e-9
     )
@@ -81,7 +81,7 @@ def test_places_far_from_the_origin_are_exact() -> None:
     basis = trajectories()
     tracks = np.zeros((3, 5, 3))
     tracks[:, 0] = 1e6 * np.sqrt(VERTICES)
-    sequence = stored(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
+    sequence = frame_store(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
     np.testing.assert_allclose(basis.frames(basis.fit(sequence)), 1e6, atol=1e-7)
 
 
@@ -109,7 +109,7 @@ def test_a_mean_of_zeros_stays_the_mean() -> None:
     assert len(basis.fields) == 2
     swing = np.array([1.0, -1, 2, -2])
     points = np.einsum("t,iv->tvi", swing, fields[1])
-    sequence = stored(MeshSequence.from_arrays(points, tube(5, 6)[1]))
+    sequence = frame_store(MeshSequence.from_arrays(points, tube(5, 6)[1]))
     np.testing.assert_allclose(basis.fit(sequence)[:, 0, 0], swing, rtol=1e-12)
 
 
@@ -132,6 +132,6 @@ def test_blocks_are_all_frames() -> None:
 
 def test_a_sequence_of_single_precision_is_fitted_in_double() -> None:
     sequence = bar()
-    single = stored(sequence.with_points(sequence.points.astype(np.float32)))
+    single = frame_store(sequence.with_points(sequence.points.astype(np.float32)))
     basis = basis_of("trajectories", RNG.normal(size=(2, 1, sequence.vertex_count)), 5)
     assert basis.fit(single).dtype == np.float64

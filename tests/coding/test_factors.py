@@ -11,33 +11,33 @@ from mixseq.coding import factors as module
 from mixseq.coding.coded import FactorName
 from mixseq.coding.factors import Factors, factor
 from mixseq.coding.search import FACTORS
+from mixseq.frame_store import FrameStore, frame_store
 from mixseq.sequence import MeshSequence
-from mixseq.stored import Stored, stored
 from tests.coding.one_part import basis_of
 from tests.meshes import bar, rotation, tetrahedron, torus
 
 NAMES: tuple[FactorName, ...] = FACTORS
 
 
-def noise(frames: int, mesh: tuple[Float, NDArray[np.int64]] | None = None) -> Stored:
+def noise(frames: int, mesh: tuple[Float, NDArray[np.int64]] | None = None) -> FrameStore:
     points, faces = mesh or tetrahedron()
     rng = np.random.default_rng(frames)
-    return stored(MeshSequence.from_arrays(points + rng.normal(size=(frames, *points.shape)), faces))
+    return frame_store(MeshSequence.from_arrays(points + rng.normal(size=(frames, *points.shape)), faces))
 
 
-def left_over(sequence: Stored, factors: Factors) -> float:
+def left_over(sequence: FrameStore, factors: Factors) -> float:
     """Root of the sum of squares of what the factors leave of a sequence."""
     basis = basis_of(factors.name, factors.fields[:], len(sequence.points))
     return float(np.linalg.norm(basis.frames(basis.fit(sequence)) - np.asarray(sequence.points)))
 
 
 CASES = {
-    "more vertices than frames": lambda: stored(bar(frames=4)),
+    "more vertices than frames": lambda: frame_store(bar(frames=4)),
     "more frames than vertices": lambda: noise(9),
     "more coordinates than frames, more frames than vertices": lambda: noise(6),
     "as many frames as coordinates": lambda: noise(12),
     "many more frames": lambda: noise(40),
-    "float32": lambda: stored(bar().with_points(bar().points.astype(np.float32))),
+    "float32": lambda: frame_store(bar().with_points(bar().points.astype(np.float32))),
     "one frame": lambda: noise(1),
 }
 
@@ -62,7 +62,7 @@ def test_products_are_the_sequence(case: str, name: FactorName) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_fields_are_principal_components(name: FactorName) -> None:
     """Their sizes are the singular values of the centred matrix: fields that are left out miss just their own."""
-    sequence = stored(bar(frames=6))
+    sequence = frame_store(bar(frames=6))
     points = np.asarray(sequence.points)
     if name == "trajectories":
         centred = (
@@ -91,7 +91,7 @@ def test_a_rigid_motion_has_three_trajectories() -> None:
     frames = np.stack(
         [points @ rotation((t, 0.3 * t * t, -t)).T + [t, t * t, 0] for t in np.linspace(0, 3, 12)]
     )
-    factors = factor(stored(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6)
+    factors = factor(frame_store(MeshSequence.from_arrays(frames, faces)), "trajectories", 1e-6)
     assert len(factors.sizes) == 3
     corners = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     for field in factors.fields[:][:, 0]:
@@ -102,7 +102,7 @@ def test_a_rigid_motion_has_three_trajectories() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_that_moves_leaves_a_field_of_zeros(name: FactorName) -> None:
     points = np.full((3, 4, 3), 2.5)
-    factors = factor(stored(MeshSequence.from_arrays(points, tetrahedron()[1])), name, 1e-9)
+    factors = factor(frame_store(MeshSequence.from_arrays(points, tetrahedron()[1])), name, 1e-9)
     assert len(factors.fields) == (1 if name == "trajectories" else 2)
     assert not factors.fields[:][-1].any()
 
@@ -110,7 +110,7 @@ def test_nothing_that_moves_leaves_a_field_of_zeros(name: FactorName) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_frames_are_left_out_of_long_sequences(name: FactorName, monkeypatch: pytest.MonkeyPatch) -> None:
     """What moves slowly is known from every other frame; sizes are as if all frames had been looked at."""
-    sequence = stored(bar(sides=8, rings=12, frames=40))
+    sequence = frame_store(bar(sides=8, rings=12, frames=40))
     whole = factor(sequence, name, 0.0)
     monkeypatch.setattr(module, "MOST", 60 if name == "trajectories" else 20)
     some = factor(sequence, name, 0.0)

@@ -17,8 +17,8 @@ from mixseq.coding.graph import mesh_graph
 from mixseq.coding.joining import joined, vertex_parts
 from mixseq.coding.parts import labels_of, parts_of, read_labels, whole, write_labels
 from mixseq.errors import FormatError
+from mixseq.frame_store import frame_store
 from mixseq.sequence import MeshSequence
-from mixseq.stored import stored
 from tests.meshes import bar, rotation, torus
 
 RNG = np.random.default_rng(7)
@@ -110,12 +110,12 @@ def test_what_moves_together_is_joined() -> None:
 
 
 def test_a_mesh_that_cannot_be_cut_is_one_part() -> None:
-    assert vertex_parts(stored(bar(3, 4, 3)), (3, 6, 12)) == {}
+    assert vertex_parts(frame_store(bar(3, 4, 3)), (3, 6, 12)) == {}
 
 
 def test_rigid_bodies_are_parts() -> None:
     sequence = bodies()
-    found = vertex_parts(stored(sequence), (3, 6, 12))
+    found = vertex_parts(frame_store(sequence), (3, 6, 12))
     ring = sequence.vertex_count // 6
     assert list(found) == [3, 6]
     assert len(np.unique(found[6].reshape(6, ring)[:, 0])) == 6

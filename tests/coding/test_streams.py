@@ -21,7 +21,7 @@ from mixseq.coding.streams import (
     read_tracks,
     write_tracks,
 )
-from mixseq.stored import stored
+from mixseq.frame_store import frame_store
 from tests.coding.one_part import basis_of, read_fields, write_fields
 from tests.meshes import bar, torus
 
@@ -102,7 +102,7 @@ def test_groups_that_are_there_come_back_without_those_behind(kept: int) -> None
 
 
 def bars_basis(name: FactorName) -> tuple[Basis, Float]:
-    sequence = stored(bar(sides=4, rings=6, frames=300))
+    sequence = frame_store(bar(sides=4, rings=6, frames=300))
     factors = factor(sequence, name, 1e-2)
     graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
     basis = basis_of(name, write_fields(factors, STEP, graph)[0], 300)

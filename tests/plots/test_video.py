@@ -201,7 +201,7 @@ def test_poses_on_disk_make_the_same_film(
 ) -> None:
     model = fit(gem, space="vertex", exact=True)
     for name, most in (("memory", 1 << 28), ("disk", 0)):
-        monkeypatch.setattr("mixseq.table.IN_MEMORY", most)
+        monkeypatch.setattr("mixseq.disk_array.IN_MEMORY", most)
         film(tmp_path / f"{name}.gif", [Shown("", model)], SMALL, workers=on_threads(2))
     assert (tmp_path / "memory.gif").read_bytes() == (tmp_path / "disk.gif").read_bytes()
 

@@ -286,7 +286,7 @@ def test_a_fine_target_comes_in_smaller_blocks(monkeypatch: pytest.MonkeyPatch) 
     fine = MeshSequence.from_arrays(subdivided(mesh)[0][None], subdivided(mesh)[1])
     planned = plan(source, fine, mapping=to_subdivided(mesh), method="gradients")
     whole = np.concatenate(list(planned.blocks()))
-    monkeypatch.setattr("mixseq.stored._AT_ONCE", (8, 2 * fine.vertex_count))
+    monkeypatch.setattr("mixseq.frame_store._AT_ONCE", (8, 2 * fine.vertex_count))
     blocks = list(planned.blocks())
     assert [len(block) for block in blocks] == [2, 2]
     np.testing.assert_array_equal(np.concatenate(blocks), whole)

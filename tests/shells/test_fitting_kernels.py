@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.shells.block_pattern import BlockPattern
+from mixseq.shells.block_pattern import BlockSparsePattern
 from mixseq.shells.fitting import Pull, ShellProblem
 from mixseq.shells.fitting_kernels import conjugate_gradients
-from mixseq.shells.patch import Equations, Patch
+from mixseq.shells.patch import NormalEquations, Patch
 from tests.meshes import seeds
 from tests.shells.test_fitting import MESHES, problem_of
 
 
-def dense(pattern: BlockPattern, values: Float) -> Float:
+def dense(pattern: BlockSparsePattern, values: Float) -> Float:
     size = 3 * pattern.count
     lower = np.zeros((size, size))
     columns = np.repeat(np.arange(size), np.diff(pattern.starts))
@@ -97,7 +97,7 @@ def test_two_faces_on_the_same_vertices() -> None:
 def test_pattern_and_conjugate_gradients(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     pairs = rng.integers(-1, count, size=(2 * count, 2))
-    pattern = BlockPattern.of(count, pairs)
+    pattern = BlockSparsePattern.of(count, pairs)
     values = rng.normal(size=len(pattern.rows))
     values[pattern.diagonal] = 60.0
     matrix = dense(pattern, values)
@@ -130,7 +130,7 @@ def test_conjugate_gradients_give_up() -> None:
 
 
 def test_no_right_hand_side_no_steps() -> None:
-    pattern = BlockPattern.of(2, np.array([[0, 1]]))
+    pattern = BlockSparsePattern.of(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = 1.0
     out = np.ones(6)
@@ -141,13 +141,13 @@ def test_no_right_hand_side_no_steps() -> None:
 
 def test_nothing_free() -> None:
     none = np.zeros(0, dtype=np.int64)
-    rows = Equations.of(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
+    rows = NormalEquations.of(np.zeros((0, 2), int), np.zeros((0, 4), int), none, np.full(3, -1))
     assert rows.pattern.count == 0 and rows.hinge_blocks.shape == (0, 6)
 
 
 @pytest.mark.parametrize("worst", [-1.0, 0.0, np.nan])
 def test_conjugate_gradients_refuse_what_is_not_definite(worst: float) -> None:
-    pattern = BlockPattern.of(2, np.array([[0, 1]]))
+    pattern = BlockSparsePattern.of(2, np.array([[0, 1]]))
     values = np.zeros(len(pattern.rows))
     values[pattern.diagonal] = [1.0, 1.0, 1.0, 1.0, worst, 1.0]
     out = np.empty(6)

@@ -96,7 +96,7 @@ def test_a_body_that_turns_twice_goes_on_block_by_block() -> None:
     np.testing.assert_allclose(vectors[:, 1:5], expected, atol=1e-12)
     assert (SPACE.encode_apart(points)[:, 1] >= 0).all()
     np.testing.assert_allclose(SPACE.encode(points[6:], vectors[5]), vectors[6:], atol=1e-13)
-    np.testing.assert_array_equal(SPACE.without_jumps(SPACE.encode_apart(points)), vectors)
+    np.testing.assert_array_equal(SPACE.unwrap(SPACE.encode_apart(points)), vectors)
 
 
 def test_vectors_of_other_spaces_are_refused() -> None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from mixseq.arrays import Single
 from mixseq.errors import ReconstructionError
+from mixseq.frame_store import frame_store
 from mixseq.sequence import MeshSequence
-from mixseq.stored import stored
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.shown import Item, Shot
 from tests.meshes import tetrahedron
@@ -65,7 +65,7 @@ def watched(frames: int = 10, name: str = "mesh") -> Watched:
     """A mesh of four vertices, so of 48 bytes in every frame."""
     points, faces = tetrahedron()
     still = MeshSequence.from_arrays(np.repeat(points[None], frames, axis=0), faces, fps=FPS)
-    return Watched(name, stored(still))
+    return Watched(name, frame_store(still))
 
 
 def shot_of(*items: Item, rate: float | None = None) -> Shot:

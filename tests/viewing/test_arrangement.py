@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float
+from mixseq.frame_store import frame_store
 from mixseq.sequence import MeshSequence
-from mixseq.stored import stored
 from mixseq.viewing.arrangement import FIELD, GAP, HEIGHT, MARGIN, Arrangement, arranged
 from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar, tetrahedron, tube
@@ -25,7 +25,7 @@ def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0
 
 
 def shot_of(*sequences: MeshSequence) -> Shot:
-    return Shot(tuple(Item(sequence.header.name, stored(sequence)) for sequence in sequences))
+    return Shot(tuple(Item(sequence.header.name, frame_store(sequence)) for sequence in sequences))
 
 
 def placed(shot: Shot, found: Arrangement) -> list[Float]:

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from mixseq import table
+from mixseq import disk_array
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.frame_store import frame_store
 from mixseq.plots.camera import View, broadside, shared_limits, y_up
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
-from mixseq.stored import stored
 from mixseq.viewing.assets import CHART_SCRIPTS
 from mixseq.viewing.colouring import Colouring, colourings_of
 from mixseq.viewing.export import ExportSettings, export_page, poses_of
@@ -41,7 +41,7 @@ def exported(sequence: MeshSequence, name: str = "bar") -> Exported:
     elapsed = sequence.times - sequence.times[0]
     poses = zip(elapsed.tolist(), sequence.points, strict=True)
     colours = colourings_of(sequence.header, sequence.points[0], poses=poses)
-    return Exported(name, sequence.header, poses_of(stored(sequence)), elapsed, colours)
+    return Exported(name, sequence.header, poses_of(frame_store(sequence)), elapsed, colours)
 
 
 def exported_model(model: Model, name: str = "model") -> Exported:
@@ -281,7 +281,7 @@ def test_progress_is_told(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "IN_MEMORY", 1 << 16)
+    monkeypatch.setattr(disk_array, "IN_MEMORY", 1 << 16)
     sequence = bar(sides=40, rings=50, frames=2)
     rest = sequence.points[0]
 

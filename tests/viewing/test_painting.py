@@ -7,9 +7,9 @@ import pytest
 
 import mixseq
 from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore, frame_store
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals import Model
-from mixseq.stored import Stored, stored
 from mixseq.viewing.painting import Paint, check_original
 from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar, tetrahedron
@@ -18,11 +18,11 @@ ALL = ("clay", "parts", "error", "strain", "curvature")
 
 
 def item_of(sequence: MeshSequence, name: str = "sequence") -> Item:
-    return Item(name, stored(sequence))
+    return Item(name, frame_store(sequence))
 
 
-def original_of(sequence: MeshSequence) -> Stored:
-    return stored(sequence)
+def original_of(sequence: MeshSequence) -> FrameStore:
+    return frame_store(sequence)
 
 
 def without(*names: str) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.creature import walk_cycle
+from mixseq.frame_store import frame_store
 from mixseq.plots.camera import y_up
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.stored import stored
 from mixseq.viewing.colouring import colourings_of
 from mixseq.viewing.export import ExportSettings, export_page, poses_of
 from mixseq.viewing.exporting import Exported
@@ -51,7 +51,7 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
         zip(elapsed.tolist(), poses, strict=True),
     )
     signals = signals_of(motion) if isinstance(motion, Model) else None
-    of = motion if isinstance(motion, Model) else stored(motion)
+    of = motion if isinstance(motion, Model) else frame_store(motion)
     return Exported(name, motion.header, poses_of(of), elapsed, colours, signals)
 
 

@@ -15,7 +15,7 @@ from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
 
 
 @click.command(
@@ -41,7 +41,7 @@ def command(
     out: Path,
     force: bool,
     fitting: dict[str, Any],
-    workers: AbstractContextManager[OrderedMap],
+    workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
     quiet: bool,
 ) -> None:

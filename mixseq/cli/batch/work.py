@@ -23,7 +23,7 @@ from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.cluster import Cluster
-    from mixseq.mapping import OrderedMap
+    from mixseq.mapping import Executor
 
 Settings = Mapping[str, Any]
 """The settings of `mixseq.fit`, and under ``reading`` those of the readers; all of them can be written as JSON."""
@@ -110,7 +110,7 @@ def _entry(asset: Asset, settings: Settings, result: Callable[[], Entry]) -> Ent
     return entry
 
 
-def in_turn(workers: OrderedMap, progress: Progress) -> Work:
+def in_turn(workers: Executor, progress: Progress) -> Work:
     """Return what encodes assets here, one after the other, the frames of each spread over `workers`."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
@@ -139,7 +139,7 @@ def _naming(asset: Asset, progress: Progress) -> Progress:
 
 
 def encode_asset(
-    settings: Settings, asset: Asset, workers: OrderedMap | None = None, progress: Progress = silent
+    settings: Settings, asset: Asset, workers: Executor | None = None, progress: Progress = silent
 ) -> Entry:
     """Encode an asset, decode and compare it. The model appears when all of that went well.
 
@@ -165,9 +165,7 @@ def encode_asset(
     return Entry.of(asset, settings, state="failed", message=" ".join(message.split()))
 
 
-def _encode(
-    settings: Settings, asset: Asset, workers: OrderedMap | None, progress: Progress
-) -> dict[str, Any]:
+def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress: Progress) -> dict[str, Any]:
     from mixseq.mapping import serially
 
     mapped = workers or serially

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap, on_threads
+from mixseq.frame_store import FrameStore, frame_store
+from mixseq.mapping import Executor, on_threads
 from mixseq.plots.colours import CLAY, segmentation_colours
 from mixseq.plots.measures import MEASURES
 from mixseq.plots.raster import Picture
@@ -25,7 +26,6 @@ from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
-from mixseq.stored import Stored, stored
 
 _MEANING = {"error": "diagonals", "strain": "strain", "curvature": "degrees"}
 """What the colours with a scale are measured in."""
@@ -92,7 +92,7 @@ class Shown:
     """
 
     name: str
-    motion: Model | Frames | Stored
+    motion: Model | Frames | FrameStore
 
     def __str__(self) -> str:
         return self.name or self.motion.header.name
@@ -102,9 +102,9 @@ def film(
     target: str | PathLike[str],
     shown: Sequence[Shown],
     settings: FilmSettings | None = None,
-    against: Frames | Stored | None = None,
+    against: Frames | FrameStore | None = None,
     progress: Progress = silent,
-    workers: OrderedMap | None = None,
+    workers: Executor | None = None,
 ) -> None:
     """Make a film of meshes side by side.
 
@@ -122,7 +122,7 @@ def film(
         The original, for the colour "error"; only its frames are shown then.
     progress : callable, optional
         Told about every frame.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who draws, by default as many threads as there are cores.
 
     Raises
@@ -187,17 +187,17 @@ def check_shown(shown: Sequence[Shown], settings: FilmSettings, against: object)
         _colours(shown)
 
 
-def _stored(motion: Frames | Stored, progress: Progress) -> Stored:
-    return motion if isinstance(motion, Stored) else stored(motion, progress)
+def _stored(motion: Frames | FrameStore, progress: Progress) -> FrameStore:
+    return motion if isinstance(motion, FrameStore) else frame_store(motion, progress)
 
 
-def _track(motion: Model | Stored, times: Float, progress: Progress, workers: OrderedMap) -> Track:
+def _track(motion: Model | FrameStore, times: Float, progress: Progress, workers: Executor) -> Track:
     if isinstance(motion, Model):
         return track_of_model(motion, times, progress, workers)
     return track_of_sequence(motion, times)
 
 
-def _check_starts(shown: Sequence[Shown], original: Stored) -> None:
+def _check_starts(shown: Sequence[Shown], original: FrameStore) -> None:
     """Refuse to measure errors at other times."""
     start = original.header.times[0]
     for item in shown:

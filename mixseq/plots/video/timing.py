@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.arrays import Float, Index
+from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import SettingsError
-from mixseq.mapping import OrderedMap
+from mixseq.frame_store import FrameStore, frame_store
+from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq.signals import Model
-from mixseq.stored import Stored, stored
-from mixseq.table import Table, new_table
 
 STILL = 4.0
 """Seconds that a film of a single pose takes."""
@@ -36,14 +36,14 @@ class Track:
     ----------
     header : SequenceHeader
         Everything but the points.
-    poses : (n, V, 3) table of float
+    poses : (n, V, 3) array, perhaps on disk, of float
         Poses that are shown.
     pose_of_frame : (N,) int
         Which of them every frame of the film shows.
     """
 
     header: SequenceHeader
-    poses: Table
+    poses: LargeArray
     pose_of_frame: Index
 
     def pose(self, frame: int) -> Float:
@@ -119,20 +119,20 @@ def model_times(header: SequenceHeader, times: Float) -> Float:
     return np.where(np.abs(inside - nearest) < 1e-6 / header.fps, nearest, inside)
 
 
-def track_of_sequence(sequence: Frames | Stored, times: Float, progress: Progress = silent) -> Track:
+def track_of_sequence(sequence: Frames | FrameStore, times: Float, progress: Progress = silent) -> Track:
     """Show of a sequence the frames nearest to the film's times `film_times`; what streams is copied once."""
-    whole = sequence if isinstance(sequence, Stored) else stored(sequence, progress)
+    whole = sequence if isinstance(sequence, FrameStore) else frame_store(sequence, progress)
     return Track(whole.header, whole.points, nearest_frames(whole.header, times))
 
 
 def track_of_model(
-    model: Model, times: Float, progress: Progress = silent, workers: OrderedMap | None = None
+    model: Model, times: Float, progress: Progress = silent, workers: Executor | None = None
 ) -> Track:
     """Decode a model at the film's times `film_times`, each of them once."""
     header = model.header
     inside = model_times(header, times)
     needed, pose_of_frame = np.unique(inside, return_inverse=True)
-    poses = new_table((len(needed), header.vertex_count, 3), np.float64)
+    poses = new_large_array((len(needed), header.vertex_count, 3), np.float64)
     first = 0
     for block in model.blocks(needed, progress=progress, workers=workers):
         poses[first : first + len(block)] = block

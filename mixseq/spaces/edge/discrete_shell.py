@@ -1,7 +1,7 @@
 """Discrete shells (DSO, Froehlich and Botsch 2011): every piece of a mesh as a whole, nothing of it held.
 
-The linear start of `mixseq.shells.unfold`, then Gauss-Newton on all lengths and angles, and on the volume if
-that is told. The start matters more than the steps: from a pose that is far away they get trapped (the paper's
+`mixseq.shells.linear_initialisation`, then Gauss-Newton on all lengths and angles, and on the volume if that is told.
+The start matters more than the steps: from a pose that is far away they get trapped (the paper's
 Figure 17), the linear start looks at no pose and is exact where there is a mesh with these lengths and angles.
 """
 
@@ -17,8 +17,8 @@ from mixseq.arrays import Float, FloatArray, Index
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.joint import sound_lengths
+from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
-from mixseq.shells.unfold import unfold
 from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.edge.volume import VolumeTerm, is_sheet, surface_area, volume
 from mixseq.spaces.pieces import Pieces
@@ -100,7 +100,7 @@ class DiscreteShell:
             if piece is None:
                 continue
             problem = self.problem(number, piece, wanted, settings)
-            start = unfold(piece.patch, problem.lengths, problem.angles, rows[piece.rows])
+            start = linear_initialisation(piece.patch, problem.lengths, problem.angles, rows[piece.rows])
             rows[piece.rows], report = fit_shell(problem, start, settings)
             reports.append(report)
         return rows, reports

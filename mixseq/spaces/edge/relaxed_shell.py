@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
 from mixseq.shells.joint import sound_lengths
@@ -58,7 +58,7 @@ class _Rows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RelaxedShell(Remade):
+class RelaxedShell(PickledWithoutCaches):
     """An `EdgeProjection` by constant matrices.
 
     Attributes

@@ -220,8 +220,8 @@ class AnchoredSpace(MixedSpace):
         """The shape of a frame ``(V, 3)`` whose vertices have these motions."""
         return *self.measured(x), kernels.unpose(motions, x), self.seams.seen(motions, x)
 
-    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.without_jumps`."""
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.unwrap`."""
         blocks = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         start = self.reference_angles if before is None else before.angles[0]

@@ -22,7 +22,7 @@ from mixseq.arrays import Float, Index, IntArray, Mask
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.frames import FrameGraph, bridging, connected
 from mixseq.shells.hinge_kernels import measured
@@ -65,7 +65,7 @@ class _Layout(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly(Remade):
+class Assembly(PickledWithoutCaches):
     """Puts parts and joints of one mesh together.
 
     Attributes

@@ -153,8 +153,8 @@ class FreeSpace(MixedSpace):
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return vectors
 
-    def without_jumps(self, vectors: Float, previous: Float | None = None) -> Float:
-        """Implement `ShapeSpace.without_jumps`."""
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.unwrap`."""
         blocks = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
         start = self.reference_angles if before is None else before.angles[0]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray, Mask
+from mixseq.disk_array import LargeArray
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.spaces.mixed.anchored import AnchoredSpace
-from mixseq.table import Table
 
 STRETCH = 0.015
 """Where meshes settle, faces with edges that are wrong by more of their length half-way are joints; ours."""
@@ -40,7 +40,7 @@ ALL_PAIRS = 12
 """Among so many frames all pairs are tried, else neighbours."""
 
 
-def are_far(space: AnchoredSpace, frames: Table, share: float) -> bool:
+def are_far(space: AnchoredSpace, frames: LargeArray, share: float) -> bool:
     """Whether more than a share of faces is torn half-way between neighbours among the frames ``(T, V, 3)``."""
     last = len(frames) - 1
     pairs = [frames[first : first + 2] for first in frames_to_look_at(last, NEIGHBOURS)] if last else []

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from mixseq.arrays import FloatArray, Mask
+from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
-from mixseq.mapping import OrderedMap, serially
+from mixseq.mapping import Executor, serially
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
@@ -22,7 +23,6 @@ from mixseq.spaces.mixed.free import FreeSpace
 from mixseq.spaces.mixed.half_way import NEVER, are_far, wrong_half_way
 from mixseq.spaces.mixed.shares import fitted_shares
 from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
-from mixseq.table import Table
 from mixseq.topology import Topology
 
 FEWEST, MOST = 6, 20
@@ -33,12 +33,12 @@ SHAPED_BY = 64
 
 
 def mixed_space(
-    points: Table,
+    points: LargeArray,
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
     settling_from: float = NEVER,
-    workers: OrderedMap = serially,
+    workers: Executor = serially,
     progress: Progress = silent,
 ) -> MixedSpace:
     """Make the mixed shape space of a sequence.
@@ -57,7 +57,7 @@ def mixed_space(
         Anchored placement: lengths and angles are made to agree if, half-way between neighbouring frames, a larger
         share of faces is torn: 0 in blends of poses, `FAR` in animations, whose true frames do not have mean lengths
         and angles, and `NEVER` where few modes do not know them well enough to be told by them.
-    workers : OrderedMap, optional
+    workers : Executor, optional
         Who looks at the frames.
     progress : callable, optional
         Told about every block of frames.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mixseq.arrays import Float, Index
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 
@@ -33,7 +33,7 @@ COTANGENTS = (0.05, 20.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Sides(Remade):
+class Sides(PickledWithoutCaches):
     """The faces whose sides are known, and the vertices they decide.
 
     Attributes

@@ -25,7 +25,7 @@ from scipy.sparse import csgraph
 from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import inverse, normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
-from mixseq.pickling import Remade
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
@@ -38,7 +38,7 @@ of the benchmarks."""
 
 
 @dataclass(frozen=True, eq=False)
-class VertexFrames(Remade):
+class VertexFrames(PickledWithoutCaches):
     """How vertices follow p parts.
 
     Attributes

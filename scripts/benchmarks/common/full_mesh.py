@@ -15,9 +15,9 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
 from mixseq.shells.solvers import Analysis
-from mixseq.shells.unfold import unfold
 from mixseq.topology import Topology
 
 
@@ -70,7 +70,7 @@ class FullMesh:
     def from_frames(self) -> tuple[Float, ShellReport]:
         """Solve, starting from the linear start; only for a connected mesh."""
         patch = self.problem.patch
-        start = unfold(patch, self.lengths, self.angles, np.zeros_like(self.ends[0]))
+        start = linear_initialisation(patch, self.lengths, self.angles, np.zeros_like(self.ends[0]))
         return fit_shell(self.problem, start, self.settings)
 
 

@@ -40,7 +40,7 @@ def at_most(what: str, value: float, target: float, unit: str = "") -> Target:
 
 
 @dataclass(frozen=True)
-class Table:
+class LargeArray:
     """A table of text."""
 
     caption: str
@@ -70,7 +70,7 @@ class Section:
     """All that one measurement shows; the lists are filled as it goes."""
 
     title: str
-    tables: list[Table] = field(default_factory=list)
+    tables: list[LargeArray] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     bars: list[Bar] = field(default_factory=list)
@@ -89,7 +89,7 @@ class Section:
         return cls(
             title=plain["title"],
             tables=[
-                Table(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]])
+                LargeArray(t["caption"], tuple(t["columns"]), [tuple(r) for r in t["rows"]])
                 for t in plain["tables"]
             ],
             targets=[Target(**target) for target in targets],

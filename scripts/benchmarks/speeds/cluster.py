@@ -13,7 +13,7 @@ from pathlib import Path
 import mixseq
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.child import MIXSEQ, ChildError, run
-from scripts.benchmarks.common.section import Say, Section, Table, at_least
+from scripts.benchmarks.common.section import LargeArray, Say, Section, at_least
 
 NAME = "elephant_gallop"
 FPS = 240
@@ -46,7 +46,7 @@ def measure(say: Say) -> Section:
     return Section(
         "Cluster",
         [
-            Table(
+            LargeArray(
                 f"`mixseq decode --fps {FPS} --cluster local:2` of {NAME}.",
                 ("decoded by", "s", "sha256"),
                 rows,

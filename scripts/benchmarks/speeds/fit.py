@@ -11,7 +11,7 @@ from typing import Any
 import mixseq
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.child import ChildError, run, run_module
-from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
+from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least, at_most
 from scripts.benchmarks.common.timing import Timing, repeated
 
 NAMES = {"horse_gallop": 5, "q_man_run": 5, "elephant_gallop": None}
@@ -33,7 +33,7 @@ def measure(say: Say) -> Section:
     _check_installed()
     columns = ("sequence", "method", "parts or bones", "s", "KG %", "max error/diag", "py-dem-bones / this")
     rows: list[tuple[str, ...]] = []
-    section = Section("Fitting", [Table("", columns, rows)])
+    section = Section("Fitting", [LargeArray("", columns, rows)])
     for name, target in NAMES.items():
         _measure(section, rows, name, target, say)
     section.notes.append(

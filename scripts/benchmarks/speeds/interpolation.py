@@ -15,7 +15,7 @@ from mixseq.shells.fitting import ShellReport, ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.envelope import envelope
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
-from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least, at_most
+from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least, at_most
 from scripts.benchmarks.common.timing import Timing, repeated
 
 PAIRS = (
@@ -59,7 +59,7 @@ def measure(say: Say) -> Section:
     rows: list[tuple[str, ...]] = []
     section = Section(
         "One interpolated frame",
-        [Table("Errors against the means of the two frames, at 99 % / 99.9 % / max.", COLUMNS, rows)],
+        [LargeArray("Errors against the means of the two frames, at 99 % / 99.9 % / max.", COLUMNS, rows)],
     )
     for name, first, second, factor in PAIRS:
         _measure_pair(section, rows, name, first, second, factor, say)

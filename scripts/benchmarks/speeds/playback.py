@@ -10,7 +10,7 @@ from mixseq.mapping import on_threads
 from mixseq.shells.fitting import ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.full_mesh import FullMesh, iterate
-from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least
+from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least
 from scripts.benchmarks.common.timing import Timing, repeated
 
 NAMES = {"horse_gallop": 10, "elephant_gallop": 10, "q_man_run": None}
@@ -35,7 +35,7 @@ COLUMNS = (
 def measure(say: Say) -> Section:
     """Measure all animations."""
     rows: list[tuple[str, ...]] = []
-    section = Section("Playback", [Table(f"Rank {RANK}, anchored; all frames in a row.", COLUMNS, rows)])
+    section = Section("Playback", [LargeArray(f"Rank {RANK}, anchored; all frames in a row.", COLUMNS, rows)])
     for name, target in NAMES.items():
         _measure(section, rows, name, target, say)
     section.notes.append(

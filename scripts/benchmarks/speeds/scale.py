@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scripts.benchmarks.common.child import MIXSEQ, Child, run, run_module
-from scripts.benchmarks.common.section import Line, Say, Section, Table, at_most
+from scripts.benchmarks.common.section import LargeArray, Line, Say, Section, at_most
 from scripts.benchmarks.common.timing import Timing
 
 NAME = "elephant_gallop"
@@ -43,7 +43,7 @@ def _frames(section: Section, say: Say) -> None:
     columns = ("frames", "file MB", "encode s", "MB", "model MB", "decode s", "MB", "decoded MB")
     rows: list[tuple[str, ...]] = []
     section.tables.append(
-        Table(
+        LargeArray(
             f"{NAME}, subdivided once and repeated; `mixseq encode {' '.join(ENCODE[:2])}` from HDF5, `mixseq decode` "
             "to USD. MB after the seconds: peak of resident memory.",
             columns,
@@ -112,7 +112,7 @@ def _vertices(section: Section, say: Say) -> None:
         "exponent, decode",
     )
     rows: list[tuple[str, ...]] = []
-    section.tables.append(Table("Cost of a vertex, rank 20, anchored, all threads.", columns, rows))
+    section.tables.append(LargeArray("Cost of a vertex, rank 20, anchored, all threads.", columns, rows))
     points: dict[str, list[tuple[float, float]]] = {step: [] for step in STEPS}
     for words in SIZES:
         say(f"{' '.join(words)}: cost of a vertex")

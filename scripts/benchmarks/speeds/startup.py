@@ -8,7 +8,7 @@ import tempfile
 from typing import Any
 
 from scripts.benchmarks.common.child import MIXSEQ, run, run_module
-from scripts.benchmarks.common.section import Say, Section, Table, at_least, at_most
+from scripts.benchmarks.common.section import LargeArray, Say, Section, at_least, at_most
 from scripts.benchmarks.common.timing import Timing
 
 RUNS = 10
@@ -43,7 +43,7 @@ def measure(say: Say) -> Section:
     ]
     return Section(
         "Start-up",
-        [Table("Each in new processes.", ("what", "s"), rows)],
+        [LargeArray("Each in new processes.", ("what", "s"), rows)],
         [
             at_most("`mixseq --help`", help_.median, HELP, " s"),
             at_most("`import mixseq`, Python's own start included", import_.median, IMPORT, " s"),

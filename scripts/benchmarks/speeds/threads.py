@@ -7,7 +7,7 @@ import time
 
 import mixseq
 from scripts.benchmarks.common.animations import animation
-from scripts.benchmarks.common.section import Bar, Say, Section, Table, at_least
+from scripts.benchmarks.common.section import Bar, LargeArray, Say, Section, at_least
 from scripts.benchmarks.common.timing import Timing
 from scripts.benchmarks.speeds.playback import RANK, play
 
@@ -20,7 +20,7 @@ def measure(say: Say) -> Section:
     """Measure all animations; runs on one and on two threads take turns, so that a slow moment hits both."""
     columns = ("sequence", "1 thread s", "2 threads s", "ratio", "same bits")
     rows: list[tuple[str, ...]] = []
-    section = Section("Threads", [Table(f"All frames, rank {RANK}, anchored.", columns, rows)])
+    section = Section("Threads", [LargeArray(f"All frames, rank {RANK}, anchored.", columns, rows)])
     for name in NAMES:
         say(f"{name}: fit")
         model = mixseq.fit(animation(name), rank=RANK)

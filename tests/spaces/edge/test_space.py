@@ -126,7 +126,7 @@ def test_blocks_are_as_the_whole() -> None:
     first = space.encode(frames[:4])
     second = space.encode(frames[4:], first[-1])
     np.testing.assert_array_equal(np.concatenate([first, second]), whole)
-    np.testing.assert_array_equal(space.without_jumps(space.encode_apart(frames)), whole)
+    np.testing.assert_array_equal(space.unwrap(space.encode_apart(frames)), whole)
     assert np.abs(np.diff(whole[:, : space.shape_dim], axis=0)).max() < np.pi
 
 

@@ -201,7 +201,7 @@ def test_encoding_block_by_block_is_encoding(name: str) -> None:
         second = space.encode(points[2:3], previous=first[-1])
         third = space.encode(points[3:], previous=second[-1])
         np.testing.assert_allclose(np.concatenate([first, second, third]), whole, atol=1e-13)
-        np.testing.assert_array_equal(space.without_jumps(space.encode_apart(points)), whole)
+        np.testing.assert_array_equal(space.unwrap(space.encode_apart(points)), whole)
 
 
 @both

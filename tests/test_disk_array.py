@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mixseq import table
+from mixseq import disk_array
+from mixseq.disk_array import DiskArray, column_blocks, new_large_array
 from mixseq.errors import OutputError
-from mixseq.table import DiskTable, column_blocks, new_table
 
 
-def on_disk(values: NDArray[Any], step: int = 3) -> DiskTable:
+def on_disk(values: NDArray[Any], step: int = 3) -> DiskArray:
     """The same numbers on disk, written in blocks of rows."""
-    made = DiskTable(values.shape, values.dtype)
+    made = DiskArray(values.shape, values.dtype)
     for start in range(0, len(values), step):
         made[start : start + step] = values[start : start + step]
     return made
@@ -39,7 +39,7 @@ def test_rows_and_columns_are_those_of_an_array(
 ) -> None:
     values = np.arange(rows * width, dtype=np.float64).reshape(rows, width)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(table, "_COLUMNS", columns)
+        patch.setattr(disk_array, "_COLUMNS", columns)
         made = on_disk(values, step)
         chosen = np.array(picked.draw(st.lists(st.integers(0, rows - 1))), dtype=np.int64)
         np.testing.assert_array_equal(made[chosen], values[chosen])
@@ -62,10 +62,10 @@ def test_rows_have_any_shape_and_precision(dtype: type) -> None:
 
 
 def test_small_tables_are_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert isinstance(new_table((4, 8)), np.ndarray)
-    monkeypatch.setattr(table, "IN_MEMORY", 4 * 8 * 8 - 1)
-    assert isinstance(new_table((4, 8)), DiskTable)
-    assert isinstance(new_table((4, 8), np.float32), np.ndarray)
+    assert isinstance(new_large_array((4, 8)), np.ndarray)
+    monkeypatch.setattr(disk_array, "IN_MEMORY", 4 * 8 * 8 - 1)
+    assert isinstance(new_large_array((4, 8)), DiskArray)
+    assert isinstance(new_large_array((4, 8), np.float32), np.ndarray)
 
 
 def test_many_rows_come_in_narrow_blocks() -> None:
@@ -100,6 +100,6 @@ def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
 
     monkeypatch.setattr(tempfile, "TemporaryFile", Full)
-    made = DiskTable((1000, 500_000))
+    made = DiskArray((1000, 500_000))
     with pytest.raises(OutputError, match=r"temporary file of 4\.0 GB in .*No space left.*set TMPDIR"):
         made[0:1] = np.zeros((1, 500_000))

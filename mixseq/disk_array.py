@@ -1,11 +1,11 @@
-"""Tables of numbers that may be larger than memory: written row by row, read by rows or by columns.
+"""Arrays of numbers that may be larger than memory: written row by row, read by rows or by columns.
 
 What is learned from a sequence takes all its frames at a few coordinates (the Gram matrix), or all coordinates of a few
-frames. A small table is an array. A large one is on disk, tile by tile, so that both are read in long runs:
+frames. A small one is in memory. A large one is on disk, tile by tile, so that both are read in long runs:
 
->>> table = new_table((3, 2))
->>> table[0:3] = np.arange(6).reshape(3, 2)
->>> [block.sum(axis=0).tolist() for _, block in column_blocks(table)]
+>>> array = new_large_array((3, 2))
+>>> array[0:3] = np.arange(6).reshape(3, 2)
+>>> [block.sum(axis=0).tolist() for _, block in column_blocks(array)]
 [[6.0, 9.0]]
 """
 
@@ -24,14 +24,14 @@ from numpy.typing import DTypeLike, NDArray
 from mixseq.errors import OutputError
 
 IN_MEMORY = 1 << 28
-"""Tables of up to so many bytes are arrays."""
+"""Arrays of up to so many bytes are in memory."""
 
 _COLUMNS = 1 << 14
 _BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows that fewer columns must do
 
 
-class DiskTable:
-    """A table ``(T, ...)`` in a file that has no name: it vanishes with the table, or with the process.
+class DiskArray:
+    """A array ``(T, ...)`` in a file that has no name: it vanishes with the object, or with the process.
 
     Rows are set by slices, and read by slices or indices, as those of an array.
 
@@ -47,7 +47,7 @@ class DiskTable:
         self._width = int(np.prod(shape[1:], dtype=np.int64))
         self._step = _columns_at_once(len(self))
         try:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the table
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the array
         except OSError as error:
             raise OutputError(
                 f"there is no folder for temporary files ({error.strerror}); set TMPDIR to one"
@@ -109,28 +109,28 @@ def _close(file: IO[bytes]) -> None:
         file.close()
 
 
-Table = NDArray[Any] | DiskTable
+LargeArray = NDArray[Any] | DiskArray
 """An array, or what has no place in memory."""
 
 
-def new_table(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Table:
-    """Make a table ``(T, ...)`` to be filled."""
+def new_large_array(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> LargeArray:
+    """Make a array ``(T, ...)`` to be filled."""
     size = np.dtype(dtype).itemsize * int(np.prod(shape, dtype=np.int64))
-    return np.empty(shape, dtype) if size <= IN_MEMORY else DiskTable(shape, dtype)
+    return np.empty(shape, dtype) if size <= IN_MEMORY else DiskArray(shape, dtype)
 
 
-def column_blocks(table: Table) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield a table ``(T, W)`` in blocks of columns: where they are, and all their rows ``(T, C)``.
+def column_blocks(array: LargeArray) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield a array ``(T, W)`` in blocks of columns: where they are, and all their rows ``(T, C)``.
 
-    The blocks are the same, wherever the table is.
+    The blocks are the same, wherever the array is.
     """
-    if isinstance(table, DiskTable):
-        yield from table.columns()
+    if isinstance(array, DiskArray):
+        yield from array.columns()
         return
-    step = _columns_at_once(len(table))
-    for start in range(0, table.shape[1], step):
-        columns = slice(start, min(start + step, table.shape[1]))
-        yield columns, np.ascontiguousarray(table[:, columns])
+    step = _columns_at_once(len(array))
+    for start in range(0, array.shape[1], step):
+        columns = slice(start, min(start + step, array.shape[1]))
+        yield columns, np.ascontiguousarray(array[:, columns])
 
 
 def _columns_at_once(rows: int) -> int:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mixseq import table
+from mixseq import disk_array
 from mixseq.arrays import FloatArray
+from mixseq.disk_array import DiskArray
 from mixseq.errors import InvalidSequenceError
+from mixseq.frame_store import block_size, blocks_of, frame_store
 from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.stored import block_size, blocks_of, stored
-from mixseq.table import DiskTable
 from tests.meshes import bar
 
 BAR = bar(sides=4, rings=5, frames=7)
@@ -33,19 +33,19 @@ class Streamed:
 
 
 def test_what_is_in_memory_stays_there() -> None:
-    assert stored(BAR).points is BAR.points
+    assert frame_store(BAR).points is BAR.points
     assert [len(block) for block in BAR.blocks(3)] == [3, 3, 1]
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("limit", [0, 1 << 30])
 def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "IN_MEMORY", limit)
+    monkeypatch.setattr(disk_array, "IN_MEMORY", limit)
     points: FloatArray = BAR.points.astype(dtype)
     source = Streamed(BAR.header, [points[:2], points[2:3], points[3:]])
     told: list[tuple[int, int, str]] = []
-    copy = stored(source, lambda *step: told.append(step))
-    assert isinstance(copy.points, DiskTable) == (limit == 0)
+    copy = frame_store(source, lambda *step: told.append(step))
+    assert isinstance(copy.points, DiskArray) == (limit == 0)
     assert copy.points.dtype == dtype
     for _ in range(2):
         np.testing.assert_array_equal(np.concatenate(list(blocks_of(copy.points))), points)
@@ -65,7 +65,7 @@ def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.
 )
 def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):
-        stored(Streamed(BAR.header, frames))
+        frame_store(Streamed(BAR.header, frames))
 
 
 def test_blocks_depend_on_the_mesh_only() -> None:

@@ -11,8 +11,8 @@ from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
+from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
-from mixseq.shells.unfold import unfold
 from tests.meshes import (
     Mesh,
     bent,
@@ -55,7 +55,7 @@ def patch_of(mesh: Mesh, fixed: Float | None = None) -> Patch:
 def rebuilt(mesh: Mesh, patch: Patch) -> Float:
     points = mesh[0]
     given_points = np.where(patch.fixed[:, None], points, np.nan)  # free positions are not looked at
-    return unfold(
+    return linear_initialisation(
         patch, edge_lengths(points, patch.edges), dihedral_angles(points, patch.hinges), given_points
     )
 
@@ -109,8 +109,8 @@ def test_fixed_vertices_take_the_patch_along(seed: int, motion: tuple[Float, Flo
     patch = patch_of(CYLINDER, np.isin(np.arange(len(points)), [*range(16), *range(56, 72)]).astype(float))
     lengths = edge_lengths(points, patch.edges) * rng.uniform(0.9, 1.1, len(patch.edges))
     angles = dihedral_angles(points, patch.hinges) + rng.uniform(-0.2, 0.2, len(patch.hinges))
-    here = unfold(patch, lengths, angles, points)
-    there = unfold(patch, lengths, angles, points @ motion[0].T + motion[1])
+    here = linear_initialisation(patch, lengths, angles, points)
+    there = linear_initialisation(patch, lengths, angles, points @ motion[0].T + motion[1])
     np.testing.assert_allclose(there, here @ motion[0].T + motion[1], atol=1e-8)
     np.testing.assert_array_equal(here[patch.fixed], points[patch.fixed])
 
@@ -120,7 +120,9 @@ def test_twice_the_lengths_give_twice_the_mesh() -> None:
     lengths, angles = edge_lengths(BAR[0], patch.edges), dihedral_angles(BAR[0], patch.hinges)
     nowhere = np.zeros_like(BAR[0])
     np.testing.assert_allclose(
-        unfold(patch, 2 * lengths, angles, nowhere), 2 * unfold(patch, lengths, angles, nowhere), atol=1e-9
+        linear_initialisation(patch, 2 * lengths, angles, nowhere),
+        2 * linear_initialisation(patch, lengths, angles, nowhere),
+        atol=1e-9,
     )
 
 
@@ -128,5 +130,7 @@ def test_impossible_triangles_give_finite_points() -> None:
     patch = patch_of(CYLINDER)
     lengths = edge_lengths(CYLINDER[0], patch.edges)
     lengths[::5] *= 3.0
-    result = unfold(patch, lengths, dihedral_angles(CYLINDER[0], patch.hinges), np.zeros_like(CYLINDER[0]))
+    result = linear_initialisation(
+        patch, lengths, dihedral_angles(CYLINDER[0], patch.hinges), np.zeros_like(CYLINDER[0])
+    )
     assert np.isfinite(result).all()

@@ -22,7 +22,7 @@ from mixseq.shells.patch import Patch
 from mixseq.shells.triangles import flat_triangles, frames_of
 
 
-def unfold(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
+def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Rebuild a patch from edge lengths and dihedral angles.
 
     Parameters
@@ -45,7 +45,7 @@ def unfold(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Flo
 
 
 def turned_sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
-    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames: `unfold` before its second step."""
+    """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames: before vertices are solved for."""
     local = flat_triangles(lengths[patch.face_edges])
     frames = _frames(patch, local, angles, positions)
     return np.asarray(np.einsum("fij,fkj->fki", frames[:, :, :2], np.roll(local, -1, axis=1) - local))
