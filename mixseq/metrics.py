@@ -28,7 +28,7 @@ from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
-from mixseq.spread import Gathered, Spread
+from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
 
 SAME_TIME = 1e-6
@@ -69,9 +69,9 @@ class Comparison:
         Frame of the largest distance, and ...
     worst_time : float
         ... its time in seconds.
-    edge_strain : Spread
+    edge_strain : Statistics
         Strain of the edges; edges of length zero in the reference are skipped.
-    dihedral_degrees : Spread
+    dihedral_degrees : Statistics
         Dihedral error; hinges where a face has no area, in either sequence, are skipped.
     volume : VolumeError or None
         Only for closed, consistently oriented meshes with a volume.
@@ -87,8 +87,8 @@ class Comparison:
     max_error: float
     worst_frame: int
     worst_time: float
-    edge_strain: Spread
-    dihedral_degrees: Spread
+    edge_strain: Statistics
+    dihedral_degrees: Statistics
     volume: VolumeError | None
     per_frame_max: Float
 
@@ -133,8 +133,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     header = a.header
     check_comparable(header, b.header)
     topology = Topology(header.faces, header.vertex_count)
-    strains = Gathered(header.frame_count * len(topology.edges))
-    angles = Gathered(header.frame_count * len(topology.hinges))
+    strains = RunningStatistics(header.frame_count * len(topology.edges))
+    angles = RunningStatistics(header.frame_count * len(topology.hinges))
     closed = not any(
         len(edges)
         for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
@@ -243,13 +243,13 @@ def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Floa
         raise InvalidSequenceError("the other sequence goes on after the reference ends; its header is wrong")
 
 
-def _gather_strains(strains: Gathered, topology: Topology, x: Float, y: Float) -> None:
+def _gather_strains(strains: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
     lengths = edge_lengths(x, topology.edges)
     there = lengths > 0
     strains.add(np.abs(edge_lengths(y, topology.edges)[there] / lengths[there] - 1))
 
 
-def _gather_angles(angles: Gathered, topology: Topology, x: Float, y: Float) -> None:
+def _gather_angles(angles: RunningStatistics, topology: Topology, x: Float, y: Float) -> None:
     flat = flat_faces(x, topology.faces, FLAT) | flat_faces(y, topology.faces, FLAT)
     there = ~flat[:, topology.hinge_faces].any(axis=2)
     turn = wrap(dihedral_angles(y, topology.hinges)[there] - dihedral_angles(x, topology.hinges)[there])

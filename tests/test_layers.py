@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 
 LAYERS = (
     ("arrays",),
-    ("compiled", "errors", "pickling", "progress", "spread", "threads", "version"),
+    ("compiled", "errors", "pickling", "progress", "statistics", "threads", "version"),
     ("cluster", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("surface",),
     ("sequence",),

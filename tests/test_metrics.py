@@ -11,7 +11,7 @@ from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare, shared_frames
 from mixseq.sequence import MeshSequence
-from mixseq.spread import Spread
+from mixseq.statistics import Statistics
 from tests.meshes import SEQUENCES, bar, grid, rotation, tetrahedron, topology_of, tube
 
 
@@ -37,8 +37,8 @@ def test_identical_sequences_differ_by_nothing(name: str) -> None:
     assert (result.frames, result.vertices) == sequence.points.shape[:2]
     assert (result.kg_percent, result.rms_error, result.max_error) == (0, 0, 0)
     assert (result.worst_frame, result.worst_time) == (0, sequence.times[0])
-    for spread in (result.edge_strain, result.dihedral_degrees):
-        assert (spread.rms, spread.p999, spread.max) == (0, 0, 0)
+    for values in (result.edge_strain, result.dihedral_degrees):
+        assert (values.rms, values.p999, values.max) == (0, 0, 0)
     assert result.volume is None or (result.volume.mean, result.volume.max) == (0, 0)
     assert not result.per_frame_max.any()
 
@@ -65,9 +65,9 @@ def test_uniform_scale(scale: float) -> None:
     a = bar()
     result = compare(a, a.with_points(scale * a.points))
     strain, swelling = abs(scale - 1), abs(scale**3 - 1)
-    spread = result.edge_strain
-    assert (spread.rms, spread.p999, spread.max) == pytest.approx((strain,) * 3)
-    assert spread.skipped == 0
+    values = result.edge_strain
+    assert (values.rms, values.p999, values.max) == pytest.approx((strain,) * 3)
+    assert values.skipped == 0
     assert result.dihedral_degrees.max < 1e-9
     assert result.volume is not None
     assert (result.volume.mean, result.volume.max) == pytest.approx((swelling, swelling))
@@ -89,8 +89,8 @@ def test_folding_changes_only_the_dihedral_angle() -> None:
     folded = points.copy()
     folded[3] = -np.cos(np.radians(25)), 0, np.sin(np.radians(25))
     result = compare(a, still(folded, a.faces))
-    spread = result.dihedral_degrees
-    assert (spread.rms, spread.p999, spread.max) == pytest.approx((25, 25, 25))
+    values = result.dihedral_degrees
+    assert (values.rms, values.p999, values.max) == pytest.approx((25, 25, 25))
     assert result.edge_strain.max < 1e-12
 
 
@@ -199,7 +199,7 @@ def test_edges_without_length_and_faces_without_area_are_skipped() -> None:
     assert result.dihedral_degrees.skipped > 0
     collapsed = compare(still(points, faces), still(points * 0, faces))
     hinges = len(topology_of((points, faces)).hinges)
-    assert collapsed.dihedral_degrees == Spread(rms=0.0, p999=0.0, max=0.0, skipped=hinges)
+    assert collapsed.dihedral_degrees == Statistics(rms=0.0, p999=0.0, max=0.0, skipped=hinges)
 
 
 def test_a_mesh_in_one_point() -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mixseq.metrics import Comparison
     from mixseq.progress import Progress
     from mixseq.sequence import Frames, SequenceHeader
-    from mixseq.spread import Spread
+    from mixseq.statistics import Statistics
 
 
 @click.command(
@@ -134,12 +134,12 @@ def _rows(result: Comparison) -> list[tuple[str, str]]:
         ("rms error", f"{result.rms_error:.4g} diagonals"),
         ("max error", f"{result.max_error:.4g} diagonals"),
         ("worst frame", f"{result.worst_frame} at {result.worst_time:g} s"),
-        ("edge strain", _spread(result.edge_strain)),
-        ("dihedral error", _spread(result.dihedral_degrees, " degrees")),
+        ("edge strain", _statistics(result.edge_strain)),
+        ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),
     ]
 
 
-def _spread(spread: Spread, unit: str = "") -> str:
-    skipped = f" ({spread.skipped:,} not defined)" if spread.skipped else ""
-    return f"{spread.rms:.4g} rms, {spread.p999:.4g} at 99.9 %, {spread.max:.4g} max{unit}{skipped}"
+def _statistics(values: Statistics, unit: str = "") -> str:
+    skipped = f" ({values.skipped:,} not defined)" if values.skipped else ""
+    return f"{values.rms:.4g} rms, {values.p999:.4g} at 99.9 %, {values.max:.4g} max{unit}{skipped}"

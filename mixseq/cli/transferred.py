@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from mixseq.retargeting.coverage import Coverage
     from mixseq.retargeting.report import Counts, TransferReport
     from mixseq.retargeting.transfer import Transfer
-    from mixseq.spread import Spread
+    from mixseq.statistics import Statistics
 
 NAMED = 4
 """So many followers and markers at most have names in the table."""
@@ -104,7 +104,7 @@ def _quality_rows(quality: Quality) -> list[tuple[str, str]]:
     ]
 
 
-def _strain(strain: Spread) -> str:
+def _strain(strain: Statistics) -> str:
     return f"{100 * strain.rms:.3g} % rms, {100 * strain.p999:.3g} % at 99.9 %"
 
 

@@ -30,7 +30,7 @@ from mixseq.retargeting.coverage import Coverage, coverage
 from mixseq.retargeting.expected import Expected
 from mixseq.retargeting.transfer import Transfer
 from mixseq.sequence import bounding_diagonal, check_block
-from mixseq.spread import Gathered, Spread
+from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
 
 FRAMES = 8
@@ -110,7 +110,7 @@ class TransferReport:
     ----------
     coverage : Coverage
         What has a counterpart, and what follows.
-    strain, source_strain, excess : Spread
+    strain, source_strain, excess : Statistics
         Of the target's edges, of the source's, and of the target's beside the source's.
     smoothness : Smoothness or None
         If there are at least three frames.
@@ -121,9 +121,9 @@ class TransferReport:
     """
 
     coverage: Coverage
-    strain: Spread
-    source_strain: Spread
-    excess: Spread
+    strain: Statistics
+    source_strain: Statistics
+    excess: Statistics
     smoothness: Smoothness | None
     intersections: Counts
     source_intersections: Counts
@@ -207,8 +207,11 @@ class Meter:
         self._count = len(transfer.source.points)
         self._done = 0
         edges, source_edges = len(self._expected.topology.edges), len(transfer.source.topology.edges)
-        self._strain, self._excess = Gathered(self._count * edges), Gathered(self._count * edges)
-        self._source_strain = Gathered(self._count * source_edges)
+        self._strain, self._excess = (
+            RunningStatistics(self._count * edges),
+            RunningStatistics(self._count * edges),
+        )
+        self._source_strain = RunningStatistics(self._count * source_edges)
         self._acceleration = Acceleration(), Acceleration()
         self._looked_at = tuple(evenly(self._count, FRAMES).tolist())
         self._crossings: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""How values are spread: root mean square, 99.9th percentile and largest, of values that pass by in little memory."""
+"""Running statistics: root mean square, 99.9th percentile, maximum of values that come in blocks, in little memory."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ PERCENTILE = 0.999
 
 
 @dataclass(frozen=True)
-class Spread:
-    """How the values of one error are distributed over all elements and frames.
+class Statistics:
+    """Statistics of one error over all elements and frames.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Spread:
     skipped: int
 
 
-class Gathered:
-    """Collects values block by block, and keeps only what `Spread` needs: the sum of squares and the largest.
+class RunningStatistics:
+    """Collect values block by block, and keep only what `Statistics` needs: the sum of squares and the largest.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Gathered:
 
     def __init__(self, total: int) -> None:
         self._total = total
-        self._seen = 0
+        self._count = 0
         self._squares = 0.0
         self._keep = total - int(PERCENTILE * total) + 1
         self._largest = np.zeros(0)
@@ -48,7 +48,7 @@ class Gathered:
     def add(self, values: Float) -> None:
         """Take another block of values ``(n,)``, none of them negative; those that are not finite are skipped."""
         values = values[np.isfinite(values)]
-        self._seen += values.size
+        self._count += values.size
         self._squares += float(np.square(values).sum())
         if len(self._largest) == self._keep:
             values = values[values > self._largest[0]]
@@ -58,14 +58,14 @@ class Gathered:
             largest = np.partition(largest, len(largest) - self._keep)[-self._keep :]
         self._largest = largest
 
-    def result(self) -> Spread:
-        """Return the spread of all values; zeros if there were none."""
-        if not self._seen:
-            return Spread(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
-        above = self._seen - int(np.ceil(PERCENTILE * self._seen))
-        return Spread(
-            rms=float(np.sqrt(self._squares / self._seen)),
+    def result(self) -> Statistics:
+        """Return the statistics of all values; zeros if there were none."""
+        if not self._count:
+            return Statistics(rms=0.0, p999=0.0, max=0.0, skipped=self._total)
+        above = self._count - int(np.ceil(PERCENTILE * self._count))
+        return Statistics(
+            rms=float(np.sqrt(self._squares / self._count)),
             p999=float(np.sort(self._largest)[-1 - above]),
             max=float(self._largest.max()),
-            skipped=self._total - self._seen,
+            skipped=self._total - self._count,
         )

@@ -1,4 +1,4 @@
-"""How values are spread, gathered block by block."""
+"""Statistics of values that come block by block."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.spread import Gathered
+from mixseq.statistics import RunningStatistics
 from tests.meshes import seeds
 
 
 @given(seeds, st.lists(st.integers(0, 1500), min_size=1, max_size=8), st.integers(0, 5000), st.booleans())
 @settings(max_examples=60, deadline=None)
-def test_spread_equals_brute_force(seed: int, sizes: list[int], skipped: int, ties: bool) -> None:
+def test_statistics_equals_brute_force(seed: int, sizes: list[int], skipped: int, ties: bool) -> None:
     rng = np.random.default_rng(seed)
     blocks = [rng.exponential(size=size) for size in sizes]
     if ties:
         blocks = [np.round(block, 1) for block in blocks]
     everything = np.concatenate(blocks)
-    gathered = Gathered(everything.size + skipped)
+    gathered = RunningStatistics(everything.size + skipped)
     for block in blocks:
         gathered.add(block)
     result = gathered.result()
@@ -32,8 +32,8 @@ def test_spread_equals_brute_force(seed: int, sizes: list[int], skipped: int, ti
     assert result.rms == pytest.approx(np.sqrt(np.square(everything).mean()))
 
 
-def test_spread_when_a_block_is_as_long_as_what_is_kept() -> None:
-    gathered = Gathered(1000)
+def test_statistics_when_a_block_is_as_long_as_what_is_kept() -> None:
+    gathered = RunningStatistics(1000)
     everything = np.concatenate([[9.0, 1.0], np.full(997, 2.0), [5.0]])
     for block in (everything[:2], everything[2:]):
         gathered.add(block)
@@ -41,9 +41,9 @@ def test_spread_when_a_block_is_as_long_as_what_is_kept() -> None:
 
 
 def test_what_is_not_finite_is_skipped() -> None:
-    gathered = Gathered(4)
+    gathered = RunningStatistics(4)
     gathered.add(np.array([1.0, np.nan, 3.0]))
     gathered.add(np.array([np.inf]))
     result = gathered.result()
     assert (result.max, result.p999, result.skipped) == (3.0, 3.0, 2)
-    assert Gathered(3).result().skipped == 3
+    assert RunningStatistics(3).result().skipped == 3
