@@ -1,16 +1,17 @@
-"""Old names of parameters, which work for one more version."""
+"""Old names of parameters and attributes, which work for one more version."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from mixseq.errors import SettingsError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+C = TypeVar("C", bound=type)
 
 
 def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -39,5 +40,36 @@ def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             return function(*args, **kwargs)
 
         return call
+
+    return decorate
+
+
+def renamed_attributes(**names: str) -> Callable[[C], C]:
+    """Let a data class be made and read by the old names of its attributes, with a warning that tells the new ones."""
+
+    def decorate(cls: C) -> C:
+        made: Callable[..., None] = cls.__init__  # type: ignore[misc]
+
+        @wraps(made)
+        def make(self: object, *args: Any, **kwargs: Any) -> None:
+            for old in names.keys() & kwargs.keys():
+                _tell(cls, old)
+                kwargs[names[old]] = kwargs.pop(old)  # `dataclasses.replace` gives the new name, too
+            made(self, *args, **kwargs)
+
+        def read(old: str) -> property:
+            def get(self: object) -> Any:
+                _tell(cls, old)
+                return getattr(self, names[old])
+
+            return property(get)
+
+        def _tell(cls: type, old: str) -> None:
+            warnings.warn(f"{cls.__name__}: {old} is now {names[old]}", DeprecationWarning, stacklevel=3)
+
+        cls.__init__ = make  # type: ignore[misc]
+        for old in names:
+            setattr(cls, old, read(old))
+        return cls
 
     return decorate

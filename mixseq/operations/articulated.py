@@ -48,6 +48,8 @@ FADE = 0.2
 def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """Return the model with the motion of a part in its joint scaled about its mean.
 
+    The residual layer is kept.
+
     Parameters
     ----------
     model : Model
@@ -73,6 +75,8 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
 
 def hold(model: Model, part: int, time: float, start: float, end: float, fade: float = FADE) -> Model:
     """Return the model with a part at rest against its parent, as it is at a time.
+
+    The residual layer is kept.
 
     Parameters
     ----------

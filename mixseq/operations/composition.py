@@ -11,7 +11,7 @@ and what it takes between these. Next to a kink of r, points are dense: the dist
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from mixseq.operations.retime import Retiming
 from mixseq.operations.sampling import placement_measure, sampled, shape_measure
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.signals.curve import Curve, Measure
-from mixseq.signals.model import MOST_FRAMES, Corrections, Model
+from mixseq.signals.model import MOST_FRAMES, Model, ResidualLayer
 
 ACCURACY = 2e-6
 """Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""
@@ -37,6 +37,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     """Return the model faster and slower, backwards or standing still, along a map of time.
 
     As `mixseq.operations.resample` with a `Retiming`, but the result is a model.
+    The residual layer is retimed with the signals.
 
     Parameters
     ----------
@@ -74,14 +75,9 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
     time = _composed(model, model.time, retiming, dense, shape_measure(model))
     placement = _composed(model, model.placement, retiming, dense, placement_measure(model))
-    corrections = model.corrections
-    return replace(
-        model,
-        header=model.header.with_times(frames),
-        time=time,
-        placement=placement,
-        corrections=None if corrections is None else RetimedCorrections(corrections, retiming),
-    )
+    layer = model.residual_layer
+    retimed = None if layer is None else RetimedLayer(layer, retiming)
+    return model.with_motion(time, placement, model.header.with_times(frames), retimed)
 
 
 def _frames(model: Model, retiming: Retiming) -> Float:
@@ -114,18 +110,18 @@ def _near_kinks(outputs: Float, sources: Float) -> Float:
 
 
 @dataclass(frozen=True, eq=False)
-class RetimedCorrections(PickledWithoutCaches):
-    """Corrections along a map of time.
+class RetimedLayer(PickledWithoutCaches):
+    """A residual layer along a map of time.
 
     Attributes
     ----------
-    source : Corrections
-        What they are by times of the source.
+    source : ResidualLayer
+        The layer by times of the source.
     retiming : Retiming
         The map.
     """
 
-    source: Corrections
+    source: ResidualLayer
     retiming: Retiming
 
     def at(self, times: Float) -> Float:

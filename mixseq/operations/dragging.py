@@ -43,7 +43,7 @@ def drag(
 ) -> Model:
     """Return the model with its curve in the layout pulled to a place.
 
-    Shapes change, by as little as possible; where parts are does not.
+    Shapes change, by as little as possible; where parts are does not. The residual layer is kept.
 
     Parameters
     ----------

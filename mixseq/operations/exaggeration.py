@@ -21,6 +21,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     .. math:: c_i(t) \to \bar c_i + \text{gain}\, (c_i(t) - \bar c_i)
 
     with the mean over the frames. Where parts are does not change; `exaggerate_part` does that.
+    The residual layer is kept.
 
     Parameters
     ----------

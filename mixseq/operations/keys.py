@@ -18,7 +18,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Put an edited mesh in the place of a key shape.
 
     For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: an artist takes the frame of a key,
-    reworks it, and the whole sequence follows, as much as the key is part of every frame.
+    reworks it, and the whole sequence follows, as much as the key is part of every frame. The residual layer is kept.
 
     Parameters
     ----------

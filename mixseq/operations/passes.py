@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,12 +43,10 @@ def shifted(model: Model, seconds: float) -> Model:
 def affine(model: Model, scale: float, offset: float) -> Model:
     """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
     times = scale * model.times + offset
-    return replace(
-        model,
-        header=model.header.with_times(times if scale > 0 else times[::-1]),
-        time=moved(model.time, scale, offset),
-        placement=moved(model.placement, scale, offset),
-        corrections=None,  # they are of the old times
+    return model.with_motion(
+        moved(model.time, scale, offset),
+        moved(model.placement, scale, offset),
+        model.header.with_times(times if scale > 0 else times[::-1]),
     )
 
 
@@ -66,12 +63,10 @@ def concatenated(passes: Sequence[Pass], fades: Sequence[Fade]) -> Model:
         reference = before.curve([before.end])[0]
         curve = continued(model.space, Piece(model.placement, start, end), reference)
         placements.append(Piece(curve, start, end))
-    return replace(
-        first,
-        header=first.header.with_times(frames_of(passes)),
-        time=join([Piece(model.time, start, end) for model, start, end in passes], fades),
-        placement=join(placements, fades),
-        corrections=None,  # they are of the old times
+    return first.with_motion(
+        join([Piece(model.time, start, end) for model, start, end in passes], fades),
+        join(placements, fades),
+        first.header.with_times(frames_of(passes)),
     )
 
 

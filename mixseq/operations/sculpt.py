@@ -57,6 +57,8 @@ def sculpt(
 ) -> Model:
     """Return the model with a change that was made by hand in one frame.
 
+    The residual layer is kept.
+
     Parameters
     ----------
     model : Model

@@ -29,6 +29,8 @@ MOST = 10_000
 def cut(model: Model, start: float, end: float, at: float | None = None) -> Model:
     """Return a section of a model.
 
+    The residual layer is left out.
+
     Parameters
     ----------
     model : Model
@@ -60,7 +62,7 @@ def repeat(
 
     The first pass comes from what is before the section, the last runs into what is after it, and neither of these
     changes, but for its time. Where one pass follows another, value, slope and curvature of all signals meet: what
-    they jump by is taken up within the passes.
+    they jump by is taken up within the passes. The residual layer is left out.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ def repeat(
 def loop(model: Model, fade: float | None = None) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
-    The last frame is the first one again. A part that turned by whole turns turns on.
+    The last frame is the first one again. A part that turned by whole turns turns on. The residual layer is left out.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ def into(model: Model, space: ShapeSpace) -> Model:
 
     Its frames are decoded and encoded again; between them the motion is the cubic spline in the new space. They are
     the same frames, as far as the new space tells all shapes of the mesh exactly. A model that is in the space
-    already stays as it is.
+    already stays as it is. The residual layer is encoded with the frames, so the result has none.
 
     Parameters
     ----------

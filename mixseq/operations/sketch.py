@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,7 +49,7 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
     """Return the motion that a curve in the layout of a model tells.
 
     The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame
-    shows this frame.
+    shows this frame. The residual layer is left out.
 
     Parameters
     ----------
@@ -101,7 +100,7 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
     placement = sampled(blended(model.placement(times)), drawn.times, ACCURACY, placement_measure(model))
     fps = model.header.fps
     header = model.header.with_times(np.arange(int(np.floor(duration * fps + 1e-6)) + 1) / fps)
-    return replace(model, header=header, time=time, placement=placement, corrections=None)
+    return model.with_motion(time, placement, header)
 
 
 def cardinal_weights(places: Float) -> Callable[[Float], Float]:

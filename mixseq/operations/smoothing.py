@@ -15,7 +15,7 @@ with the mean :math:`\omega` of angular velocities: quaternions are smoothed as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -42,6 +42,7 @@ def smooth(model: Model, seconds: float) -> Model:
 
     A sine of this period loses half its power. Of the amplitude, 0.13 are left at half the period, 0.97 at twice
     the period. Near the ends, over about a period, less is certain and less is smoothed.
+    The residual layer is left out.
 
     Parameters
     ----------
@@ -57,13 +58,9 @@ def smooth(model: Model, seconds: float) -> Model:
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise SettingsError(f"seconds is {seconds}; a positive period is expected")
-    return replace(
-        model,
-        time=smoothed(model.time, model.times, seconds),
-        placement=smoothed(
-            model.placement, model.times, seconds, SteadyTurn.of(model.space, model.placement)
-        ),
-        corrections=None,  # they would bring back some of what is smoothed
+    return model.with_motion(
+        smoothed(model.time, model.times, seconds),
+        smoothed(model.placement, model.times, seconds, SteadyTurn.of(model.space, model.placement)),
     )
 
 

@@ -12,6 +12,8 @@ from mixseq.signals.model import Model
 def shift(model: Model, seconds: float) -> Model:
     """Return the model with everything later by so many seconds, or earlier where they are negative.
 
+    The residual layer is left out.
+
     Raises
     ------
     SettingsError
@@ -26,6 +28,7 @@ def speed(model: Model, factor: float) -> Model:
     """Return the model so many times faster, from its start on.
 
     The frames are the same ones; `Model.sample` and `mixseq.operations.resampling` make others.
+    The residual layer is left out.
 
     Raises
     ------
@@ -38,5 +41,8 @@ def speed(model: Model, factor: float) -> Model:
 
 
 def reverse(model: Model) -> Model:
-    """Return the model backwards, from the same start to the same end."""
+    """Return the model backwards, from the same start to the same end.
+
+    The residual layer is left out.
+    """
     return affine(model, -1.0, model.start + model.end)

@@ -11,7 +11,6 @@ spline; there, and only there, the result is the spline through many points.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -43,7 +42,7 @@ def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
     """Return one model after the other.
 
     The second one starts where the first ends, in time; what value, slope and curvature of the signals jump by is
-    taken up on both sides.
+    taken up on both sides. The residual layer is left out.
 
     Parameters
     ----------
@@ -69,6 +68,8 @@ def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
 
 def transition(a: Model, b: Model, at: float, duration: float) -> Model:
     """Return the first model, which passes over into the second one.
+
+    The residual layer is left out.
 
     Parameters
     ----------
@@ -114,6 +115,8 @@ def transition(a: Model, b: Model, at: float, duration: float) -> Model:
 
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     """Return the mean of two models over the time that both have.
+
+    The residual layer is left out.
 
     Parameters
     ----------
@@ -198,10 +201,8 @@ def _mix(
         sites = refined(sites_of(np.array(ends), between(np.concatenate(inner), start, end)), parts)
         return Curve(sites, means(one(sites), other(sites), weight(sites)))
 
-    return replace(
-        a,
-        header=a.header.with_times(frames_of([Pass(a, start, end)])),
-        time=mixed(a.time, b.time, mean),
-        placement=mixed(a.placement, goes_on, partial(mean_placements, a.space)),
-        corrections=None,
+    return a.with_motion(
+        mixed(a.time, b.time, mean),
+        mixed(a.placement, goes_on, partial(mean_placements, a.space)),
+        a.header.with_times(frames_of([Pass(a, start, end)])),
     )

@@ -12,7 +12,7 @@ Where the parts of the shape are in the world is no matter of shape: the **place
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, TypeVar
 
@@ -25,6 +25,7 @@ from mixseq.mapping import Executor, on_threads, serially
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
+from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve
@@ -42,8 +43,8 @@ MOST_FRAMES = 10_000_000
 """More would be a slip of the rate or of the speed."""
 
 
-class Corrections(Protocol):
-    """Displacements of vertices over time, in the units of the sequence."""
+class ResidualLayer(Protocol):
+    """Displacements of vertices over time that are added to decoded frames, in the units of the sequence."""
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
@@ -52,6 +53,7 @@ class Corrections(Protocol):
         """Return their derivatives ``(N, V, 3)`` by time, per second."""
 
 
+@renamed_attributes(corrections="residual_layer")
 @dataclass(frozen=True, eq=False)
 class Model(PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -70,8 +72,9 @@ class Model(PickledWithoutCaches):
         The shape signal: key shapes without their placement, ``S = space.shape_dim``.
     placement : Curve
         Where the parts are: a curve of `ShapeSpace.placement_dim` coordinates.
-    corrections : Corrections, optional
-        Displacements of vertices that signals alone do not reproduce: a compressed sequence keeps its promise by them.
+    residual_layer : ResidualLayer, optional
+        Displacements that the signals alone do not reproduce: with them a compressed sequence is within its bound.
+        They belong to this motion: `dataclasses.replace` keeps them, `with_motion` does not.
 
     Raises
     ------
@@ -85,7 +88,7 @@ class Model(PickledWithoutCaches):
     pose: PoseMap
     shapes: Float
     placement: Curve
-    corrections: Corrections | None = None
+    residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shapes", frozen(np.asarray(self.shapes, dtype=np.float64)))
@@ -106,6 +109,29 @@ class Model(PickledWithoutCaches):
                     f"frames are from {self.times[0]:g} to {self.times[-1]:g} s, a signal only from "
                     f"{curve.start:g} to {curve.end:g} s"
                 )
+
+    def with_motion(
+        self,
+        time: Curve,
+        placement: Curve,
+        header: SequenceHeader | None = None,
+        residual_layer: ResidualLayer | None = None,
+    ) -> Model:
+        """Return the model with another motion through its shapes.
+
+        Parameters
+        ----------
+        time, placement : Curve
+            Its signals.
+        header : SequenceHeader, optional
+            Tells the times of its frames, if they are others.
+        residual_layer : ResidualLayer, optional
+            What is added to its frames. That of this model is not: at other times, or added to another motion, it
+            would do harm.
+        """
+        return replace(
+            self, header=header or self.header, time=time, placement=placement, residual_layer=residual_layer
+        )
 
     @property
     def times(self) -> Float:
@@ -380,11 +406,11 @@ class Model(PickledWithoutCaches):
 
 def _points(model: Model, times: Float) -> Float:
     points = model.space.decode(model.curve(times))
-    return points if model.corrections is None else points + model.corrections.at(times)
+    return points if model.residual_layer is None else points + model.residual_layer.at(times)
 
 
 def _moving_points(model: Model, times: Float) -> tuple[Float, Float]:
     points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
-    if model.corrections is None:
+    if model.residual_layer is None:
         return points, speeds
-    return points + model.corrections.at(times), speeds + model.corrections.rates(times)
+    return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)

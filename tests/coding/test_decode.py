@@ -84,8 +84,8 @@ def test_models_are_of_the_space_of_their_factors() -> None:
     trajectories, shapes = to_model(bounded()), to_model(noisy())
     assert isinstance(trajectories.space, BasisSpace)
     assert isinstance(shapes.space, VertexSpace)
-    assert trajectories.corrections is not None
-    assert shapes.corrections is None
+    assert trajectories.residual_layer is not None
+    assert shapes.residual_layer is None
     assert trajectories.space.scale == bounded().parameters.diagonal
 
 
@@ -103,7 +103,7 @@ def test_frames_are_the_same_bits_however_they_are_asked_for() -> None:
 
 def test_corrections_are_linear_between_frames() -> None:
     model = to_model(bounded())
-    corrections = model.corrections
+    corrections = model.residual_layer
     assert corrections is not None
     frames = corrections.at(model.times)
     assert frames.any()
@@ -111,12 +111,12 @@ def test_corrections_are_linear_between_frames() -> None:
         between = (1 - share) * model.times[:-1] + share * model.times[1:]
         expected = (1 - share) * frames[:-1] + share * frames[1:]
         np.testing.assert_allclose(corrections.at(between), expected, atol=1e-12)
-        alone = replace(model, corrections=None).sample(between[:20]).points
+        alone = replace(model, residual_layer=None).sample(between[:20]).points
         np.testing.assert_allclose(model.sample(between[:20]).points, alone + expected[:20], atol=1e-12)
 
 
 def test_times_that_are_nearly_frames_are_frames() -> None:
-    corrections = to_model(bounded()).corrections
+    corrections = to_model(bounded()).residual_layer
     assert corrections is not None
     times = bounded().header.times
     np.testing.assert_array_equal(corrections.at(times * (1 + 1e-15)), corrections.at(times))

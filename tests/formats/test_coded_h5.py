@@ -183,7 +183,7 @@ def test_models_in_the_basis_space_are_kept(tmp_path: Path) -> None:
         mixseq.load(tmp_path / "basis.h5")
 
 
-def test_corrections_that_are_not_stored_are_told(tmp_path: Path, bent_bar: MeshSequence) -> None:
+def test_residual_layers_that_are_not_stored_are_told(tmp_path: Path, bent_bar: MeshSequence) -> None:
     model = mixseq.fit(bent_bar, space="vertex", exact=True)
 
     class Lift:
@@ -192,8 +192,8 @@ def test_corrections_that_are_not_stored_are_told(tmp_path: Path, bent_bar: Mesh
 
         rates = at
 
-    lifted = replace(model, corrections=Lift())
-    with pytest.warns(MixseqWarning, match=r"lifted\.h5: corrections .* are not stored with signals"):
+    lifted = replace(model, residual_layer=Lift())
+    with pytest.warns(MixseqWarning, match=r"lifted\.h5: the residual layer .* is not stored with signals"):
         mixseq.save(tmp_path / "lifted.h5", lifted)
     got = mixseq.load(tmp_path / "lifted.h5").sample().points
     np.testing.assert_allclose(got, bent_bar.points, atol=1e-12)

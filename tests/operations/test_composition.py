@@ -127,12 +127,12 @@ class Rising:
         return np.asarray(2 * times[:, None, None] * self.field)
 
 
-def test_corrections_come_along() -> None:
+def test_residual_layers_come_along() -> None:
     plain = bar_motion()
-    model = replace(plain, corrections=Rising(np.ones((plain.header.vertex_count, 3))))
+    model = replace(plain, residual_layer=Rising(np.ones((plain.header.vertex_count, 3))))
     keys = [[0.0, 0.8], [1.6, 0.0]]
     found, without = retime(model, keys), retime(plain, keys)
-    assert without.corrections is None
+    assert without.residual_layer is None
     np.testing.assert_allclose(found(0.4), without(0.4) + 0.36, atol=1e-12)
     np.testing.assert_allclose(found.velocity(0.4), without.velocity(0.4) - 0.6, atol=1e-12)
     np.testing.assert_allclose(found.velocity(0.4), -0.5 * model.velocity(0.6), atol=1e-8)

@@ -64,9 +64,9 @@ def test_points_of_another_mesh_are_refused(model: Model) -> None:
         with_room(model, 0.0, np.zeros((3, 3)))
 
 
-def test_corrections_stay_with_their_times(model: Model) -> None:
-    """Where an edit changes times, corrections are left out: at other times they would do harm."""
-    times, signals = model.times, replace(model, corrections=None)
+def test_residual_layers_stay_with_their_times(model: Model) -> None:
+    """Where an edit changes times, residual layers are left out: at other times they would do harm."""
+    times, signals = model.times, replace(model, residual_layer=None)
     for edited, original in (
         (reverse(model), times[::-1]),
         (shift(model, 0.25), times),
@@ -74,7 +74,7 @@ def test_corrections_stay_with_their_times(model: Model) -> None:
     ):
         for mine, other in zip(edited.times, original, strict=True):
             np.testing.assert_allclose(edited(mine), signals(other), atol=1e-9)
-    assert model.corrections is not None
+    assert model.residual_layer is not None
 
 
 def warped() -> MeshSequence:
@@ -85,14 +85,14 @@ def warped() -> MeshSequence:
 def test_motions_of_two_files_keep_their_shapes(model: Model) -> None:
     """A basis has the shapes of its own motion; together they have those of both."""
     other = to_model(mixseq.compress(warped(), max_error=1e-2))
-    both = together(replace(model, corrections=None), replace(other, corrections=None))
+    both = together(replace(model, residual_layer=None), replace(other, residual_layer=None))
     for mine, original in zip(both, (model, other), strict=True):
-        signals = replace(original, corrections=None)
+        signals = replace(original, residual_layer=None)
         for time in (model.times[2], 0.5 * (model.times[4] + model.times[5])):
             np.testing.assert_allclose(mine(time), signals(time), atol=1e-9)
     longer = concatenate(model, other)
     np.testing.assert_allclose(
-        longer(longer.end), replace(other, corrections=None)(other.end), atol=1e-6 * model.space.scale
+        longer(longer.end), replace(other, residual_layer=None)(other.end), atol=1e-6 * model.space.scale
     )
 
 
@@ -107,8 +107,8 @@ def test_the_same_file_twice_is_one_space(model: Model) -> None:
 
 def test_a_motion_in_another_space_takes_the_first_along(model: Model) -> None:
     fitted = mixseq.fit(warped(), space="vertex", exact=True)
-    first, second = together(replace(model, corrections=None), fitted)
+    first, second = together(replace(model, residual_layer=None), fitted)
     assert first.space is second.space is fitted.space
-    signals = replace(model, corrections=None)
+    signals = replace(model, residual_layer=None)
     np.testing.assert_allclose(first(model.times[3]), signals(model.times[3]), atol=1e-9)
     np.testing.assert_allclose(second(model.times[3]), fitted(model.times[3]), atol=1e-9)

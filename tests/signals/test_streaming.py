@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq import stored, table
+from mixseq import disk_array, frame_store
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, MixseqError
 from mixseq.mapping import on_threads, serially
@@ -62,7 +62,7 @@ class Made:
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is small enough for memory."""
-    monkeypatch.setattr(table, "IN_MEMORY", 0)
+    monkeypatch.setattr(disk_array, "IN_MEMORY", 0)
 
 
 def assert_same(first: Model, second: Model) -> None:
@@ -94,7 +94,7 @@ def test_a_streamed_model_is_that_of_the_sequence(
     mixseq.write(tmp_path / "long.h5", LONG)
     with mixseq.open_sequence(tmp_path / "long.h5") as reader:
         streamed = fit(reader, workers=on_threads(3), **settings)
-    monkeypatch.setattr(table, "IN_MEMORY", 1 << 30)
+    monkeypatch.setattr(disk_array, "IN_MEMORY", 1 << 30)
     assert_same(streamed, fit(LONG, workers=serially, **settings))
 
 
@@ -103,7 +103,7 @@ def test_a_streamed_model_is_that_of_the_sequence(
 def test_blocks_do_not_matter(name: str, placement: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     models = []
     for frames in (1, 2, 100):
-        monkeypatch.setattr(stored, "_AT_ONCE", (frames, 1 << 20))
+        monkeypatch.setattr(frame_store, "_AT_ONCE", (frames, 1 << 20))
         models.append(fit(SEQUENCES[name](), exact=True, placement=placement))
     assert_same(models[0], models[1])
     assert_same(models[0], models[2])
@@ -122,7 +122,7 @@ def test_files_of_every_kind_stream(name: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        table, "_COLUMNS", 64
+        disk_array, "_COLUMNS", 64
     )  # blocks of columns are bounded, but for longer sequences than these
     still = bar(sides=20, rings=60, frames=1)
     most = []

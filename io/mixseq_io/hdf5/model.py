@@ -71,8 +71,8 @@ def save(path: PathLike, model: Model | Coded) -> None:
     path : path-like
         The file; an existing one is replaced when the new one is complete.
     model : Model or Coded
-        What to store; nothing is lost but the corrections of a compressed model that was loaded, which is told in a
-        `MixseqWarning`.
+        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is told in
+        a `MixseqWarning`.
 
     Raises
     ------
@@ -89,10 +89,10 @@ def save(path: PathLike, model: Model | Coded) -> None:
             store.check()
         return
     space = storable(model.space)
-    if model.corrections is not None:
+    if model.residual_layer is not None:
         warnings.warn(
-            f"{target}: corrections of a compressed model are not stored with signals; frames may be off by more than "
-            "its bound",
+            f"{target}: the residual layer of a compressed model is not stored with signals; frames may be off by more "
+            "than its bound",
             MixseqWarning,
             stacklevel=2,
         )
