@@ -1,9 +1,9 @@
-"""Which point of one mesh is which point of another.
+"""Find which point of one mesh is which point of another.
 
-`markers` are pairs of vertices that a person has set, `dense` is the whole map that all others work with. `correspond`
-makes one of the other: `checks` asks whether the markers can be meant as they are (`suspects`, `sides`, `thin_plate`:
-which of them do not fit the others; `orientation`: which mesh is inside out), `pairing` which components belong
-together, `registration` bends the source onto the target (`similarity`, `energy`, `fitting`), `matching` finds closest
-points there, `quality` measures them. `given` makes maps of those that others have made (`completing` what these
-leave out).
+`correspond` is the way in: it takes `markers`, pairs of vertices that a person has set, to a `dense` correspondence,
+which everything else works with. `checks` refuses markers that cannot be meant as they are, and warns of those that do
+not fit the others (`outliers`); `orientation` refuses meshes that are inside out. `registration` deforms the source
+until it lies on the target (`energy`), `matching` finds closest points there, `quality` measures them.
+`map_completion` takes the maps that others have made. All work on a `triangle_mesh`. Nothing here uses `decimation`:
+it thins out meshes for those who want to try on small ones.
 """

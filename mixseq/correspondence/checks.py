@@ -1,4 +1,4 @@
-r"""Checks of what is given: markers that cannot be meant as they are; meshes inside out are for `orientation`.
+r"""Check markers: refuse those that cannot be meant as they are, and warn of those that seem wrong.
 
 Of a set of markers, three questions are asked.
 
@@ -6,9 +6,9 @@ Of a set of markers, three questions are asked.
 that the best similarity leaves is :math:`1 - (\sigma_1 + \sigma_2 \pm \sigma_3)^2 / (\|X\|^2 \|Y\|^2)`, where the
 sign tells rotations from reflections (Umeyama 1991).
 
-*Exchanged?* Two markers are left out, and a thin-plate spline through the others (`mixseq.correspondence.thin_plate`)
+*Exchanged?* Two markers are left out, and a thin-plate spline through the others (`mixseq.correspondence.outliers`)
 says where they should be. They are exchanged if that fits far better the other way round. The best pair is exchanged,
-and the question asked again. Then it is asked for groups of markers (`mixseq.correspondence.sides`).
+and the question asked again. Then it is asked for groups of markers.
 
 *Wrong?* The same with one marker at a time.
 
@@ -26,15 +26,15 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.sides import exchanged_groups
-from mixseq.correspondence.suspects import (
+from mixseq.correspondence.outliers import (
     FEWEST_COMPARED,
     NOTHING,
     STRIKING,
+    Bending,
+    exchanged_groups,
     exchanged_pairs,
     wrong_markers,
 )
-from mixseq.correspondence.thin_plate import Bending
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 

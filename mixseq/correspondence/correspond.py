@@ -1,4 +1,4 @@
-"""From markers to a dense correspondence: register, match, and say how good it is."""
+"""Find a dense correspondence from markers: register, match, and measure how good it is."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 
 from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.markers import Markers, Pairing, pair_components
 from mixseq.correspondence.matching import MatchingSettings, match
 from mixseq.correspondence.orientation import check_facing, check_orientation
-from mixseq.correspondence.pairing import Pairing, pair_components
 from mixseq.correspondence.quality import Quality, assess
 from mixseq.correspondence.registration import RegistrationSettings, register
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence
@@ -117,14 +116,14 @@ def _assessed(
         raise SettingsError(
             f"the source has no frame {rest}; the rest pose is one of 0 ... {source.frame_count - 1}"
         )
-    start, goal = _surface(source, rest, "source"), _surface(target, 0, "target")
+    start, goal = _mesh(source, rest, "source"), _mesh(target, 0, "target")
     check_markers(markers, start.points, goal.points, start.topology, goal.topology)
     pairings = pair_components(start.topology, goal.topology, markers)
     _check_areas(start, goal, pairings)
     check_orientation(start.points, start.faces, goal.points, goal.faces)
     points = register(start, goal, pairings, markers, settings.registration, progress).points
     check_facing(points, start.faces, goal.points, goal.faces)
-    registered = Surface(points, start.topology)
+    registered = TriangleMesh(points, start.topology)
     matches = match(registered, goal, pairings, settings.matching)
     quality = assess(registered, goal, pairings, markers, matches, settings.matching)
     _warn_of(quality, matches.correspondence)
@@ -151,18 +150,18 @@ def _warn_of(quality: Quality, correspondence: Correspondence) -> None:
             )
 
 
-def _check_areas(source: Surface, target: Surface, pairings: tuple[Pairing, ...]) -> None:
+def _check_areas(source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pairing, ...]) -> None:
     """There must be a surface to be fitted, and one to be fitted to; it should be most of the mesh."""
-    for what, surface, chosen in (
+    for what, mesh, chosen in (
         ("source", source, [pairing.source_faces for pairing in pairings]),
         ("target", target, [pairing.target_faces for pairing in pairings]),
     ):
-        marked = float(surface.face_areas[np.concatenate(chosen)].sum())
+        marked = float(mesh.face_areas[np.concatenate(chosen)].sum())
         if not marked > 0:
             raise SettingsError(
                 f"all markers of the {what} are on components whose triangles have no area; mark vertices of others"
             )
-        share = marked / float(surface.face_areas.sum())
+        share = marked / float(mesh.face_areas.sum())
         if share < LITTLE:
             warnings.warn(
                 f"components with markers are only {100 * share:.0f} % of the {what}'s area, and all others follow "
@@ -172,8 +171,8 @@ def _check_areas(source: Surface, target: Surface, pairings: tuple[Pairing, ...]
             )
 
 
-def _surface(sequence: MeshSequence, frame: int, what: str) -> Surface:
+def _mesh(sequence: MeshSequence, frame: int, what: str) -> TriangleMesh:
     if not len(sequence.faces):
         raise SettingsError(f"the {what} has no faces; a correspondence is between surfaces")
     points = np.asarray(sequence.points[frame], dtype=np.float64)
-    return Surface(points, Topology(sequence.faces, sequence.vertex_count))
+    return TriangleMesh(points, Topology(sequence.faces, sequence.vertex_count))

@@ -1,4 +1,4 @@
-r"""How smoothly a mesh is deformed, and what pulls on it: the energy of a non-rigid registration.
+r"""Deform a mesh as smoothly as possible under soft constraints: the energy of a non-rigid registration.
 
 Every vertex i has a new position p_i and an affine map A_i of its neighbourhood, both unknown (Amberg, Romdhani and
 Vetter 2007, in the form of embedded deformation, Sumner, Schmid and Pauly 2007, which does not depend on the origin).
@@ -10,11 +10,12 @@ With edges :math:`e_{ij} = x_j - x_i`,
         + \sum_t b_t \Bigl\| \sum_k \beta_{tk} p_{tk} - y_t \Bigr\|^2 .
 
 In brackets: neighbours move together, maps change slowly, and they are near given similarities :math:`S_i`. The last
-sum is the pulls: points between corners of the mesh are drawn to goals y. Areas a add to one and :math:`w_{ij}` is the
-area about an edge by half its squared length, so that E hardly depends on how finely the mesh is sampled.
+sum is soft constraints: points between corners of the mesh are drawn to goals y, with weights b. Areas a add to one
+and :math:`w_{ij}` is the area about an edge by half its squared length, so that E hardly depends on how finely the mesh
+is sampled.
 
-E is quadratic, and its matrix is the same for the three coordinates. Pulls are on corners of one triangle, which edges
-join already, so its pattern never changes: it is analysed once.
+E is quadratic, and its matrix is the same for the three coordinates. Constraints are on corners of one triangle, which
+edges join already, so its pattern never changes: it is analysed once.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.arrays import Float, Index
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.solvers import Analysis, analyse
 
@@ -39,25 +40,25 @@ _LEAST_AREA = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Pull:
-    """Points of a mesh that are drawn to goals.
+class SoftConstraints:
+    """Points of a mesh that are drawn to goals: soft position constraints.
 
     Attributes
     ----------
     corners : (n, k) int64
         Vertices that the points are between: one, or the corners of a triangle.
-    weights : (n, k) float64
-        Their weights.
+    barycentric : (n, k) float64
+        Their weights in the point, which add to one.
     goals : (n, 3) float64
         Where the points should be.
-    strengths : (n,) float64
-        How strongly.
+    weights : (n,) float64
+        Weights of the squared distances from there.
     """
 
     corners: Index
-    weights: Float
+    barycentric: Float
     goals: Float
-    strengths: Float
+    weights: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ class Energy:
 
     Attributes
     ----------
-    surface : Surface
+    mesh : TriangleMesh
         The mesh before it is deformed, in a unit of about its size.
     bending : float
         The length over which maps are alike.
@@ -74,24 +75,24 @@ class Energy:
         The weight of similarities against affine maps.
     """
 
-    surface: Surface
+    mesh: TriangleMesh
     bending: float
     shear: float
 
     @cached_property
     def areas(self) -> Float:
         """Areas ``(V,)`` about the vertices; they add to one, but for what those without area get."""
-        areas = self.surface.vertex_areas
+        areas = self.mesh.vertex_areas
         return np.asarray(np.maximum(areas / areas.sum(), _LEAST_AREA / len(areas)))
 
     @cached_property
     def _matrix(self) -> sparse.csc_array:
         """Lower triangle ``(4 V, 4 V)`` of what the stiffness multiplies; vertex i has p_i and a row of A_i."""
-        x = self.surface.points
-        i, j = self.surface.topology.edges.T
+        x = self.mesh.points
+        i, j = self.mesh.topology.edges.T
         # Twice a third of the areas at an edge, by its squared length.
-        weights = 2 * self.surface.edge_areas / np.maximum(self.surface.squared_lengths, 1e-20)
-        weights = np.clip(weights, *_EDGE_WEIGHTS) / self.surface.vertex_areas.sum()
+        weights = 2 * self.mesh.edge_areas / np.maximum(self.mesh.squared_lengths, 1e-20)
+        weights = np.clip(weights, *_EDGE_WEIGHTS) / self.mesh.vertex_areas.sum()
         together = [
             [(4 * b, 1.0), (4 * a, -1.0), *((4 * a + 1 + d, x[a, d] - x[b, d]) for d in range(3))]
             for a, b in ((i, j), (j, i))
@@ -118,7 +119,9 @@ class Energy:
         columns = np.repeat(np.arange(size), np.diff(self._matrix.indptr))
         return np.asarray(columns * size + self._matrix.indices)
 
-    def minimise(self, stiffness: float, maps: Float, pulls: list[Pull]) -> tuple[Float, Float]:
+    def minimise(
+        self, stiffness: float, maps: Float, constraints: list[SoftConstraints]
+    ) -> tuple[Float, Float]:
         r"""Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy.
 
         Parameters
@@ -127,8 +130,8 @@ class Energy:
             :math:`\alpha`.
         maps : (V, 3, 3) float64
             Maps whose nearest similarities are wanted.
-        pulls : list of Pull
-            What pulls; on every component of the mesh something must.
+        constraints : list of SoftConstraints
+            What draws the mesh; every component needs one.
 
         Raises
         ------
@@ -140,18 +143,18 @@ class Energy:
         right = np.zeros((count, 4, 3))
         wanted = nearest_similarities(maps).transpose(0, 2, 1)
         right[:, 1:] = stiffness * self.shear * self.areas[:, None, None] * wanted
-        for pull in pulls:
-            drawn = pull.weights * pull.strengths[:, None]
-            for k in range(pull.corners.shape[1]):
-                at = pull.corners[:, k]
+        for each in constraints:
+            weighted = each.barycentric * each.weights[:, None]
+            for k in range(each.corners.shape[1]):
+                at = each.corners[:, k]
                 for c in range(3):
-                    right[:, 0, c] += np.bincount(at, drawn[:, k] * pull.goals[:, c], minlength=count)
-                for other in range(pull.corners.shape[1]):
-                    lower = np.flatnonzero(at >= pull.corners[:, other])
+                    right[:, 0, c] += np.bincount(at, weighted[:, k] * each.goals[:, c], minlength=count)
+                for other in range(each.corners.shape[1]):
+                    lower = np.flatnonzero(at >= each.corners[:, other])
                     places = np.searchsorted(
-                        self._keys, 4 * pull.corners[lower, other] * size + 4 * at[lower]
+                        self._keys, 4 * each.corners[lower, other] * size + 4 * at[lower]
                     )
-                    products = drawn[lower, k] * pull.weights[lower, other]
+                    products = weighted[lower, k] * each.barycentric[lower, other]
                     values += np.bincount(places, products, minlength=len(values))
         solution = self._analysis.factor(values).solve(right.reshape(size, 3)).reshape(count, 4, 3)
         return solution[:, 0].copy(), solution[:, 1:].transpose(0, 2, 1).copy()

@@ -1,4 +1,12 @@
-"""Markers: pairs of vertices, one on the source and one on the target, that a person says are the same."""
+r"""Markers: pairs of vertices, one on the source and one on the target, that a person says are the same point.
+
+Two things follow from them alone: which components of the meshes belong together (`pair_components`), and the
+similarity between the meshes (`fit_similarity`; Umeyama 1991). That is the rotation R, scale s and translation t that
+minimise :math:`\sum_k \|s R x_k + t - y_k\|^2`. R is that of the best rigid motion, a proper rotation, and with points
+about their centroids
+
+.. math:: s = \frac{\sum_k y_k \cdot R x_k}{\sum_k \|x_k\|^2} .
+"""
 
 from __future__ import annotations
 
@@ -8,8 +16,10 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Index
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
+from mixseq.geometry.rigid import kabsch
+from mixseq.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,3 +77,85 @@ class Markers:
         name = self.names[number] if self.names else ""
         called = f"'{name}'" if name else f"{number + 1}"
         return f"{called} ({self.source[number]} -> {self.target[number]})"
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Components of a source and of a target that markers join: shoes and shoes, a body and a body.
+
+    Attributes
+    ----------
+    source_faces, target_faces : (n,) int64
+        Triangles of these components.
+    source_vertices, target_vertices : (n,) int64
+        Their vertices.
+    """
+
+    source_faces: Index
+    target_faces: Index
+    source_vertices: Index
+    target_vertices: Index
+
+
+def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
+    """Join components by markers.
+
+    A component is in the pairing of all components that markers join it to, directly or through others; without a
+    marker it is in none.
+    """
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    own = source.component_of_vertex.astype(np.int64)
+    others = target.component_of_vertex.astype(np.int64) + len(np.unique(own))
+    size = int(others.max(initial=-1)) + 1
+    ends = own[markers.source], others[markers.target]
+    graph = sparse.coo_array((np.ones(len(markers)), ends), shape=(size, size))
+    joined = csgraph.connected_components(graph, directed=False)[1]
+    pairings = []
+    for number in np.unique(joined[ends[0]]):
+        vertices = [np.flatnonzero(joined[component] == number) for component in (own, others)]
+        faces = [
+            np.flatnonzero(joined[component[topology.faces[:, 0]]] == number)
+            for topology, component in ((source, own), (target, others))
+        ]
+        pairings.append(Pairing(faces[0], faces[1], vertices[0], vertices[1]))
+    return tuple(pairings)
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """The map ``x -> scale * rotation x + translation``.
+
+    Attributes
+    ----------
+    scale : float
+    rotation : (3, 3) float64
+    translation : (3,) float64
+    """
+
+    scale: float
+    rotation: Float
+    translation: Float
+
+    def __call__(self, points: Float) -> Float:
+        """Move points ``(..., 3)``."""
+        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+
+
+def fit_similarity(source: Float, target: Float) -> Similarity:
+    """Find the similarity that best moves points ``(n, 3)`` onto others.
+
+    Raises
+    ------
+    SettingsError
+        If the points of either side are all in one place.
+    """
+    rotation, _ = kabsch(source, target)
+    from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
+    x, y = (source - from_centre) @ rotation.T, target - to_centre
+    spread, shared = float(np.sum(x * x)), float(np.sum(x * y))
+    if not (spread > 0 and shared > 0):
+        raise SettingsError("the markers are all in one place; mark points all over the meshes")
+    scale = shared / spread
+    return Similarity(scale, rotation, to_centre - scale * rotation @ from_centre)

@@ -1,4 +1,4 @@
-"""From a registered source to a dense correspondence: every target vertex and triangle gets the closest point there.
+"""Match a target to a registered source: every vertex and triangle gets the closest point there.
 
 A closest point counts if the surfaces face the same way there and it is near enough: where two legs touch, the sides
 that face each other have opposite normals, and each finds its own. What finds nothing takes over what the nearest of
@@ -16,8 +16,8 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index, Mask
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.pairing import Pairing
-from mixseq.correspondence.surfaces import Part, Surface
+from mixseq.correspondence.markers import Pairing
+from mixseq.correspondence.triangle_mesh import ClosestPoints, TriangleMesh
 from mixseq.errors import SettingsError
 
 
@@ -64,8 +64,8 @@ class Matches:
 
 
 def match(
-    registered: Surface,
-    target: Surface,
+    registered: TriangleMesh,
+    target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     settings: MatchingSettings | None = None,
 ) -> Matches:
@@ -73,9 +73,9 @@ def match(
 
     Parameters
     ----------
-    registered : Surface
+    registered : TriangleMesh
         The source, deformed to lie on the target.
-    target : Surface
+    target : TriangleMesh
         The target.
     pairings : tuple of Pairing
         Which components may match.
@@ -84,20 +84,20 @@ def match(
     """
     settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
-    # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the surface.
+    # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the mesh.
     queries = np.concatenate([target.points, target.centroids])
     normals = np.concatenate([target.vertex_normals, target.face_normals])
     faces, weights = np.full(len(queries), -1), np.zeros((len(queries), 3))
     distances = np.full(len(queries), np.inf)
-    parts = [
+    searches = [
         (
-            Part(registered, pairing.source_faces),
+            ClosestPoints(registered, pairing.source_faces),
             np.concatenate([pairing.target_vertices, vertex_count + pairing.target_faces]),
         )
         for pairing in pairings
     ]
-    for part, own in parts:
-        found = part.closest(queries[own], normals[own], settings.largest_angle)
+    for search, own in searches:
+        found = search.query(queries[own], normals[own], settings.largest_angle)
         near = found.distances <= settings.largest_distance * target.diagonal
         close = own[near]
         faces[close], weights[close] = found.faces[near], found.weights[near]
@@ -108,10 +108,10 @@ def match(
         nearest = _nearest_along(graph, np.flatnonzero(kind & found_themselves))
         filled = np.flatnonzero(kind & (nearest >= 0))
         faces[filled], weights[filled] = faces[nearest[filled]], weights[nearest[filled]]
-    for part, own in parts:  # components of which nothing is near: anything is better than nothing
-        lost = own[faces[own] < 0]
-        found = part.closest(queries[lost])
-        faces[lost], weights[lost] = found.faces, found.weights
+    for search, own in searches:  # components of which nothing is near: anything is better than nothing
+        left = own[faces[own] < 0]
+        found = search.query(queries[left])
+        faces[left], weights[left] = found.faces, found.weights
     on = faces[:vertex_count]
     corners = np.where(on[:, None] >= 0, registered.faces[on], -1)
     correspondence = Correspondence(
@@ -130,16 +130,16 @@ def match(
     )
 
 
-def _surface_graph(surface: Surface) -> sparse.csr_array:
+def _surface_graph(mesh: TriangleMesh) -> sparse.csr_array:
     """Return distances along a surface: a graph of its vertices and, after them, its triangles."""
-    count = len(surface.points)
-    i, j = surface.topology.edges.T
-    corner, face = surface.faces.reshape(-1), np.repeat(np.arange(len(surface.faces)), 3)
-    to_centre = np.linalg.norm(surface.points[corner] - surface.centroids[face], axis=1)
-    lengths = np.concatenate([np.sqrt(surface.squared_lengths), to_centre])
+    count = len(mesh.points)
+    i, j = mesh.topology.edges.T
+    corner, face = mesh.faces.reshape(-1), np.repeat(np.arange(len(mesh.faces)), 3)
+    to_centre = np.linalg.norm(mesh.points[corner] - mesh.centroids[face], axis=1)
+    lengths = np.concatenate([np.sqrt(mesh.squared_lengths), to_centre])
     # Stored zeros are no edges to csgraph: vertices in one place are a hair apart.
-    lengths = np.maximum(lengths, 1e-12 * surface.diagonal)
-    size = count + len(surface.faces)
+    lengths = np.maximum(lengths, 1e-12 * mesh.diagonal)
+    size = count + len(mesh.faces)
     ends = np.concatenate([i, corner]), np.concatenate([j, count + face])
     half = sparse.coo_array((lengths, ends), shape=(size, size))
     return half.tocsr()
@@ -155,8 +155,8 @@ def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
     return np.maximum(nearest, -1).astype(np.int64)
 
 
-def _leaders(target: Surface, matched: Mask) -> Index:
+def _leaders(target: TriangleMesh, matched: Mask) -> Index:
     """Return every vertex itself, but for components without a match the matched vertex that is nearest to them."""
-    leaders, lost = np.arange(len(target.points)), np.flatnonzero(~matched)
-    leaders[lost] = target.anchors(lost, np.flatnonzero(matched))
+    leaders, open_vertices = np.arange(len(target.points)), np.flatnonzero(~matched)
+    leaders[open_vertices] = target.nearest_by_component(open_vertices, np.flatnonzero(matched))
     return leaders

@@ -1,4 +1,4 @@
-r"""Inside out: whether the triangles of a source and of a target run around their outsides the same way.
+r"""Refuse meshes that are inside out: the triangles of source and target must run around the outside the same way.
 
 A closed component encloses the volume :math:`\frac16 \sum_t a_t \cdot (b_t \times c_t)`, negative if its triangles run
 clockwise seen from outside. Holes make it depend on the origin, by the sum of the vector areas: the sign of a component
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 
@@ -28,7 +28,7 @@ _CURE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip t
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class Orientation:
     """Which way components face.
 
     Attributes
@@ -51,25 +51,25 @@ class Sides:
         return int(np.sign(self.areas @ self.signs))
 
 
-def sides(points: FloatArray, faces: IntArray) -> Sides:
+def orientation(points: FloatArray, faces: IntArray) -> Orientation:
     """Find which way the components of a mesh of points ``(V, 3)`` and triangles ``(F, 3)`` face."""
-    surface = Surface(np.asarray(points, np.float64), Topology(faces, len(points)))
-    component = surface.topology.component_of_face
+    mesh = TriangleMesh(np.asarray(points, np.float64), Topology(faces, len(points)))
+    component = mesh.topology.component_of_face
     count = int(component.max(initial=-1)) + 1
-    corners = surface.points[surface.faces]
+    corners = mesh.points[mesh.faces]
     lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(lowest, component, corners.min(axis=1))
     np.maximum.at(highest, component, corners.max(axis=1))
     # About the centre of its box the volume of a component is rounded least.
     a, b, c = np.moveaxis(corners - ((lowest + highest) / 2)[component, None], 1, 0)
     volumes = np.bincount(component, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
-    open_area = [np.bincount(component, surface.vectors[:, axis], count) for axis in range(3)]
+    open_area = [np.bincount(component, mesh.vectors[:, axis], count) for axis in range(3)]
     diagonals = np.linalg.norm(highest - lowest, axis=1)
     doubt = np.linalg.norm(open_area, axis=0) * diagonals / 6 + NO_VOLUME * diagonals**3
     signs = np.where(np.abs(volumes) > doubt, np.sign(volumes), 0).astype(np.int64)
     first = np.unique(component, return_index=True)[1]
-    areas = np.bincount(component, surface.face_areas, count).astype(np.float64)
-    return Sides(first, areas, signs)
+    areas = np.bincount(component, mesh.face_areas, count).astype(np.float64)
+    return Orientation(first, areas, signs)
 
 
 def check_orientation(
@@ -97,7 +97,7 @@ def check_orientation(
     MixseqWarning
         If single components of the target are inside out.
     """
-    source, target = sides(source_points, source_faces), sides(target_points, target_faces)
+    source, target = orientation(source_points, source_faces), orientation(target_points, target_faces)
     if source.sign * target.sign == -1:
         which = "target" if target.sign < 0 else "source"
         raise SettingsError(f"the {which} is inside out, its volume is negative; {_CURE}")
@@ -132,7 +132,7 @@ def check_facing(
     SettingsError
         If most of the target, by area, faces the other way than what is closest.
     """
-    if sides(registered, source_faces).sign * sides(target_points, target_faces).sign != 0:
+    if orientation(registered, source_faces).sign * orientation(target_points, target_faces).sign != 0:
         return  # `check_orientation` knows better
     share = _against(registered, source_faces, target_points, target_faces)
     if share > 0.5:
@@ -148,8 +148,8 @@ def _against(
     """Share of a target's area whose normals are opposite to those of the closest triangles of a source."""
     from mixseq.geometry.nearest import Nearest
 
-    fitted = Surface(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
-    target = Surface(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
+    fitted = TriangleMesh(np.asarray(registered, np.float64), Topology(source_faces, len(registered)))
+    target = TriangleMesh(np.asarray(target_points, np.float64), Topology(target_faces, len(target_points)))
     found = Nearest.of(fitted.points, fitted.faces).query(target.centroids)
     opposite = np.einsum("fi,fi->f", fitted.face_normals[found.faces], target.face_normals) < 0
     return float(target.face_areas[opposite].sum() / max(target.face_areas.sum(), np.finfo(float).tiny))

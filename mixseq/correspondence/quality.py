@@ -1,4 +1,4 @@
-"""How good a correspondence is: what is covered, how far, how many faces are flipped, which markers were missed."""
+"""Measure how good a correspondence is: coverage, distances, flipped triangles, markers that were missed."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.markers import Markers, Pairing
 from mixseq.correspondence.matching import Matches, MatchingSettings
-from mixseq.correspondence.pairing import Pairing
-from mixseq.correspondence.surfaces import Part, Surface
+from mixseq.correspondence.triangle_mesh import ClosestPoints, TriangleMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +55,8 @@ class Quality:
 
 
 def assess(
-    registered: Surface,
-    target: Surface,
+    registered: TriangleMesh,
+    target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     markers: Markers,
     matches: Matches,
@@ -69,8 +68,8 @@ def assess(
     covered = 0.0
     for pairing in pairings:
         own = pairing.source_faces
-        goal = Part(target, pairing.target_faces)
-        found = goal.closest(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
+        goal = ClosestPoints(target, pairing.target_faces)
+        found = goal.query(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
         near = found.distances <= settings.largest_distance * size
         covered += float(registered.face_areas[own[near]].sum())
     # One zero if nothing was found, which the coverage tells.
@@ -78,7 +77,7 @@ def assess(
         matches.distances[matches.found_vertices] / size if matches.found_vertices.any() else np.zeros(1)
     )
     mapped = correspondence.faces >= 0
-    agreement = np.einsum(
+    cosines = np.einsum(
         "fc,fc->f", target.face_normals[mapped], registered.face_normals[correspondence.faces[mapped]]
     )
     first = target.faces[:, 0]
@@ -90,7 +89,7 @@ def assess(
         float(distances.mean()),
         float(np.percentile(distances, 99)),
         float(distances.max()),
-        int((agreement < 0).sum()),
+        int((cosines < 0).sum()),
         int((correspondence.matched & ~matches.found_vertices).sum()),
         int((mapped & ~matches.found_faces).sum()),
         len(np.unique(following)),

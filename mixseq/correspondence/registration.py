@@ -1,7 +1,8 @@
-r"""Non-rigid registration: a source mesh deformed until it lies on a target, led by markers.
+r"""Deform a source mesh until it lies on a target, led by markers: non-rigid registration.
 
 First the similarity between the markers (Umeyama 1991); then the `Energy` of a deformation is minimised for falling
-stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface Registration*). What pulls:
+stiffness (Amberg, Romdhani, Vetter 2007, *Optimal Step Nonrigid ICP Algorithms for Surface Registration*). What draws
+the source there:
 
 - the markers, first alone, then all the time;
 - every source vertex is drawn to the closest point of the target that faces the same way;
@@ -15,18 +16,17 @@ On horse to camel and cat to lion this takes no longer than trimesh's `nricp_sum
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.correspondence.energy import Energy
-from mixseq.correspondence.fitting import Fitting
-from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.pairing import Pairing
-from mixseq.correspondence.similarity import Similarity, fit_similarity
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.energy import Energy, SoftConstraints
+from mixseq.correspondence.markers import Markers, Pairing, Similarity, fit_similarity
+from mixseq.correspondence.triangle_mesh import ClosestPoints, TriangleMesh
 from mixseq.errors import SettingsError
 from mixseq.progress import Progress, silent
+from mixseq.topology import Topology
 
 _BEGINNING = 3  # minimisations with markers alone, ours: similarities follow from the maps before
 
@@ -50,7 +50,7 @@ class RegistrationSettings:
     markers : float
         Weight of all markers together; that of either surface is 1.
     largest_angle : float
-        Closest points whose normals differ by more, in degrees, do not pull.
+        Closest points whose normals differ by more, in degrees, do not count.
     largest_distance, last_distance : float
         Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
     """
@@ -89,7 +89,7 @@ class Registration:
     similarity : Similarity
         The motion and scaling that it began with.
     residuals : (steps * rounds,) float64
-        Root mean square of the distances of source vertices to what pulled them, in diagonals of the target.
+        Root mean square of the distances of source vertices to what drew them, in diagonals of the target.
     """
 
     points: Float
@@ -98,8 +98,8 @@ class Registration:
 
 
 def register(
-    source: Surface,
-    target: Surface,
+    source: TriangleMesh,
+    target: TriangleMesh,
     pairings: tuple[Pairing, ...],
     markers: Markers,
     settings: RegistrationSettings | None = None,
@@ -109,7 +109,7 @@ def register(
 
     Parameters
     ----------
-    source, target : Surface
+    source, target : TriangleMesh
         Two meshes in similar poses.
     pairings : tuple of Pairing
         Which components belong together, from `pair_components`; only these are drawn to each other. Other components
@@ -130,37 +130,144 @@ def register(
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
     # In diagonals of the target, about its centre: far from the origin digits would be lost.
     size, centre = target.diagonal, target.centroids.mean(axis=0)
-    moved = Surface((similarity(source.points) - centre) / size, source.topology)
-    goal = Surface((target.points - centre) / size, target.topology)
-    fitting = Fitting.of(moved, goal, pairings, markers, settings.markers)
-    energy = Energy(fitting.surface, settings.bending, settings.shear)
-    maps = np.broadcast_to(np.eye(3), (len(fitting.vertices), 3, 3))
+    moved = TriangleMesh((similarity(source.points) - centre) / size, source.topology)
+    goal = TriangleMesh((target.points - centre) / size, target.topology)
+    fit = DataTerm.of(moved, goal, pairings, markers, settings.markers)
+    energy = Energy(fit.mesh, settings.bending, settings.shear)
+    maps = np.broadcast_to(np.eye(3), (len(fit.vertices), 3, 3))
     rounds = settings.steps * settings.rounds
     work = _BEGINNING + rounds
     for k in range(_BEGINNING):
         progress(k, work, "registering")
-        points, maps = energy.minimise(settings.stiffest, maps, [fitting.held])
+        points, maps = energy.minimise(settings.stiffest, maps, [fit.markers])
     residuals = []
     strengths = np.geomspace(settings.stiffest, settings.softest, settings.steps)
     reaches = np.linspace(settings.largest_distance, settings.last_distance, settings.steps)
     for k in range(rounds):
         progress(_BEGINNING + k, work, "registering")
         step = k // settings.rounds
-        pulls, residual = fitting.pulls(points, settings.largest_angle, float(reaches[step]))
-        points, maps = energy.minimise(float(strengths[step]), maps, pulls)
+        constraints, residual = fit.constraints(points, settings.largest_angle, float(reaches[step]))
+        points, maps = energy.minimise(float(strengths[step]), maps, constraints)
         residuals.append(residual)
     progress(work, work, "registering")
-    whole = _carried(moved, fitting.vertices, points, maps)
+    whole = _with_the_rest(moved, fit.vertices, points, maps)
     return Registration(whole * size + centre, similarity, np.array(residuals))
 
 
-def _carried(source: Surface, vertices: Index, points: Float, maps: Float) -> Float:
+def _with_the_rest(source: TriangleMesh, vertices: Index, points: Float, maps: Float) -> Float:
     """All vertices ``(V, 3)``; components that were not fitted go with the map of the nearest fitted vertex."""
     x = source.points
     result = x.copy()
     result[vertices] = points
     others = np.setdiff1d(np.arange(len(x)), vertices)
-    anchors = source.anchors(others, vertices)
-    k = np.searchsorted(vertices, anchors)
-    result[others] = points[k] + np.einsum("nij,nj->ni", maps[k], x[others] - x[anchors])
+    nearest = source.nearest_by_component(others, vertices)
+    k = np.searchsorted(vertices, nearest)
+    result[others] = points[k] + np.einsum("nij,nj->ni", maps[k], x[others] - x[nearest])
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class DataTerm:
+    """The components of a source that are fitted, as a mesh of their own, and what draws them to the target.
+
+    Attributes
+    ----------
+    vertices : (n,) int64
+        Its vertices, ascending, as numbered in the source.
+    mesh : TriangleMesh
+        That mesh before it is deformed.
+    target : TriangleMesh
+        The target.
+    pairings : tuple of Pairing
+        What belongs together, with the source's vertices and triangles numbered as in that mesh.
+    markers : SoftConstraints
+        The markers.
+    """
+
+    vertices: Index
+    mesh: TriangleMesh
+    target: TriangleMesh
+    pairings: tuple[Pairing, ...]
+    markers: SoftConstraints
+
+    @classmethod
+    def of(
+        cls,
+        source: TriangleMesh,
+        target: TriangleMesh,
+        pairings: tuple[Pairing, ...],
+        markers: Markers,
+        weight: float,
+    ) -> DataTerm:
+        """Cut out of a source what belongs to the target; the weight is that of all markers together."""
+        vertices = np.unique(np.concatenate([p.source_vertices for p in pairings]))
+        row = np.full(len(source.points), -1)
+        row[vertices] = np.arange(len(vertices))
+        chosen = np.unique(np.concatenate([p.source_faces for p in pairings]))
+        topology = Topology(row[source.faces[chosen]], len(vertices))
+        own = tuple(
+            Pairing(
+                np.searchsorted(chosen, p.source_faces),
+                p.target_faces,
+                row[p.source_vertices],
+                p.target_vertices,
+            )
+            for p in pairings
+        )
+        held = SoftConstraints(
+            row[markers.source][:, None],
+            np.ones((len(markers), 1)),
+            target.points[markers.target],
+            np.full(len(markers), weight / len(markers)),
+        )
+        return cls(vertices, TriangleMesh(source.points[vertices], topology), target, own, held)
+
+    @cached_property
+    def _goals(self) -> list[ClosestPoints]:
+        """Where the closest points of every pairing are."""
+        return [ClosestPoints(self.target, pairing.target_faces) for pairing in self.pairings]
+
+    @cached_property
+    def _areas(self) -> tuple[Float, Float]:
+        """Areas about the vertices of the fitted mesh and of the target; each adds to one."""
+        own, there = self.mesh.vertex_areas, self.target.vertex_areas
+        return own / own.sum(), there / there.sum()
+
+    def constraints(
+        self, points: Float, largest_angle: float, reach: float
+    ) -> tuple[list[SoftConstraints], float]:
+        """Find what draws the mesh where it is now: the markers, and closest points both ways.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            Where its vertices are now.
+        largest_angle : float
+            Largest angle between normals, in degrees.
+        reach : float
+            Largest distance.
+
+        Returns
+        -------
+        constraints : list of SoftConstraints
+        residual : float
+            Root mean square distance of the mesh's vertices, by area, from what draws them; 0 if nothing does.
+        """
+        moved, target = TriangleMesh(points, self.mesh.topology), self.target
+        own_areas, areas = self._areas
+        result, squares, total = [self.markers], 0.0, 0.0
+        for pairing, goal in zip(self.pairings, self._goals, strict=True):
+            own = pairing.source_vertices
+            found = goal.query(points[own], moved.vertex_normals[own], largest_angle)
+            near = np.flatnonzero(found.distances <= reach)
+            goals, weights = target.points_on(found.faces[near], found.weights[near]), own_areas[own[near]]
+            result.append(SoftConstraints(own[near][:, None], np.ones((len(near), 1)), goals, weights))
+            squares += float(np.sum(weights * found.distances[near] ** 2))
+            total += float(np.sum(weights))
+
+            there, search = pairing.target_vertices, ClosestPoints(moved, pairing.source_faces)
+            found = search.query(target.points[there], target.vertex_normals[there], largest_angle)
+            near = np.flatnonzero(found.distances <= reach)
+            corners, goals = moved.faces[found.faces[near]], target.points[there[near]]
+            result.append(SoftConstraints(corners, found.weights[near], goals, areas[there[near]]))
+        return result, float(np.sqrt(squares / total)) if total > 0 else 0.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index, IntArray
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.geometry.lengths_angles import flat_faces
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.observed import FLAT, Observed
@@ -65,7 +65,7 @@ def carry_parts(
     """
     faces = topology.faces
     labels = carry_labels(source.part_of_face, correspondence, faces)
-    labels = without_crumbs(topology, labels, Surface(rest, topology).face_areas)
+    labels = without_crumbs(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
     seen = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.retargeting.transfer import Transfer
 from mixseq.sequence import SequenceHeader
 from mixseq.topology import Topology
@@ -80,8 +80,8 @@ def coverage(transfer: Transfer) -> Coverage:
     moving[mapping.faces[known]] = True
     return Coverage(
         vertices=float(mapping.matched.mean()),
-        area=_share(known, Surface(transfer.target, topology).face_areas),
-        source_area=_share(moving, Surface(transfer.source.rest, transfer.source.topology).face_areas),
+        area=_share(known, TriangleMesh(transfer.target, topology).face_areas),
+        source_area=_share(moving, TriangleMesh(transfer.source.rest, transfer.source.topology).face_areas),
         followers=tuple(followers),
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.disk_array import LargeArray
 from mixseq.retargeting.alignment import Alignment, align
 from mixseq.retargeting.carried import CarriedParts, carry_parts
@@ -29,7 +29,7 @@ def gradient_transfer(
     whole = align(
         correspondence.carry(own.reference)[matched],
         other.reference[matched],
-        Surface(other.reference, target).vertex_areas[matched],
+        TriangleMesh(other.reference, target).vertex_areas[matched],
     )
     in_units = Alignment(whole.rotation, whole.scale * other.scale / own.scale)
     return GradientTransfer(own, other, correspondence, in_units)

@@ -21,7 +21,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.anchored import AnchoredPlacement
@@ -231,5 +231,5 @@ class MixedTransfer(PickledWithoutCaches):
 
 def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:
     """Areas of the parts that have faces."""
-    areas = Surface(space.reference, space.topology).face_areas
+    areas = TriangleMesh(space.reference, space.topology).face_areas
     return np.asarray(np.bincount(decomposition.part_of_face, areas))

@@ -14,8 +14,8 @@ import mixseq
 from mixseq.arrays import Float, Index
 from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.orientation import check_facing, check_orientation, sides
-from mixseq.correspondence.thin_plate import Bending
+from mixseq.correspondence.orientation import check_facing, check_orientation, orientation
+from mixseq.correspondence.outliers import Bending
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.topology import Topology
 from mixseq_io.correspondence.markers import read_markers
@@ -234,14 +234,14 @@ def test_a_flat_mesh_may_have_strays() -> None:
 @pytest.mark.parametrize("mesh", [tetrahedron(), ring(), tube(7, 5)])
 def test_closed_components_have_an_outside(mesh: tuple[Float, Index]) -> None:
     points, faces = mesh
-    assert sides(points + 100, faces).signs.tolist() == [1]
-    assert sides(points, faces[:, ::-1]).signs.tolist() == [-1]
+    assert orientation(points + 100, faces).signs.tolist() == [1]
+    assert orientation(points, faces[:, ::-1]).signs.tolist() == [-1]
 
 
 def test_open_surfaces_have_none() -> None:
-    assert sides(*grid(3, 4)).signs.tolist() == [0]
+    assert orientation(*grid(3, 4)).signs.tolist() == [0]
     points, faces = ring()
-    assert sides(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
+    assert orientation(points, faces[1:]).signs.tolist() == [1]  # a small hole does not matter
 
 
 def test_an_inside_out_mesh_is_refused_by_name() -> None:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.markers import Markers, pair_components
 from mixseq.correspondence.matching import Matches, MatchingSettings, match
-from mixseq.correspondence.pairing import pair_components
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import SettingsError
 from tests.meshes import Mesh, grid, joined, topology_of, tube
 
 
-def surface(mesh: Mesh) -> Surface:
-    return Surface(mesh[0], topology_of(mesh))
+def surface(mesh: Mesh) -> TriangleMesh:
+    return TriangleMesh(mesh[0], topology_of(mesh))
 
 
 def matched(

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.markers import Markers, pair_components
 from mixseq.correspondence.matching import MatchingSettings, match
-from mixseq.correspondence.pairing import pair_components
 from mixseq.correspondence.quality import Quality, assess
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from tests.meshes import Mesh, grid, joined, topology_of, tube
 
 
 def quality(source: Mesh, target: Mesh, markers: Markers) -> Quality:
     """Of meshes that lie on each other."""
     settings = MatchingSettings()
-    start, goal = (Surface(mesh[0], topology_of(mesh)) for mesh in (source, target))
+    start, goal = (TriangleMesh(mesh[0], topology_of(mesh)) for mesh in (source, target))
     pairings = pair_components(start.topology, goal.topology, markers)
     return assess(start, goal, pairings, markers, match(start, goal, pairings, settings), settings)
 

@@ -7,12 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.correspondence.energy import Energy, Pull, nearest_similarities
-from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.pairing import pair_components
+from mixseq.correspondence.energy import Energy, SoftConstraints, nearest_similarities
+from mixseq.correspondence.markers import Markers, fit_similarity, pair_components
 from mixseq.correspondence.registration import Registration, RegistrationSettings, register
-from mixseq.correspondence.similarity import fit_similarity
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import SettingsError
 from mixseq.geometry.nearest import Nearest
 from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
@@ -21,8 +19,8 @@ TUBE = tube(10, 25)
 MARKED = np.array([0, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])
 
 
-def surface(mesh: Mesh) -> Surface:
-    return Surface(mesh[0], topology_of(mesh))
+def surface(mesh: Mesh) -> TriangleMesh:
+    return TriangleMesh(mesh[0], topology_of(mesh))
 
 
 def registered(source: Mesh, target: Mesh, marked: NDArray[np.int64] = MARKED) -> Registration:
@@ -83,7 +81,7 @@ def test_the_energy_does_not_see_similarities() -> None:
     turned = 1.7 * rotation((1.0, 2.0, 0.5))
     goals = mesh[0] @ turned.T + [1.0, 2, 3]
     marked = np.array([[0], [30], [60], [77]])
-    pull = Pull(marked, np.ones((4, 1)), goals[marked[:, 0]], np.full(4, 1e3))
+    pull = SoftConstraints(marked, np.ones((4, 1)), goals[marked[:, 0]], np.full(4, 1e3))
     points, maps = energy.minimise(1.0, np.broadcast_to(turned, (len(goals), 3, 3)), [pull])
     np.testing.assert_allclose(points, goals, atol=1e-8)
     np.testing.assert_allclose(maps, np.broadcast_to(turned, maps.shape), atol=1e-8)
@@ -97,7 +95,7 @@ def test_a_pull_on_a_triangle_is_a_pull_on_its_point() -> None:
     moved = mesh[0] + np.array([0.5, 0.0, -1.0])
     goals = np.einsum("nk,nkc->nc", weights, moved[corners])
     identity = np.broadcast_to(np.eye(3), (len(mesh[0]), 3, 3))
-    points, _ = energy.minimise(1.0, identity, [Pull(corners, weights, goals, np.ones(4))])
+    points, _ = energy.minimise(1.0, identity, [SoftConstraints(corners, weights, goals, np.ones(4))])
     np.testing.assert_allclose(points, moved, atol=1e-8)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.given import Mesh, from_barycentric, from_vertices
+from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_vertices
 from mixseq.errors import FormatError, OutputError
 from mixseq_io.correspondence.maps import checksum, read_map, to_correspondence, write_map
 from tests.meshes import grid, tetrahedron, torus

@@ -3,7 +3,7 @@
 ``.npz``, what `write_map` writes and reads back: the arrays ``version`` (1), ``corners``, ``weights``, ``faces``,
 ``leaders`` and ``sizes`` of a `Correspondence`, and ``source`` and ``target``, checksums of the triangles of the two
 meshes, by which the map of another mesh is told. Archives that others made need one of the arrays ``vertices`` (V',),
-``triangles`` (F',), or ``corners`` and ``weights`` (V', 3), as in `mixseq.correspondence.given`.
+``triangles`` (F',), or ``corners`` and ``weights`` (V', 3), as in `mixseq.correspondence.map_completion`.
 
 ``.json``: ``{"vertices": list}``, ``{"triangles": list}`` or ``{"barycentric": list}``, or a list by itself, which is
 of vertices. Its items are rows, as below, as lists of numbers.
@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import IntArray
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.given import Mesh, from_barycentric, from_triangles, from_vertices
+from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_triangles, from_vertices
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.rows import Kind, read_rows

@@ -1,4 +1,4 @@
-"""A triangle mesh in one pose, with what registration and matching ask of it."""
+"""A triangle mesh in one pose: areas, normals, and closest points on some of its triangles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mixseq.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class TriangleMesh:
     """A triangle mesh in one pose.
 
     Attributes
@@ -88,31 +88,31 @@ class Surface:
         edges = self.topology.face_edges.reshape(-1)
         return np.asarray(np.bincount(edges, third, len(self.topology.edges)), dtype=np.float64)
 
-    def between(self, faces: Index, weights: Float) -> Float:
+    def points_on(self, faces: Index, weights: Float) -> Float:
         """Points ``(n, 3)`` of triangles ``(n,)`` with barycentric weights ``(n, 3)``."""
         return np.asarray(np.einsum("nk,nkc->nc", weights, self.points[self.faces[faces]]))
 
-    def anchors(self, lost: Index, among: Index) -> Index:
-        """Find where components hold on as a whole.
+    def nearest_by_component(self, vertices: Index, among: Index) -> Index:
+        """Find the vertices that are nearest to whole components.
 
         Parameters
         ----------
-        lost : (n,) int64
+        vertices : (n,) int64
             Vertices of some components, ascending.
         among : (m,) int64
-            Vertices that they may hold on to, at least one.
+            Vertices of other components, at least one.
 
         Returns
         -------
         (n,) int64
-            For each that of the others that is nearest to any lost vertex of its component; of equals that of the
-            lowest of these.
+            For each vertex the one of the others that is nearest to any of the given vertices of its component; of
+            equals that of the lowest of these.
         """
         from scipy.spatial import cKDTree
 
-        found = cKDTree(self.points[among]).query(self.points[lost])
-        distances, places = (np.asarray(part) for part in found)
-        component = self.topology.component_of_vertex[lost]
+        found = cKDTree(self.points[among]).query(self.points[vertices])
+        distances, places = (np.asarray(each) for each in found)
+        component = self.topology.component_of_vertex[vertices]
         order = np.lexsort((distances, component))
         components, nearest = np.unique(component[order], return_index=True)
         own = np.searchsorted(components, component)
@@ -120,24 +120,37 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Some triangles of a surface, to be asked for closest points.
+class ClosestPoints:
+    """Finds the closest points on some triangles of a mesh.
 
     Attributes
     ----------
-    surface : Surface
-    chosen : (n,) int64
-        The triangles.
+    mesh : TriangleMesh
+        The mesh.
+    triangles : (n,) int64
+        Its triangles that count.
     """
 
-    surface: Surface
-    chosen: Index
+    mesh: TriangleMesh
+    triangles: Index
 
     @cached_property
     def _nearest(self) -> Nearest:
-        return Nearest.of(self.surface.points, self.surface.faces[self.chosen])
+        return Nearest.of(self.mesh.points, self.mesh.faces[self.triangles])
 
-    def closest(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
-        """Find closest points, where the surface faces the same way; triangles are numbered as in the surface."""
+    def query(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
+        """Find closest points, where the mesh faces the same way; triangles are numbered as in the mesh.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            What they shall be close to.
+        normals : (n, 3) float64, optional
+            Unit normals there; without them any direction counts.
+        largest_angle : float
+            Largest angle between the normals, in degrees.
+        """
         found = self._nearest.query(points, normals, largest_angle)
-        return Found(np.where(found.faces >= 0, self.chosen[found.faces], -1), found.weights, found.distances)
+        return Found(
+            np.where(found.faces >= 0, self.triangles[found.faces], -1), found.weights, found.distances
+        )

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.given import from_barycentric, from_triangles, from_vertices
+from mixseq.correspondence.map_completion import from_barycentric, from_triangles, from_vertices
 from mixseq.errors import SettingsError
 from tests.meshes import Mesh, grid, joined, pages, tetrahedron, torus, tube
 

@@ -1,8 +1,13 @@
-r"""Correspondence from maps that somebody else made: of vertices, of triangles, or of points on triangles.
+r"""Make a correspondence of a map that somebody else made: of vertices, of triangles, or of points on triangles.
 
-Each is completed (`mixseq.correspondence.completing`). Of a map of triangles, *vertices* are on the source vertex that
-all triangles around them share, or else at the point that is closest to the mean, by area, of the mapped triangles'
-centroids.
+What the map leaves open is completed.
+
+- *Vertices*, where only triangles are mapped, are on the source vertex that all triangles around them share, or else at
+  the point that is closest to the mean, by area, of the mapped triangles' centroids.
+- *Triangles* of the target are moved by the source triangle of the same three vertices, or else by the closest to the
+  mean of their mapped corners, of those that face the same way.
+- *Vertices that the map leaves out* follow the nearest vertex of their component that it does not, and components that
+  it leaves out follow one vertex, as if stuck to it.
 """
 
 from __future__ import annotations
@@ -10,10 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float, FloatArray, Index, IntArray
-from mixseq.correspondence.completing import closest_facing, complete
+from mixseq.arrays import Float, FloatArray, Index, IntArray, Mask
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.surfaces import Surface
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import SettingsError
 from mixseq.topology import Topology
 
@@ -45,10 +49,10 @@ def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspond
     >>> from_vertices([3, 2, 1, -1], mesh, mesh).faces.tolist()
     [1, -1]
     """
-    a, b = _surface(source), _surface(target)
+    a, b = _mesh(source), _mesh(target)
     numbers = _numbers(vertices, len(b.points), len(a.points), "vertices")
     weights = np.where(numbers[:, None] >= 0, [1.0, 0.0, 0.0], 0.0)
-    return complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
+    return _complete(a, b, np.repeat(numbers[:, None], 3, axis=1), weights, np.full(len(b.faces), -1))
 
 
 def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
@@ -66,10 +70,10 @@ def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspo
     SettingsError
         If there are not as many as target triangles, one does not exist in the source, or all are -1.
     """
-    a, b = _surface(source), _surface(target)
+    a, b = _mesh(source), _mesh(target)
     numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
     corners, weights = _vertices_of(numbers, a, b)
-    return complete(a, b, corners, weights, numbers)
+    return _complete(a, b, corners, weights, numbers)
 
 
 def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
@@ -89,30 +93,30 @@ def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, targe
     SettingsError
         If shapes do not fit, a corner does not exist, weights do not add to one, or all corners are -1.
     """
-    a, b = _surface(source), _surface(target)
+    a, b = _mesh(source), _mesh(target)
     flat = np.asarray(corners).reshape(-1)
     numbers = _numbers(flat, 3 * len(b.points), len(a.points), "corners, three for each of its vertices")
     on = numbers.reshape(-1, 3)
     on = np.where((on >= 0).all(axis=1, keepdims=True), on, -1)
-    parts = np.asarray(weights)
-    if parts.shape != on.shape or parts.dtype.kind not in "fiu" or not np.isfinite(parts).all():
+    given = np.asarray(weights)
+    if given.shape != on.shape or given.dtype.kind not in "fiu" or not np.isfinite(given).all():
         raise SettingsError(
-            f"weights have shape {parts.shape} and type {parts.dtype}; finite numbers {on.shape} are expected"
+            f"weights have shape {given.shape} and type {given.dtype}; finite numbers {on.shape} are expected"
         )
-    sums, matched = parts.sum(axis=1), on[:, 0] >= 0
+    sums, matched = given.sum(axis=1), on[:, 0] >= 0
     wrong = np.flatnonzero(matched & (np.abs(sums - 1) > ADDS_TO_ONE))
     if wrong.size:
         raise SettingsError(
             f"the weights of target vertex {wrong[0]} add to {sums[wrong[0]]:.4g}; 1 is expected"
             + (f" ({len(wrong)} vertices)" if len(wrong) > 1 else "")
         )
-    parts = np.where(matched[:, None], parts / np.where(matched, sums, 1.0)[:, None], 0.0)
-    return complete(a, b, on, parts, np.full(len(b.faces), -1))
+    scaled = np.where(matched[:, None], given / np.where(matched, sums, 1.0)[:, None], 0.0)
+    return _complete(a, b, on, scaled, np.full(len(b.faces), -1))
 
 
-def _surface(mesh: Mesh) -> Surface:
+def _mesh(mesh: Mesh) -> TriangleMesh:
     points = np.asarray(mesh[0], np.float64)
-    return Surface(points, Topology(np.asarray(mesh[1]), len(points)))
+    return TriangleMesh(points, Topology(np.asarray(mesh[1]), len(points)))
 
 
 def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) -> Index:
@@ -139,7 +143,7 @@ def _numbers(given: ArrayLike, target_count: int, source_count: int, what: str) 
     return numbers.astype(np.int64)
 
 
-def _vertices_of(triangles: Index, source: Surface, target: Surface) -> tuple[Index, Float]:
+def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -> tuple[Index, Float]:
     """Corners and weights of target vertices, from the source triangles of the triangles around them."""
     count = len(target.points)
     used = np.flatnonzero(triangles >= 0)
@@ -156,9 +160,9 @@ def _vertices_of(triangles: Index, source: Surface, target: Surface) -> tuple[In
         sums[1, :, k] = np.bincount(vertex, areas * source.face_normals[on, k], count)
     matched = np.flatnonzero(around > 0)
     means, normals = sums[:, matched] / total[matched, None]
-    closest, parts = closest_facing(source, means, normals)
+    closest, barycentric = _closest_facing(source, means, normals)
     corners = np.full((count, 3), -1)
-    corners[matched], weights[matched] = source.faces[closest], parts
+    corners[matched], weights[matched] = source.faces[closest], barycentric
     shared = _shared(vertex, source.faces[on], source.faces[on, corner], around)
     exact = shared >= 0
     corners[exact], weights[exact] = shared[exact, None], [1.0, 0.0, 0.0]
@@ -187,3 +191,102 @@ def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index)
         alone = np.bincount(pairs[:, 0], minlength=len(around))[pairs[:, 0]] == 1
         result[pairs[alone, 0]] = pairs[alone, 1]
     return result
+
+
+def _complete(
+    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
+) -> Correspondence:
+    """Complete a map of vertices.
+
+    Parameters
+    ----------
+    source, target : TriangleMesh
+        The meshes at rest.
+    corners : (V', 3) int64
+        Source vertices that every target vertex is between; all -1 where it is on nothing. One must be on something.
+    weights : (V', 3) float64
+        Their weights, which add to one.
+    faces : (F',) int64
+        The source triangle that moves every target triangle, as far as it is known; elsewhere -1.
+    """
+    matched = np.asarray((corners >= 0).all(axis=1))
+    whole = np.asarray(matched[target.faces].all(axis=1))
+    open_faces = np.flatnonzero(whole & (faces < 0))
+    faces = np.where(whole, faces, -1)
+    faces[open_faces] = _faces_of(source, target, corners, weights, open_faces)
+    return Correspondence(
+        (len(source.points), len(source.faces)),
+        (len(target.points), len(target.faces)),
+        corners,
+        weights,
+        faces,
+        _leaders(target, matched),
+    )
+
+
+def _faces_of(
+    source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, chosen: Index
+) -> Index:
+    """The source triangles that move chosen target triangles, by where their corners are."""
+    triangles = target.faces[chosen]
+    # A corner with all its weight on one vertex is that vertex, which may be written in several ways.
+    heaviest = np.take_along_axis(corners, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
+    exact = _same_triangles(source.faces, heaviest[triangles])
+    exact[~(weights.max(axis=1) == 1)[triangles].all(axis=1)] = -1
+    rest = np.flatnonzero(exact < 0)
+    if rest.size and len(source.faces):
+        mapped = np.einsum("vk,vkc->vc", weights, source.points[corners])
+        normals = np.einsum("vk,vkc->vc", weights, source.vertex_normals[corners])
+        exact[rest] = _closest_facing(
+            source, mapped[triangles[rest]].mean(axis=1), normals[triangles[rest]].sum(axis=1)
+        )[0]
+    return exact
+
+
+def _same_triangles(source: Index, wanted: Index) -> Index:
+    """Number of the first source triangle ``(F, 3)`` of the same three vertices as each wanted one, or -1.
+
+    Of two with the same vertices the one that runs the same way round comes first.
+    """
+    both = np.concatenate([source, wanted])
+    first = np.argmin(both, axis=1)
+    turned = np.take_along_axis(both, (first[:, None] + np.arange(3)) % 3, axis=1)
+    result = np.full(len(wanted), -1)
+    for keys in (np.sort(both, axis=1), turned):
+        number = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+        known = np.full(number.max(initial=-1) + 1, -1)
+        known[number[: len(source)][::-1]] = np.arange(len(source))[::-1]
+        found = known[number[len(source) :]]
+        result = np.where(found >= 0, found, result)
+    return result
+
+
+def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tuple[Index, Float]:
+    """Triangles, with weights, closest to points; of those that face the same way, if there are any."""
+    from mixseq.geometry.nearest import Nearest
+
+    nearest = Nearest.of(source.points, source.faces)
+    found = nearest.query(points, normals)
+    faces, weights = found.faces.copy(), found.weights.copy()
+    facing_away = np.flatnonzero(faces < 0)
+    if facing_away.size:
+        again = nearest.query(points[facing_away])
+        faces[facing_away], weights[facing_away] = again.faces, again.weights
+    return faces, weights
+
+
+def _leaders(target: TriangleMesh, matched: Mask) -> Index:
+    """Whom vertices that are on nothing follow: see the head of this module."""
+    from scipy.spatial import cKDTree
+
+    leaders = np.arange(len(target.points))
+    component = target.topology.component_of_vertex
+    partly = np.isin(component, component[matched])
+    near, left_out = np.flatnonzero(matched), np.flatnonzero(partly & ~matched)
+    # A fourth coordinate keeps components apart: further than anything is in the other three.
+    apart = component * (2 * float(np.linalg.norm(np.ptp(target.points, axis=0))) or 1.0)
+    places = np.column_stack([target.points, apart])
+    leaders[left_out] = near[cKDTree(places[near]).query(places[left_out])[1]]
+    whole = np.flatnonzero(~partly)
+    leaders[whole] = target.nearest_by_component(whole, near)
+    return leaders
