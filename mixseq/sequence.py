@@ -57,7 +57,7 @@ class SequenceHeader:
     name : str
         Name of the mesh.
     surface : Surface
-        Texture coordinates, creases, face sets, objects, and the file it came from.
+        Texture coordinates, hard edges, face sets, objects, and the file it came from.
 
     Raises
     ------

@@ -1,16 +1,16 @@
-"""What a mesh has besides its faces: texture coordinates, creases, face sets, the objects it consists of.
+"""What a mesh has besides its faces: texture coordinates, hard edges, face sets, the objects it consists of.
 
 None of it takes part in any computation: it is carried from file to file, so that a character comes back with its
 textures and materials. The field's terms differ from format to format:
 
-==================  ========================  =====================  ==========================
-here                USD                       Alembic                glTF
-==================  ========================  =====================  ==========================
-`FaceSet`           GeomSubset                face set               primitive
-`MeshObject`        Mesh                      PolyMesh, SubD         node with a mesh
-`Surface.uvs`       ``primvars:st``           UV parameter           ``TEXCOORD_0``, upside down
-`Surface.creases`   normals, face-varying     normals, face-varying  vertices split by normals
-==================  ========================  =====================  ==========================
+====================  ========================  =====================  ==========================
+here                  USD                       Alembic                glTF
+====================  ========================  =====================  ==========================
+`FaceSet`             GeomSubset                face set               primitive
+`MeshObject`          Mesh                      PolyMesh, SubD         node with a mesh
+`Surface.uvs`         ``primvars:st``           UV parameter           ``TEXCOORD_0``, upside down
+`Surface.hard_edges`  normals, face-varying     normals, face-varying  vertices split by normals
+====================  ========================  =====================  ==========================
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons, as_indices, frozen
+from mixseq.renamed import renamed_attributes
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
@@ -115,6 +116,7 @@ class Origin:
     path: str
 
 
+@renamed_attributes(creases="hard_edges")
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Surface:
     """What a mesh has besides its faces.
@@ -123,9 +125,9 @@ class Surface:
     ----------
     uvs : CornerValues, optional
         Texture coordinates (u, v), v upwards.
-    creases : (sum of counts,) int32, optional
+    hard_edges : (sum of counts,) int32, optional
         Normals are not stored, because they move with the points. This tells how to compute them: corners with
-        the same number share one normal. Without it all corners of a vertex do.
+        the same number share one normal. Without it all corners of a vertex do, and every edge is smooth.
     face_sets : tuple of FaceSet
         Named sets of polygons, with their materials.
     objects : tuple of MeshObject
@@ -137,7 +139,7 @@ class Surface:
     """
 
     uvs: CornerValues | None = None
-    creases: IntArray | None = None
+    hard_edges: IntArray | None = None
     face_sets: tuple[FaceSet, ...] = ()
     objects: tuple[MeshObject, ...] = ()
     subdivision: str = "none"
@@ -146,8 +148,8 @@ class Surface:
     def __post_init__(self) -> None:
         object.__setattr__(self, "face_sets", tuple(self.face_sets))
         object.__setattr__(self, "objects", tuple(self.objects))
-        if self.creases is not None:
-            object.__setattr__(self, "creases", _flat(self.creases, "creases"))
+        if self.hard_edges is not None:
+            object.__setattr__(self, "hard_edges", _flat(self.hard_edges, "hard edges"))
         if self.subdivision not in SUBDIVISIONS:
             raise InvalidSequenceError(
                 f"subdivision is {self.subdivision!r}; one of {', '.join(SUBDIVISIONS)} is expected"
@@ -156,7 +158,7 @@ class Surface:
     def __repr__(self) -> str:
         held = {
             "uvs": self.uvs is not None and str(len(self.uvs.values)),
-            "creases": self.creases is not None and "yes",
+            "hard_edges": self.hard_edges is not None and "yes",
             "face_sets": self.face_sets and [each.name for each in self.face_sets],
             "objects": self.objects and [each.path or each.name for each in self.objects],
             "subdivision": self.subdivision != "none" and repr(self.subdivision),
@@ -179,8 +181,8 @@ class Surface:
                 raise InvalidSequenceError(
                     f"texture coordinates have shape {self.uvs.values.shape}, not (n, 2)"
                 )
-        if self.creases is not None:
-            _check_corners("creases", self.creases, corners, None)
+        if self.hard_edges is not None:
+            _check_corners("hard edges", self.hard_edges, corners, None)
         for face_set in self.face_sets:
             outside = face_set.polygons[(face_set.polygons < 0) | (face_set.polygons >= len(polygons.counts))]
             if outside.size:

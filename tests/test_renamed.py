@@ -12,6 +12,7 @@ from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.renamed import renamed
 from mixseq.segmentation import MotionSettings
+from mixseq.surface import Surface
 
 WALK = walk_cycle(frames=3)
 
@@ -47,3 +48,13 @@ def test_what_was_motion_is_segmentation() -> None:
     np.testing.assert_array_equal(old(0.0), new(0.0))
     with pytest.warns(DeprecationWarning, match="interpolate: motion is now segmentation"):
         mixseq.interpolate(WALK, [0.5, 0.5, 0], motion=settings)  # type: ignore[call-arg]
+
+
+def test_what_were_creases_are_hard_edges() -> None:
+    with pytest.warns(DeprecationWarning, match="Surface: creases is now hard_edges") as told:
+        surface = Surface(creases=np.arange(3))  # type: ignore[call-arg]
+    assert told[0].filename == __file__
+    assert surface.hard_edges is not None
+    with pytest.warns(DeprecationWarning, match="Surface: creases is now hard_edges") as told:
+        assert surface.creases is surface.hard_edges  # type: ignore[attr-defined]
+    assert told[0].filename == __file__

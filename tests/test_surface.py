@@ -31,9 +31,9 @@ def test_values_at_corners() -> None:
 
 
 def test_everything_is_read_only() -> None:
-    surface = header(uvs=uvs(), creases=np.arange(7), face_sets=[FaceSet("a", np.array([1, 0]))]).surface
-    assert surface.uvs is not None and surface.creases is not None
-    for array in (surface.uvs.values, surface.uvs.indices, surface.creases, surface.face_sets[0].polygons):
+    surface = header(uvs=uvs(), hard_edges=np.arange(7), face_sets=[FaceSet("a", np.array([1, 0]))]).surface
+    assert surface.uvs is not None and surface.hard_edges is not None
+    for array in (surface.uvs.values, surface.uvs.indices, surface.hard_edges, surface.face_sets[0].polygons):
         assert not array.flags.writeable
 
 
@@ -53,18 +53,18 @@ def test_a_mesh_is_its_own_object() -> None:
         ({"uvs": uvs(6)}, "6 texture coordinates for 7 corners"),
         ({"uvs": uvs(values=1)}, "texture coordinates of a corner are number 0 to 1 of 1"),
         ({"uvs": CornerValues(np.zeros((2, 3)), np.zeros(7, int))}, r"shape \(2, 3\), not \(n, 2\)"),
-        ({"creases": np.zeros(8, int)}, "8 creases for 7 corners"),
-        ({"creases": -np.arange(7)}, "creases of a corner are number -6 to 0"),
+        ({"hard_edges": np.zeros(8, int)}, "8 hard edges for 7 corners"),
+        ({"hard_edges": -np.arange(7)}, "hard edges of a corner are number -6 to 0"),
         ({"face_sets": [FaceSet("head", np.array([0, 2]))]}, "'head' has polygon 2, but polygons are 0 to 1"),
         ({"objects": [MeshObject("a", "", 7, 1)]}, "7 vertices and 1 polygons, the mesh 7 and 2"),
         (
             {"objects": [MeshObject("a", "", 3, 1), MeshObject("b", "", 4, 1)]},
             "a polygon of the object 'a' uses vertices of another",
         ),
-        ({"creases": np.zeros(7)}, "creases have type float64; integers are expected"),
+        ({"hard_edges": np.zeros(7)}, "hard edges have type float64; integers are expected"),
         ({"subdivision": "butterfly"}, "subdivision is 'butterfly'; one of none, catmullClark"),
     ],
-    ids=["few", "range", "three", "creases", "negative", "polygon", "count", "astray", "floats", "scheme"],
+    ids=["few", "range", "three", "hard", "negative", "polygon", "count", "astray", "floats", "scheme"],
 )
 def test_refusals(surface: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):

@@ -29,7 +29,7 @@ class Holds:
         How exactly.
     times : str
         Which times of the frames.
-    uvs, creases, face_sets, objects, units, velocities : bool
+    uvs, hard_edges, face_sets, objects, units, velocities : bool
         Texture coordinates; hard edges; named sets of polygons; several meshes; up axis and length of a unit;
         velocities of the vertices.
     materials : str
@@ -41,7 +41,7 @@ class Holds:
     points: str = "float32"
     times: str = "any"
     uvs: bool = True
-    creases: bool = True
+    hard_edges: bool = True
     face_sets: bool = True
     objects: bool = True
     units: bool = False

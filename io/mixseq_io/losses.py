@@ -41,7 +41,7 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
     surface = header.surface
     present = {
         "uvs": surface.uvs is not None and "texture coordinates",
-        "creases": surface.creases is not None and "creases",
+        "hard_edges": surface.hard_edges is not None and "hard edges",
         "face_sets": bool(surface.face_sets) and "face sets",
         "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
         "subdivision": surface.subdivision != "none" and f"{surface.subdivision} subdivision",

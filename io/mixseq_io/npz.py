@@ -15,7 +15,7 @@ array               shape                 meaning
 ``name``            str                   optional, the file's name
 ==================  ====================  =====================================================
 
-and those of `mixseq_io.surface_arrays`: texture coordinates, creases, face sets, objects.
+and those of `mixseq_io.surface_arrays`: texture coordinates, hard edges, face sets, objects.
 Points keep their precision, float32 or float64. Objects (pickles) are not read.
 
 Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and

@@ -18,7 +18,7 @@ RIG_EXTENSIONS = (".glb", ".gltf")
 def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     """Write a skin or a morph as glTF, which engines play: ``.glb`` is binary, ``.gltf`` text with everything in it.
 
-    Texture coordinates, creases and names of materials go along, pictures do not. Numbers are float32. The file
+    Texture coordinates, hard edges and names of materials go along, pictures do not. Numbers are float32. The file
     appears when it is complete, as those of `mixseq_io.write_blocks` do, and `mixseq_io.read` reads it.
 
     Parameters

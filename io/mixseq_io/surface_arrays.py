@@ -50,8 +50,8 @@ def surface_arrays(surface: Surface) -> Arrays:
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
-    if surface.creases is not None:
-        arrays["creases"] = surface.creases
+    if surface.hard_edges is not None:
+        arrays["creases"] = surface.hard_edges
     sets = surface.face_sets
     if sets:
         arrays |= {
@@ -105,7 +105,7 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = 
         origin = _beside(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
     return Surface(
         uvs=uvs,
-        creases=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
+        hard_edges=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
         face_sets=_face_sets(arrays) if "face_set_names" in arrays else (),
         objects=_objects(arrays) if "object_names" in arrays else (),
         subdivision=str(arrays["subdivision"].item()) if "subdivision" in arrays else "none",

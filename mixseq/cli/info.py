@@ -95,7 +95,7 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
             for each in surface.face_sets
         ],
         "uvs": None if surface.uvs is None else len(surface.uvs.values),
-        "creases": surface.creases is not None,
+        "creases": surface.hard_edges is not None,
         "subdivision": surface.subdivision,
         "origin": None if surface.origin is None else surface.origin.path,
     }
@@ -184,7 +184,7 @@ def _surface_rows(surface: dict[str, Any]) -> Rows:
     if surface["uvs"]:
         rows.append(("texture", f"{surface['uvs']:,} coordinates"))
     if surface["creases"]:
-        rows.append(("creases", "yes"))
+        rows.append(("hard edges", "yes"))
     if surface["subdivision"] != "none":
         rows.append(("subdivision", surface["subdivision"]))
     return rows

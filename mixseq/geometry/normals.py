@@ -1,4 +1,4 @@
-"""Normals of corners, with creases where the author wanted them.
+"""Normals of corners, with hard edges where the author wanted them.
 
 Normals move with the points, so they are computed for every frame: the normal ``n_g`` of a group ``g`` of corners
 sums over its corners ``c`` the normals of their polygons, weighted by the polygons' areas,
@@ -6,7 +6,7 @@ sums over its corners ``c`` the normals of their polygons, weighted by the polyg
     n_g = normalised sum over c in g of m_p(c),    m_p = 1/2 sum over the polygon's corners of x_i × x_(i+1),
 
 where ``m_p`` is the vector area of polygon ``p``, of an n-gon too, planar or not. Which corners share a normal is a
-matter of the surface (`mixseq.surface.Surface.creases`), not of the frame.
+matter of the surface (`mixseq.surface.Surface.hard_edges`), not of the frame.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def shared_normals(
         return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
 
 
-def creases_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
+def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
     """Find which corners share a normal: those of one vertex whose authored normals are equal.
 
     Parameters

@@ -48,7 +48,7 @@ def dressed() -> MeshSequence:
     )
     surface = Surface(
         uvs=CornerValues(np.random.default_rng(3).random((9, 2)), np.arange(corners + 4) % 9),
-        creases=np.append(np.arange(corners), [12, 13, 14, 15]),
+        hard_edges=np.append(np.arange(corners), [12, 13, 14, 15]),
         face_sets=(FaceSet("skin", np.array([0, 2]), "skin"), FaceSet("cloth", np.array([3]), "cloth")),
         objects=(MeshObject("body", "", 8, 3), MeshObject("coat", "", 4, 1)),
     )

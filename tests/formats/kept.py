@@ -95,7 +95,7 @@ def assert_surface(
         np.testing.assert_allclose(
             theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7
         )
-    if holds.creases:
+    if holds.hard_edges:
         np.testing.assert_array_equal(partition(got, found), partition(written, order))
     if holds.face_sets:
         sets = {each.name: each for each in theirs.face_sets}
@@ -114,8 +114,8 @@ def assert_surface(
 def partition(sequence: MeshSequence, order: IntArray) -> IntArray:
     """Number the groups of corners that share a vertex and a normal, in the order of their first corners."""
     vertices = sequence.polygons.indices
-    creases = vertices if sequence.surface.creases is None else sequence.surface.creases
-    pairs = np.stack([vertices, creases], axis=1)[order]
+    hard_edges = vertices if sequence.surface.hard_edges is None else sequence.surface.hard_edges
+    pairs = np.stack([vertices, hard_edges], axis=1)[order]
     _, first, number = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
     return np.asarray(rank[number.reshape(-1)])

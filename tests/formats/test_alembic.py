@@ -325,7 +325,7 @@ def test_texture_coordinates_that_do_not_fit(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scope", "normals", "creased"),
+    ("scope", "normals", "hard"),
     [
         (Scope.kFacevaryingScope, [[0, 0, 1]] * 3 + [[0, 1, 0]] * 3, True),
         (Scope.kFacevaryingScope, [[0, 0, 1]] * 6, False),
@@ -334,19 +334,19 @@ def test_texture_coordinates_that_do_not_fit(path: Path) -> None:
     ],
     ids=["hard", "soft", "vertices", "flat"],
 )
-def test_normals_are_creases(path: Path, scope: Any, normals: ArrayLike, creased: bool) -> None:
+def test_normals_are_hard_edges(path: Path, scope: Any, normals: ArrayLike, hard: bool) -> None:
     def dress(sample: Any, frame: int) -> None:
         sample.setNormals(AbcGeom.ON3fGeomParamSample(positions(normals), scope))
 
     archive = Abc.OArchive(str(path))
     add_mesh(archive.getTop(), "square", rising(), dress=dress)
     del archive
-    creases = load(path).surface.creases
-    assert (creases is not None) == creased
+    hard_edges = load(path).surface.hard_edges
+    assert (hard_edges is not None) == hard
     if (
-        creases is not None
+        hard_edges is not None
     ):  # corners of triangles 0 1 2 and 0 2 3: no vertex's normal is shared by both faces
-        assert len(set(creases.tolist())) == 6
+        assert len(set(hard_edges.tolist())) == 6
 
 
 def test_face_sets_and_materials(path: Path) -> None:
@@ -623,7 +623,7 @@ def test_truncated_files(path: Path) -> None:
 
 FULL_SURFACE = Surface(
     uvs=CornerValues(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 0, 2, 3])),
-    creases=np.array([0, 1, 2, 3, 4, 5]),
+    hard_edges=np.array([0, 1, 2, 3, 4, 5]),
     face_sets=(FaceSet("left", np.array([0]), "/materials/Blau"), FaceSet("right", np.array([1]))),
 )
 
@@ -662,14 +662,14 @@ def test_what_is_written_is_read(path: Path, header: dict[str, Any]) -> None:
         np.testing.assert_array_equal(got.surface.uvs.at_corners, surface.uvs.at_corners)
 
 
-def test_creases_are_kept(path: Path) -> None:
+def test_hard_edges_are_kept(path: Path) -> None:
     # A roof of two faces: along the ridge every corner has its own normal, or one for both.
     roof = np.array([[0, 0, 0], [1, 0, 1], [1, 1, 1], [0, 1, 0], [2, 0, 0], [2, 1, 0]], np.float32)
     faces = Polygons(np.array([4, 4]), np.array([0, 1, 2, 3, 1, 4, 5, 2]))
-    for creases, normals in ((np.arange(8), 8), (faces.indices, 6)):
+    for hard_edges, normals in ((np.arange(8), 8), (faces.indices, 6)):
         written = MeshSequence.from_arrays(roof[None], faces)
-        save(path, MeshSequence(**{**written.__dict__, "surface": Surface(creases=creases)}))
-        got = load(path).surface.creases
+        save(path, MeshSequence(**{**written.__dict__, "surface": Surface(hard_edges=hard_edges)}))
+        got = load(path).surface.hard_edges
         assert (6 if got is None else len(set(got.tolist()))) == normals
 
 
@@ -717,7 +717,7 @@ def test_the_library_reads_what_is_written(path: Path, joined: MeshSequence) -> 
 def test_normals_of_every_frame(path: Path) -> None:
     flat, turned = SQUARE, SQUARE[:, [2, 0, 1]]  # facing z, then x
     written = MeshSequence.from_arrays(np.stack([flat, turned]), TRIANGLES)
-    save(path, MeshSequence(**{**written.__dict__, "surface": Surface(creases=np.arange(6))}))
+    save(path, MeshSequence(**{**written.__dict__, "surface": Surface(hard_edges=np.arange(6))}))
     top = Abc.IArchive(str(path)).getTop()
     normals = AbcGeom.IPolyMesh(top.getChild(0), "mesh").getSchema().getNormalsParam()
     assert normals.getScope() == Scope.kFacevaryingScope
@@ -754,9 +754,9 @@ def test_losses_are_told(path: Path) -> None:
         save(path, written)
     assert load(path).name == "a_b"
     caged = MeshSequence(
-        **{**moving().__dict__, "surface": Surface(creases=np.arange(6), subdivision="bilinear")}
+        **{**moving().__dict__, "surface": Surface(hard_edges=np.arange(6), subdivision="bilinear")}
     )
-    with pytest.warns(MixseqWarning, match="cannot hold creases of subdivided meshes"):
+    with pytest.warns(MixseqWarning, match="cannot hold hard edges of subdivided meshes"):
         save(path, caged)
 
 
@@ -825,7 +825,7 @@ def test_a_cache_of_blender(data: Path, path: Path) -> None:
         [expected["points"][..., 0], expected["points"][..., 2], -expected["points"][..., 1]], -1
     )
     np.testing.assert_allclose(got.points, turned, rtol=0, atol=3e-7)
-    assert got.surface.creases is not None
+    assert got.surface.hard_edges is not None
     save(path, got)
     again = load(path)
     np.testing.assert_array_equal(again.points, got.points)

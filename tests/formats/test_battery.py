@@ -81,7 +81,7 @@ def test_objects_that_stand_still_stay(target: Any, store: Store) -> None:
 
 LOSSES = {
     "uvs": "texture",
-    "creases": "crease",
+    "hard_edges": "hard edges",
     "face_sets": "face set",
     "objects": "object",
     "units": " up",

@@ -239,7 +239,7 @@ def test_whole_numbers(numbers: list[int]) -> None:
 def full() -> Surface:
     return Surface(
         uvs=CornerValues(np.random.default_rng(1).random((5, 2)), np.arange(7) % 5),
-        creases=np.arange(7)[::-1],
+        hard_edges=np.arange(7)[::-1],
         face_sets=(FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"), FaceSet("empty", np.zeros(0, int))),
         objects=(MeshObject("a", "/w/a", 4, 1), MeshObject("ä", "/w/ä", 3, 1)),
         subdivision="loop",
@@ -256,8 +256,8 @@ def test_surfaces_come_back(tmp_path: Path, coded: Coded) -> None:
     assert got.uvs is not None and expected.uvs is not None
     np.testing.assert_array_equal(got.uvs.values, expected.uvs.values)
     np.testing.assert_array_equal(got.uvs.indices, expected.uvs.indices)
-    assert got.creases is not None
-    assert got.creases.tolist() == [6, 5, 4, 3, 2, 1, 0]
+    assert got.hard_edges is not None
+    assert got.hard_edges.tolist() == [6, 5, 4, 3, 2, 1, 0]
     assert [(each.name, each.polygons.tolist(), each.material) for each in got.face_sets] == [
         ("Hände", [0, 1], "/Looks/Haut 皮"),
         ("empty", [], ""),
@@ -270,7 +270,7 @@ def test_surfaces_come_back(tmp_path: Path, coded: Coded) -> None:
 def test_no_surface_takes_nothing(tmp_path: Path) -> None:
     assert pack_surface(Surface()) == b""
     bare = unpack_surface(b"", tmp_path)
-    assert (bare.uvs, bare.creases, bare.face_sets, bare.objects) == (None, None, (), ())
+    assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
 
 
 def test_texture_coordinates_of_a_grid_take_little(tmp_path: Path) -> None:
@@ -492,11 +492,11 @@ def test_damaged_fields_cost_the_groups_from_there_on(path: Path, coded: Coded) 
 
 def test_a_damaged_surface_costs_the_surface(tmp_path: Path, coded: Coded) -> None:
     path = tmp_path / "small.h5"
-    surface = Surface(creases=np.arange(len(coded.header.polygons.indices)))
+    surface = Surface(hard_edges=np.arange(len(coded.header.polygons.indices)))
     mixseq.save(path, replace(coded, header=replace(coded.header, surface=surface)))
     damage(path, index_of(path).surface)
     rest = salvaged(path, "surface is damaged and left out")
-    assert rest.header.surface.creases is None
+    assert rest.header.surface.hard_edges is None
     assert rest.chunks == coded.chunks
 
 
@@ -559,7 +559,7 @@ def golden_sequence() -> MeshSequence:
     tremble = np.sin(np.outer(np.arange(200), 1 + np.arange(3 * 37)) ** 1.1).reshape(200, 37, 3)
     times = walk.times + 0.01 * np.sin(np.arange(200))
     surface = Surface(
-        creases=np.arange(len(walk.polygons.indices)), face_sets=(FaceSet("end", np.arange(5)),)
+        hard_edges=np.arange(len(walk.polygons.indices)), face_sets=(FaceSet("end", np.arange(5)),)
     )
     header = replace(walk.header, times=times, surface=surface, name="golden")
     return MeshSequence.from_header(header, walk.points + 0.01 * tremble)
@@ -582,5 +582,5 @@ def test_the_golden_file_still_decodes_to_the_same_points() -> None:
     assert any(chunk.corrections for chunk in coded.chunks)
     assert coded.header.polygons.same_as(golden_sequence().polygons)
     assert coded.header.surface.face_sets[0].name == "end"
-    assert coded.header.surface.creases is not None
+    assert coded.header.surface.hard_edges is not None
     assert mixseq.verify(path, golden_sequence()).holds

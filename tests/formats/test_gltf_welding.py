@@ -158,22 +158,22 @@ def test_vertex_numbers_tell_without_welding(made: Callable[..., MeshSequence]) 
     assert made(maker).faces.tolist() == [[0, 1, 2], [0, 2, 3]]
 
 
-def test_creases_follow_normals(made: Callable[..., MeshSequence]) -> None:
+def test_hard_edges_follow_normals(made: Callable[..., MeshSequence]) -> None:
     up, side = [0, 0, 1], [1, 0, 0]
     maker = split_square()
     one, two = maker.json["meshes"][0]["primitives"]
     one["attributes"]["NORMAL"], two["attributes"]["NORMAL"] = maker.add([up] * 3), maker.add([up, side, up])
-    creases = made(maker).surface.creases
-    assert creases is not None
-    same = creases[:, None] == creases
-    assert same[0, 3] and not same[2, 4] and len(np.unique(creases)) == 5
+    hard_edges = made(maker).surface.hard_edges
+    assert hard_edges is not None
+    same = hard_edges[:, None] == hard_edges
+    assert same[0, 3] and not same[2, 4] and len(np.unique(hard_edges)) == 5
     two["attributes"]["NORMAL"] = one["attributes"]["NORMAL"]
-    assert made(maker).surface.creases is None
+    assert made(maker).surface.hard_edges is None
 
 
 def test_without_normals_faces_are_flat(made: Callable[..., MeshSequence]) -> None:
-    creases = made(split_square()).surface.creases
-    assert creases is not None and len(np.unique(creases)) == 6
+    hard_edges = made(split_square()).surface.hard_edges
+    assert hard_edges is not None and len(np.unique(hard_edges)) == 6
 
 
 def test_further_texture_coordinates_are_warned_about(made: Callable[..., MeshSequence]) -> None:

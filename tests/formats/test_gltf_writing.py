@@ -130,7 +130,7 @@ def test_vertices_are_split_where_textures_or_normals_are(tmp_path: Path) -> Non
     assert seam.triangles("square") == [[0, 1, 2], [0, 3, 4]]
     assert seam.played("square", 1)[:, 2].tolist() == [0, 0, 4, 4, 4]
 
-    hard = moving_square(surface=Surface(creases=np.array([0, 1, 2, 3, 4, 5])))
+    hard = moving_square(surface=Surface(hard_edges=np.array([0, 1, 2, 3, 4, 5])))
     crease = written(tmp_path / "b.glb", hard)
     assert crease.attribute("square", "_VERTEX").tolist() == [0, 0, 1, 2, 2, 3]
     flat = crease.played("square", 1, "NORMAL")

@@ -305,7 +305,7 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     )
     surface = Surface(
         uvs=CornerValues(points[0, :, :2], corners),
-        creases=np.arange(11),
+        hard_edges=np.arange(11),
         face_sets=(FaceSet("Kopf", np.array([1]), "/Looks/皮"), FaceSet("empty", np.array([], dtype=int))),
         objects=(MeshObject("körper", "/world/körper", 7, 3),),
         subdivision="catmullClark",

@@ -254,7 +254,7 @@ def test_texture_coordinates(tmp_path: Path) -> None:
 def test_coordinates_that_no_file_has(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(TRIANGLE.format(z=0).replace("1 2 3", "1/1/1 2/2/2 3/3/3"))
     surface = read(tmp_path / "a.obj").surface
-    assert surface.uvs is None and surface.creases is None
+    assert surface.uvs is None and surface.hard_edges is None
 
 
 def test_objects_with_vertices_of_their_own(tmp_path: Path) -> None:
@@ -305,24 +305,24 @@ f 4//{b} 3//{b} 5//2 6//2
 """
 
 
-def test_creases_are_where_a_vertex_has_several_normals(tmp_path: Path) -> None:
+def test_hard_edges_are_where_a_vertex_has_several_normals(tmp_path: Path) -> None:
     normals = "vn 0 -1 1\nvn 0 2 2\nvn 0 0 1\n"
     (tmp_path / "sharp.obj").write_text(ROOF.format(normals=normals, a=1, b=2))
     (tmp_path / "smooth.obj").write_text(ROOF.format(normals=normals, a=3, b=3))
-    creases = read(tmp_path / "sharp.obj").surface.creases
-    assert creases is not None
-    _, first, second, third, fourth, *_ = (int(group) for group in creases[1:])
+    hard_edges = read(tmp_path / "sharp.obj").surface.hard_edges
+    assert hard_edges is not None
+    _, first, second, third, fourth, *_ = (int(group) for group in hard_edges[1:])
     assert len({first, second, third, fourth}) == 4
-    assert read(tmp_path / "smooth.obj").surface.creases is None
+    assert read(tmp_path / "smooth.obj").surface.hard_edges is None
 
 
 def rich(frames: int = 2) -> MeshSequence:
-    """Two objects, seams of texture coordinates, a crease, materials on part of the mesh, groups that overlap."""
+    """Two objects, seams of texture coordinates, a hard edge, materials on part of the mesh, groups that overlap."""
     points = np.random.default_rng(5).normal(size=(frames, 7, 3)).astype(np.float32)
     polygons = Polygons(np.array([4, 3, 3]), np.array([0, 1, 2, 3, 4, 5, 6, 4, 6, 5]))
     surface = Surface(
         uvs=CornerValues(np.random.default_rng(6).normal(size=(5, 2)), np.arange(10) % 5),
-        creases=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
+        hard_edges=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
         face_sets=(
             FaceSet("red", np.array([0]), "/looks/red"),
             FaceSet("front", np.array([0, 2])),
@@ -341,8 +341,8 @@ def test_what_is_on_the_mesh_is_kept(tmp_path: Path) -> None:
     assert got.polygons.same_as(written.polygons)
     assert got.surface.uvs is not None and written.surface.uvs is not None
     np.testing.assert_array_equal(got.surface.uvs.at_corners, written.surface.uvs.at_corners)
-    assert got.surface.creases is not None
-    assert np.unique(got.surface.creases).size == 10  # numbers may change, groups may not
+    assert got.surface.hard_edges is not None
+    assert np.unique(got.surface.hard_edges).size == 10  # numbers may change, groups may not
     assert got.objects == written.objects
     assert [(each.name, each.material, each.polygons.tolist()) for each in got.surface.face_sets] == [
         ("red", "red", [0]),
@@ -354,7 +354,7 @@ def test_what_is_on_the_mesh_is_kept(tmp_path: Path) -> None:
 def test_normals_are_those_of_each_frame(tmp_path: Path) -> None:
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
     points = np.stack([flat, flat[:, [1, 2, 0]]])
-    surface = Surface(creases=np.arange(6))
+    surface = Surface(hard_edges=np.arange(6))
     folded = replace(MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]]), surface=surface)
     write(tmp_path / "a_#.obj", folded)
     for number, normal in ((1, "vn 0 0 1"), (2, "vn 0 1 0")):

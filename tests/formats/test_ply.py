@@ -116,12 +116,12 @@ def test_texture_coordinates_are_kept(tmp_path: Path, seam: bool) -> None:
 
 def test_what_ply_cannot_hold(tmp_path: Path) -> None:
     surface = Surface(
-        creases=np.arange(7),
+        hard_edges=np.arange(7),
         face_sets=(FaceSet("a", np.array([0])),),
         objects=(MeshObject("a", "", 5, 2), MeshObject("b", "", 0, 0)),
         subdivision="loop",
     )
-    lost = "creases, face sets, the names of 2 objects, loop subdivision; USD"
+    lost = "hard edges, face sets, the names of 2 objects, loop subdivision; USD"
     with pytest.warns(MixseqWarning, match=f"PLY files cannot hold {lost}"):
         write(tmp_path / "a_#.ply", with_surface(surface))
 

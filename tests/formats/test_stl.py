@@ -123,9 +123,9 @@ def test_what_stl_cannot_hold(tmp_path: Path, faces: object, message: str) -> No
 
 
 def test_what_is_on_the_mesh_is_lost(tmp_path: Path) -> None:
-    surface = Surface(face_sets=(FaceSet("a", np.array([0]), "red"),), creases=np.arange(6))
+    surface = Surface(face_sets=(FaceSet("a", np.array([0]), "red"),), hard_edges=np.arange(6))
     sequence = replace(MeshSequence.from_arrays(SQUARE[None], FACES), surface=surface)
-    with pytest.warns(MixseqWarning, match="STL files cannot hold creases, face sets; "):
+    with pytest.warns(MixseqWarning, match="STL files cannot hold hard edges, face sets; "):
         write(tmp_path / "a.stl", sequence)
 
 

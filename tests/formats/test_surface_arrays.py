@@ -15,7 +15,7 @@ from mixseq_io.surface_arrays import SURFACE_ARRAYS, Arrays, surface_arrays, sur
 def full() -> Surface:
     return Surface(
         uvs=CornerValues(np.random.default_rng(1).random((5, 2)), np.arange(7) % 5),
-        creases=np.arange(7)[::-1],
+        hard_edges=np.arange(7)[::-1],
         face_sets=(
             FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"),
             FaceSet("empty", np.array([], dtype=int)),
@@ -34,8 +34,8 @@ def test_there_and_back() -> None:
     assert got.uvs is not None and surface.uvs is not None
     np.testing.assert_array_equal(got.uvs.values, surface.uvs.values)
     np.testing.assert_array_equal(got.uvs.indices, surface.uvs.indices)
-    assert got.creases is not None
-    assert got.creases.tolist() == [6, 5, 4, 3, 2, 1, 0]
+    assert got.hard_edges is not None
+    assert got.hard_edges.tolist() == [6, 5, 4, 3, 2, 1, 0]
     assert [(each.name, each.polygons.tolist(), each.material) for each in got.face_sets] == [
         ("Hände", [0, 1], "/Looks/Haut 皮"),
         ("empty", [], ""),
@@ -47,7 +47,7 @@ def test_there_and_back() -> None:
 def test_nothing_is_nothing() -> None:
     assert surface_arrays(Surface()) == {}
     bare = surface_of_arrays({})
-    assert (bare.uvs, bare.creases, bare.face_sets, bare.objects) == (None, None, (), ())
+    assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
     assert (bare.subdivision, bare.origin) == ("none", None)
 
 

@@ -369,7 +369,7 @@ class TestSurface:
             assert saved(stage).surface.uvs is None
 
     @pytest.mark.parametrize("as_primvar", [False, True])
-    def test_normals_tell_the_creases(self, stage: Usd.Stage, make: Make, as_primvar: bool) -> None:
+    def test_normals_tell_the_hard_edges(self, stage: Usd.Stage, make: Make, as_primvar: bool) -> None:
         mesh = make("/mesh")
         flat = [Gf.Vec3f(0, 0, 1)] * 4 + [Gf.Vec3f(0, 1, 0)] * 3
         if as_primvar:
@@ -382,20 +382,20 @@ class TestSurface:
         else:
             mesh.CreateNormalsAttr(flat)
             mesh.SetNormalsInterpolation("faceVarying")
-        creases = saved(stage).surface.creases
-        assert creases is not None
-        shared = creases[:, None] == creases[None, :]
+        hard_edges = saved(stage).surface.hard_edges
+        assert hard_edges is not None
+        shared = hard_edges[:, None] == hard_edges[None, :]
         np.testing.assert_array_equal(shared, np.eye(7, dtype=bool))  # vertices 1 and 2 have two normals
         mesh.CreateSubdivisionSchemeAttr("catmullClark")
-        assert saved(stage).surface.creases is None
+        assert saved(stage).surface.hard_edges is None
 
-    def test_normals_of_vertices_are_no_creases(self, stage: Usd.Stage, make: Make) -> None:
+    def test_normals_of_vertices_are_no_hard_edges(self, stage: Usd.Stage, make: Make) -> None:
         mesh = make("/mesh")
         mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 5)
-        assert saved(stage).surface.creases is None
+        assert saved(stage).surface.hard_edges is None
         mesh.SetNormalsInterpolation("faceVarying")
         with pytest.warns(MixseqWarning, match="normals do not fit the faces"):
-            assert saved(stage).surface.creases is None
+            assert saved(stage).surface.hard_edges is None
 
     def test_materials_and_subsets(self, stage: Usd.Stage, make: Make) -> None:
         mesh = make("/hero/body")

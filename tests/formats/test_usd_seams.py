@@ -68,14 +68,14 @@ def test_points_that_move_as_one_are_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(square.points[1], square.points[0] + [0, 0.5, 0])
     assert square.surface.uvs is not None
     assert square.surface.uvs.at_corners[:, 0].tolist() == [0, 1 / 8, 2 / 8, 3 / 8, 4 / 8, 5 / 8]
-    assert square.surface.creases is None
+    assert square.surface.hard_edges is None
 
 
-def test_split_normals_are_creases(tmp_path: Path) -> None:
+def test_split_normals_are_hard_edges(tmp_path: Path) -> None:
     square = read(save(tmp_path / "square.usda", folded))
     assert square.vertex_count == 4
-    assert square.surface.creases is not None
-    assert len(set(square.surface.creases.tolist())) == 6
+    assert square.surface.hard_edges is not None
+    assert len(set(square.surface.hard_edges.tolist())) == 6
 
 
 def heavier(mesh: UsdGeom.Mesh) -> None:

@@ -105,7 +105,7 @@ def two_objects() -> MeshSequence:
         uvs=CornerValues(
             np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), np.array([0, 1, 2, 3, 0, 1, 2, 3, 2, 1])
         ),
-        creases=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
+        hard_edges=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
         face_sets=(
             FaceSet("skin", np.array([0]), "skin"),
             FaceSet("left half", np.array([0, 1])),
@@ -130,10 +130,10 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     assert [(each.name, each.vertex_count) for each in after.objects] == [("leg.L", 5), ("leg.L", 3)]
     assert before.uvs and after.uvs
     np.testing.assert_array_equal(after.uvs.at_corners, before.uvs.at_corners)
-    assert before.creases is not None and after.creases is not None
+    assert before.hard_edges is not None and after.hard_edges is not None
     one, other = (
         shared_normals(written.points, FACES_OF_TWO, each)[:, each]
-        for each in (before.creases, after.creases)
+        for each in (before.hard_edges, after.hard_edges)
     )
     np.testing.assert_array_equal(one, other)
     sets = {each.name: (each.polygons.tolist(), each.material) for each in after.face_sets}
@@ -144,9 +144,9 @@ def test_everything_on_a_mesh_comes_back(path: Path) -> None:
     }
 
 
-def test_normals_follow_the_creases(path: Path) -> None:
-    creases = np.array([0, 1, 2, 3, 1, 4, 5])  # the edge from 1 to 2 is sharp at vertex 2 only
-    stage = save(path, shot(creases=creases))
+def test_normals_follow_the_hard_edges(path: Path) -> None:
+    hard_edges = np.array([0, 1, 2, 3, 1, 4, 5])  # the edge from 1 to 2 is sharp at vertex 2 only
+    stage = save(path, shot(hard_edges=hard_edges))
     mesh = mesh_at(stage, "/mesh/mesh")
     assert mesh.GetNormalsInterpolation() == TOKENS.faceVarying
     assert problems(stage) == set()
@@ -155,7 +155,7 @@ def test_normals_follow_the_creases(path: Path) -> None:
     both = np.array([-0.5, 0, 1.5]) / np.sqrt(2.5)
     expected = [quad, both, quad, quad, both, triangle, triangle]
     np.testing.assert_allclose(mesh.GetNormalsAttr().Get(12), expected, atol=1e-6)
-    stage = save(path, shot(creases=creases, subdivision="catmullClark"))
+    stage = save(path, shot(hard_edges=hard_edges, subdivision="catmullClark"))
     assert not mesh_at(stage, "/mesh/mesh").GetNormalsAttr().HasAuthoredValue()
     assert mesh_at(stage, "/mesh/mesh").GetSubdivisionSchemeAttr().Get() == "catmullClark"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.geometry.normals import creases_of_normals, shared_normals, vector_areas
+from mixseq.geometry.normals import hard_edges_of_normals, shared_normals, vector_areas
 from mixseq.polygons import Polygons
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
@@ -42,15 +42,15 @@ def test_no_area_no_direction() -> None:
     np.testing.assert_array_equal(shared_normals(flat, CUBE)[0], np.tile([0.0, 0.0, 1.0], (8, 1)))
 
 
-def test_creases_are_found_and_kept() -> None:
+def test_hard_edges_are_found_and_kept() -> None:
     authored = np.repeat(OUTWARDS, 4, axis=0).astype(np.float32)
-    groups = creases_of_normals(CUBE, authored)
+    groups = hard_edges_of_normals(CUBE, authored)
     assert groups is not None
     assert len(np.unique(groups)) == 24
     again = shared_normals(CORNERS[None], CUBE, groups)[0][groups]
     np.testing.assert_allclose(again, authored, atol=1e-6)
 
 
-def test_one_normal_per_vertex_is_no_crease() -> None:
+def test_one_normal_per_vertex_is_no_hard_edge() -> None:
     smooth = (CORNERS / np.sqrt(3))[CUBE.indices]
-    assert creases_of_normals(CUBE, smooth + 1e-5) is None
+    assert hard_edges_of_normals(CUBE, smooth + 1e-5) is None

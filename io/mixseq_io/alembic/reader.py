@@ -22,12 +22,12 @@ from mixseq.sequence import SequenceHeader
 from mixseq_io.alembic.library import ERRORS, length, open_archive, values
 from mixseq_io.alembic.placement import Placement, determinant, moved, place
 from mixseq_io.alembic.scene import Mesh, choose_meshes
-from mixseq_io.alembic.surfaces import Source, read_piece
+from mixseq_io.alembic.surfaces import Source, read_scene_mesh
 from mixseq_io.alembic.timing import Track, frame_rate, locate, merged, sample_times
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
-from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming, reading
+from mixseq_io.scene_meshes import join
 
 
 def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
@@ -56,7 +56,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         frames = _frames(meshes)
         room = path.stat().st_size
         parts = _parts(path, room, meshes, frames)
-        polygons, surface = join(path, [read_piece(part.source) for part in parts], None)
+        polygons, surface = join(path, [read_scene_mesh(part.source) for part in parts], None)
         metadata = archive.getTop().getMetaData()
         header = SequenceHeader(
             polygons=polygons,

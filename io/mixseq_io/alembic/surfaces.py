@@ -1,4 +1,4 @@
-"""What is on a mesh: its faces, texture coordinates, creases and face sets.
+"""What is on a mesh: its faces, texture coordinates, hard edges and face sets.
 
 Alembic lists the corners of a face clockwise seen from outside; applications write them from the last to the first.
 Values on a mesh come per face, vertex or corner (its "scope"), with or without indices.
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError
-from mixseq.geometry.normals import creases_of_normals
+from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
 from mixseq_io.alembic.scene import Mesh
 from mixseq_io.alembic.timing import sample_times
 from mixseq_io.blocks import warn
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 
 _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
 
@@ -58,7 +58,7 @@ class Source:
     frames: Float
 
 
-def read_piece(source: Source) -> Piece:
+def read_scene_mesh(source: Source) -> SceneMesh:
     """Return a mesh, its polygons counter-clockwise seen from outside.
 
     Raises
@@ -81,18 +81,18 @@ def read_piece(source: Source) -> Piece:
         else reversed_corners(stored.counts, keep_first=False)
     )
     polygons = Polygons(stored.counts, stored.indices[order])
-    uvs, creases = _texture_coordinates(source, stored), None
+    uvs, hard_edges = _texture_coordinates(source, stored), None
     if not mesh.subdivided:
         normals = _corner_values(source, schema.getNormalsParam(), stored, "normals")
         if normals is not None and normals.values.shape[1] == 3:
-            creases = creases_of_normals(polygons, normals.at_corners[order])
-    return Piece(
+            hard_edges = hard_edges_of_normals(polygons, normals.at_corners[order])
+    return SceneMesh(
         name=mesh.name,
         path=mesh.path,
         vertices=source.vertices,
         polygons=polygons,
         uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[order]),
-        creases=creases,
+        hard_edges=hard_edges,
         face_sets=tuple(_face_sets(source, len(stored.counts))),
         subdivision=_scheme(source) if mesh.subdivided else "none",
     )

@@ -3,7 +3,7 @@
 A mesh is below a transform of its name that does nothing, ``/<name>/<name>``; several are below one more,
 ``/<name>/<object>/<object>``, because tools name what they import by the transforms. Meshes to be subdivided are
 SubDs, the others PolyMeshes; points are float32. Texture coordinates are at the corners, with indices; normals at the
-corners, frame by frame, where there are creases. The material of a face set is assigned as Alembic assigns materials.
+corners, frame by frame, where there are hard edges. Materials of face sets are assigned as Alembic assigns them.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -29,8 +29,8 @@ from mixseq_io.alembic.targets import Target, unique_names, valid_name
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import Numbered, as_float32, checked
 from mixseq_io.losses import lost_scale, warn_of_losses
-from mixseq_io.pieces import split
 from mixseq_io.reader import brief
+from mixseq_io.scene_meshes import split
 
 _ERRORS: tuple[type[Exception], ...] = (*ERRORS, FormatError)
 
@@ -60,7 +60,7 @@ def write_alembic(
     Warns
     -----
     MixseqWarning
-        If the sequence has units, an up axis, names, or creases of subdivided meshes, which Alembic cannot hold.
+        If the sequence has units, an up axis, names, or hard edges of subdivided meshes, which Alembic cannot hold.
     """
     targets = _targets(header)
     with replacing(path) as temporary:
@@ -83,9 +83,15 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def _targets(header: SequenceHeader) -> list[Target]:
-    pieces = split(header)
-    names = [header.name] if len(pieces) == 1 else unique_names(piece.name for piece in pieces)
-    return [Target(piece, valid_name(name)) for piece, name in zip(pieces, names, strict=True)]
+    scene_meshes = split(header)
+    names = (
+        [header.name]
+        if len(scene_meshes) == 1
+        else unique_names(scene_mesh.name for scene_mesh in scene_meshes)
+    )
+    return [
+        Target(scene_mesh, valid_name(name)) for scene_mesh, name in zip(scene_meshes, names, strict=True)
+    ]
 
 
 def _write(
@@ -140,8 +146,8 @@ def _check_room(path: Path, size: int) -> None:
 def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
     """Return what Alembic has no place for."""
     lost = lost_scale(header, moving=False)
-    if header.surface.creases is not None and header.surface.subdivision != "none":
-        lost.append("creases of subdivided meshes")
-    names = {header.name, *(target.piece.name for target in targets if len(targets) > 1)}
+    if header.surface.hard_edges is not None and header.surface.subdivision != "none":
+        lost.append("hard edges of subdivided meshes")
+    names = {header.name, *(target.scene_mesh.name for target in targets if len(targets) > 1)}
     changed = sorted(repr(name) for name in names if valid_name(name) != name)
     return [*lost, f"the names {', '.join(changed)}"] if changed else lost

@@ -37,7 +37,7 @@ from mixseq_io.gltf.roots import detach, moved_by_animations, vacant
 from mixseq_io.gltf.scene import Scene, read_scene
 from mixseq_io.gltf.standalone import add_vertex_numbers, group, upright
 from mixseq_io.gltf.welding import Weld, weld
-from mixseq_io.pieces import Piece, split
+from mixseq_io.scene_meshes import SceneMesh, split
 
 _REPLACED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
 _TRIANGLES = 4
@@ -49,7 +49,7 @@ class Place:
 
     Parameters
     ----------
-    piece : Piece
+    scene_mesh : SceneMesh
         The mesh.
     node : int
         Its node in the file.
@@ -59,7 +59,7 @@ class Place:
         Whether the sequence's triangles are turned around relative to the file's.
     """
 
-    piece: Piece
+    scene_mesh: SceneMesh
     node: int
     weld: Weld
     mirrored: bool
@@ -79,32 +79,32 @@ def find_places(document: Document, scene: Scene, header: SequenceHeader) -> lis
     """
     nodes = {path: node for node, path in scene.paths.items()}
     places = []
-    for piece in split(header):
-        node = nodes.pop(piece.path, None)
+    for scene_mesh in split(header):
+        node = nodes.pop(scene_mesh.path, None)
         mesh = None if node is None else scene.nodes[node].index("mesh")
         if node is None or mesh is None:
             raise FormatError(
-                f"{document.path} has no mesh at {piece.path!r}, which is where {piece.name!r} was"
+                f"{document.path} has no mesh at {scene_mesh.path!r}, which is where {scene_mesh.name!r} was"
             )
         welded = weld(document, mesh)
-        either = [Place(piece, node, welded, mirrored) for mirrored in (False, True)]
+        either = [Place(scene_mesh, node, welded, mirrored) for mirrored in (False, True)]
         fitting = [place for place in either if _fits(place)]
         if not fitting:
             raise FormatError(
-                f"{document.path}: the mesh {piece.path!r} has other vertices or triangles than the sequence"
+                f"{document.path}: the mesh {scene_mesh.path!r} has other vertices or triangles than the sequence"
             )
         places.append(fitting[0])
     return places
 
 
 def _fits(place: Place) -> bool:
-    polygons = place.piece.polygons
+    polygons = place.scene_mesh.polygons
     triangles = [
         vertices[place.triangles(each)]
         for each, vertices in zip(place.weld.primitives, place.weld.of_primitive, strict=True)
     ]
     return (
-        place.weld.count == place.piece.vertex_count
+        place.weld.count == place.scene_mesh.vertex_count
         and polygons.only_triangles
         and all(map(len, place.weld.of_primitive))
         and np.array_equal(np.concatenate(triangles), polygons.triangles)
@@ -173,7 +173,7 @@ def _drop_animations(carried: Json, document: Document, scene: Scene, places: Se
 def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
     """Give a node a mesh of its own, without anything that depends on the old positions."""
     if place.weld.skipped:
-        warn(f"{document.path}: points or lines in the mesh {place.piece.path!r} are left out")
+        warn(f"{document.path}: points or lines in the mesh {place.scene_mesh.path!r} are left out")
     node = carried["nodes"][place.node]
     old = carried["meshes"][node["mesh"]]
     moving, corner = [], 0
@@ -190,14 +190,14 @@ def _new_mesh(carried: Json, document: Document, place: Place) -> MovingMesh:
     if isinstance(mesh.get("extras"), dict):
         mesh["extras"] = {key: value for key, value in mesh["extras"].items() if key != "targetNames"}
     node["mesh"] = append(carried, "meshes", mesh)
-    return MovingMesh(place.node, place.piece, moving)
+    return MovingMesh(place.node, place.scene_mesh, moving)
 
 
 def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.int32]:
     """Return for every vertex of a primitive its group of corners that share a normal."""
-    polygons, creases = place.piece.polygons, place.piece.creases
+    polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
     groups = np.zeros(len(primitive.positions), dtype=np.int32)
-    groups[place.triangles(primitive).reshape(-1)] = (polygons.indices if creases is None else creases)[
+    groups[place.triangles(primitive).reshape(-1)] = (polygons.indices if hard_edges is None else hard_edges)[
         corners
     ]
     return groups

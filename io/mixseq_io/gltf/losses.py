@@ -11,7 +11,7 @@ from mixseq_io.gltf.morphs import time_shift
 from mixseq_io.gltf.splitting import distinguishes, owners
 from mixseq_io.gltf.standalone import material_name, upright
 from mixseq_io.losses import warn_of_losses
-from mixseq_io.pieces import Piece, split
+from mixseq_io.scene_meshes import SceneMesh, split
 
 # Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.
 _USUAL_LIMIT_OF_FRAMES = 1000
@@ -24,12 +24,12 @@ def lost_alone(header: SequenceHeader) -> list[str]:
         lost.append("polygons other than triangles (they are cut)")
     if header.surface.subdivision != "none":
         lost.append(f"{header.surface.subdivision} subdivision")
-    pieces = split(header)
-    if any(_overlap(piece) for piece in pieces):
+    meshes = split(header)
+    if any(_overlap(mesh) for mesh in meshes):
         lost.append("face sets that overlap")
-    if any(each.name != material_name(each) for piece in pieces for each in piece.face_sets):
+    if any(each.name != material_name(each) for mesh in meshes for each in mesh.face_sets):
         lost.append("names of face sets other than their materials'")
-    empty = [piece.name for piece in pieces if not piece.polygons.counts.size]
+    empty = [mesh.name for mesh in meshes if not mesh.polygons.counts.size]
     if empty:
         lost.append(f"objects without polygons ({', '.join(map(repr, empty[:20]))})")
     return lost
@@ -57,10 +57,10 @@ def warn_of_many_frames(path: Path, header: SequenceHeader) -> None:
         )
 
 
-def _overlap(piece: Piece) -> bool:
-    owner = owners(piece)
+def _overlap(mesh: SceneMesh) -> bool:
+    owner = owners(mesh)
     return any(
         (owner[each.polygons] != number).any()
-        for number, each in enumerate(piece.face_sets)
-        if distinguishes(each, piece)
+        for number, each in enumerate(mesh.face_sets)
+        if distinguishes(each, mesh)
     )

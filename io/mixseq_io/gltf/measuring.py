@@ -23,7 +23,7 @@ from mixseq_io.gltf.buffers import glb_size
 from mixseq_io.gltf.morphs import Morphs, time_shift
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.gltf.standalone import new_scene, upright
-from mixseq_io.pieces import split
+from mixseq_io.scene_meshes import split
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
     """
     kept = np.concatenate(
         [
-            np.arange(piece.vertices.start, piece.vertices.stop)
-            for piece in split(sequence.header)
-            if piece.polygons.counts.size
+            np.arange(mesh.vertices.start, mesh.vertices.stop)
+            for mesh in split(sequence.header)
+            if mesh.polygons.counts.size
         ]
     )
     turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)), (4, 4))[:3, :3]

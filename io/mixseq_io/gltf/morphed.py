@@ -92,7 +92,7 @@ def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: 
         shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
         for number, (points, directions) in enumerate(shapes):
             attributes = each.entry["attributes"] if number == 0 else {}
-            here = points[mesh.piece.vertices][each.vertices]
+            here = points[mesh.scene_mesh.vertices][each.vertices]
             attributes["POSITION"] = layout.add_array(here, target=VERTICES)
             bounds = here.min(axis=0).tolist(), here.max(axis=0).tolist()
             layout.bounded(attributes["POSITION"], bounds)
@@ -106,7 +106,9 @@ def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
     """Return the normals of the base ``(G, 3)`` and what targets add to them ``(M, G, 3)``, see the module's head."""
 
     def normals_of(points: Float) -> Single:
-        return shared_normals(points[:, mesh.piece.vertices], mesh.piece.polygons, mesh.piece.creases)
+        return shared_normals(
+            points[:, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
+        )
 
     (base,) = normals_of(morph.base[None])
     targets = np.zeros((len(morph.targets), base.size))

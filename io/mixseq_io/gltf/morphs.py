@@ -24,7 +24,7 @@ from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, BufferWriter, Json, Layout, append
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 
 _BYTES_PER_VECTOR = 12
 
@@ -53,7 +53,7 @@ class MovingMesh:
     """A mesh of the document whose vertices will move: its node, what it is of the sequence, its primitives."""
 
     node: int
-    piece: Piece
+    scene_mesh: SceneMesh
     primitives: Sequence[MovingPrimitive]
 
 
@@ -128,7 +128,9 @@ class Morphs:
             If points are too far from those of the first frame for float32.
         """
         normals = [
-            shared_normals(points[None, mesh.piece.vertices], mesh.piece.polygons, mesh.piece.creases)[0]
+            shared_normals(
+                points[None, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
+            )[0]
             for mesh in self._meshes
         ]
         if self._first is None:
@@ -142,7 +144,7 @@ class Morphs:
         awaiting = iter(unbounded)
         for mesh, of_mesh in zip(self._meshes, normals, strict=True):
             for each in mesh.primitives:
-                here = points[mesh.piece.vertices][each.vertices]
+                here = points[mesh.scene_mesh.vertices][each.vertices]
                 accessor = next(awaiting)
                 accessor["min"], accessor["max"] = here.min(axis=0).tolist(), here.max(axis=0).tolist()
                 chunks.append(here)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import IntArray
-from mixseq.geometry.normals import creases_of_normals
+from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.choosing import chosen, moving
@@ -17,7 +17,7 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.scene import Scene
 from mixseq_io.gltf.skinning import Shape, bearers
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 
 
 def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
@@ -60,7 +60,7 @@ def moving_nodes(
     return [nodes[i] for i in moving(document.path, [scene.objects[node] for node in nodes], moves)]
 
 
-def piece_of(document: Document, shape: Shape, first: int, mirrored: bool) -> Piece:
+def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) -> SceneMesh:
     """Return the surface of a node's mesh.
 
     Parameters
@@ -80,13 +80,13 @@ def piece_of(document: Document, shape: Shape, first: int, mirrored: bool) -> Pi
     ).reshape(-1)
     polygons = Polygons.from_triangles(weld.faces[:, order])
     found = scene.objects[shape.node]
-    return Piece(
+    return SceneMesh(
         name=found.name or found.path.rpartition("/")[2],
         path=found.path,
         vertices=slice(first, first + weld.count),
         polygons=polygons,
         uvs=_uvs(weld.primitives, corners),
-        creases=_creases(weld.primitives, corners, polygons),
+        hard_edges=_hard_edges(weld.primitives, corners, polygons),
         face_sets=_face_sets(document, weld.primitives),
     )
 
@@ -105,7 +105,7 @@ def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | N
     return CornerValues(rows, indices.reshape(-1)[corners])
 
 
-def _creases(
+def _hard_edges(
     primitives: Sequence[Primitive], corners: IntArray, polygons: Polygons
 ) -> NDArray[np.int32] | None:
     """Tell which corners share a normal; where a primitive has no normals, its faces are flat, says glTF."""
@@ -115,10 +115,10 @@ def _creases(
         normals.append(np.zeros((len(each.positions), 3)) if own is None else own)
         flat.append(np.full(each.triangles.size, own is None))
     at_corners = np.concatenate(normals).astype(np.float64)[corners]
-    creases = creases_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
+    hard_edges = hard_edges_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
     if not np.concatenate(flat).any():
-        return creases
-    groups = polygons.indices if creases is None else creases
+        return hard_edges
+    groups = polygons.indices if hard_edges is None else hard_edges
     alone = np.arange(corners.size) + int(groups.max(initial=-1)) + 1
     return np.unique(np.where(np.concatenate(flat), alone, groups), return_inverse=True)[1].astype(np.int32)
 

@@ -28,15 +28,15 @@ from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_ch
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.fields import Fields
 from mixseq_io.gltf.markings import colours_of, skinning_of
-from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, piece_of
+from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, scene_mesh_of
 from mixseq_io.gltf.primitives import primitives_of
 from mixseq_io.gltf.scene import Pose, Scene, read_scene
 from mixseq_io.gltf.skinning import Shape, bearers, read_shape
 from mixseq_io.gltf.timing import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.labels.markings import Markings
-from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
+from mixseq_io.scene_meshes import join
 from mixseq_io.times import on_grid
 
 
@@ -185,12 +185,12 @@ class _GltfReader(SequenceReader):
         rate: float,
     ) -> None:
         ends = np.cumsum([0, *(shape.weld.count for shape in shapes)]).tolist()
-        pieces = [
-            piece_of(document, shape, first, flip)
+        scene_meshes = [
+            scene_mesh_of(document, shape, first, flip)
             for shape, first, flip in zip(shapes, ends, mirrored, strict=False)
         ]
         path = document.path
-        polygons, surface = join(path, pieces, Origin("glTF", str(path.resolve())))
+        polygons, surface = join(path, scene_meshes, Origin("glTF", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=ends[-1],

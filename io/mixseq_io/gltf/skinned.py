@@ -117,6 +117,6 @@ def _attach(
     """Give the vertices of a mesh their bones."""
     for each in mesh.primitives:
         attributes = each.entry["attributes"]
-        own = mesh.piece.vertices
+        own = mesh.scene_mesh.vertices
         attributes["JOINTS_0"] = layout.add_array(joint[own][each.vertices], target=VERTICES)
         attributes["WEIGHTS_0"] = layout.add_array(weight[own][each.vertices], target=VERTICES)

@@ -1,7 +1,7 @@
 """A mesh as glTF holds it: triangles by material, one vertex per combination of everything at a corner.
 
 glTF's primitives have one material and one index for all attributes of a vertex, so that a vertex at a seam of the
-texture, at a crease, or between materials becomes several. Every one of them tells which it was in the attribute
+texture, at a hard edge, or between materials becomes several. Every one of them tells which it was in the attribute
 ``_VERTEX``, so that they can be welded again without guessing.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mixseq.arrays import IntArray
 from mixseq.polygons import Polygons
 from mixseq.surface import FaceSet
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +45,19 @@ class Primitive:
     face_set: FaceSet | None
 
 
-def split_corners(piece: Piece) -> list[Primitive]:
+def split_corners(mesh: SceneMesh) -> list[Primitive]:
     """Split a mesh into primitives: one per face set that has polygons of its own, one for the rest.
 
     Vertices keep their order within a primitive. Those that no polygon uses are in the first one, without
     triangles, so that their number stays the same.
     """
-    owner = owners(piece)
-    of_corner = np.repeat(owner, piece.polygons.counts)
-    groups = piece.polygons.indices if piece.creases is None else piece.creases
-    rows = np.zeros_like(groups) if piece.uvs is None else piece.uvs.indices
-    keys = np.stack([piece.polygons.indices, groups, rows], axis=1)
-    triangles = Polygons(piece.polygons.counts, np.arange(of_corner.size)).triangles  # of corners
-    unused = np.setdiff1d(np.arange(piece.vertex_count), piece.polygons.indices)
+    owner = owners(mesh)
+    of_corner = np.repeat(owner, mesh.polygons.counts)
+    groups = mesh.polygons.indices if mesh.hard_edges is None else mesh.hard_edges
+    rows = np.zeros_like(groups) if mesh.uvs is None else mesh.uvs.indices
+    keys = np.stack([mesh.polygons.indices, groups, rows], axis=1)
+    triangles = Polygons(mesh.polygons.counts, np.arange(of_corner.size)).triangles  # of corners
+    unused = np.setdiff1d(np.arange(mesh.vertex_count), mesh.polygons.indices)
     unused_keys = np.stack([unused, np.zeros_like(unused), np.zeros_like(unused)], axis=1)
     primitives: list[Primitive] = []
     for number in np.unique(owner):
@@ -70,26 +70,26 @@ def split_corners(piece: Piece) -> list[Primitive]:
             Primitive(
                 vertices=found[:, 0],
                 normals=found[:, 1],
-                uvs=None if piece.uvs is None else piece.uvs.values[found[:, 2]],
+                uvs=None if mesh.uvs is None else mesh.uvs.values[found[:, 2]],
                 triangles=place[triangles[of_corner[triangles[:, 0]] == number]],
-                face_set=None if number < 0 else piece.face_sets[number],
+                face_set=None if number < 0 else mesh.face_sets[number],
             )
         )
     return primitives
 
 
-def owners(piece: Piece) -> IntArray:
+def owners(mesh: SceneMesh) -> IntArray:
     """Return which of the face sets has each polygon ``(P,)``, -1 for none.
 
     Where they overlap, the first with a material wins, then the first.
     """
-    owner = np.full(len(piece.polygons.counts), -1)
-    numbers = [number for number, each in enumerate(piece.face_sets) if distinguishes(each, piece)]
-    for number in sorted(numbers, key=lambda number: not piece.face_sets[number].material)[::-1]:
-        owner[piece.face_sets[number].polygons] = number
+    owner = np.full(len(mesh.polygons.counts), -1)
+    numbers = [number for number, each in enumerate(mesh.face_sets) if distinguishes(each, mesh)]
+    for number in sorted(numbers, key=lambda number: not mesh.face_sets[number].material)[::-1]:
+        owner[mesh.face_sets[number].polygons] = number
     return owner
 
 
-def distinguishes(face_set: FaceSet, piece: Piece) -> bool:
+def distinguishes(face_set: FaceSet, mesh: SceneMesh) -> bool:
     """Whether a face set tells more than that these are all polygons of the mesh."""
-    return bool(face_set.material) or face_set.polygons.size < len(piece.polygons.counts)
+    return bool(face_set.material) or face_set.polygons.size < len(mesh.polygons.counts)

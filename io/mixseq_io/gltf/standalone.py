@@ -12,7 +12,7 @@ from mixseq.surface import FaceSet
 from mixseq_io.gltf.buffers import GENERATOR, INDICES, VERTICES, Json, Layout, append
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
 from mixseq_io.gltf.splitting import Primitive, split_corners
-from mixseq_io.pieces import Piece, split
+from mixseq_io.scene_meshes import SceneMesh, split
 
 _LARGEST_EXACT = 2**24
 _LARGEST_SHORT = 2**16 - 1
@@ -32,9 +32,11 @@ def new_scene(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
 def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     """Return a document with the meshes of a sequence and a node for each, but without a scene."""
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
-    pieces = [piece for piece in split(header) if piece.polygons.counts.size]
-    names = [header.name if len(pieces) == 1 else piece.name for piece in pieces]
-    return layout, [_new_mesh(layout, piece, name) for piece, name in zip(pieces, names, strict=True)]
+    scene_meshes = [scene_mesh for scene_mesh in split(header) if scene_mesh.polygons.counts.size]
+    names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
+    return layout, [
+        _new_mesh(layout, scene_mesh, name) for scene_mesh, name in zip(scene_meshes, names, strict=True)
+    ]
 
 
 def group(document: Json, nodes: list[int], header: SequenceHeader, vacant: int | None = None) -> int:
@@ -84,15 +86,15 @@ def material_name(face_set: FaceSet) -> str:
     return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
 
 
-def _new_mesh(layout: Layout, piece: Piece, name: str) -> MovingMesh:
-    primitives = [_new_primitive(layout, each, piece) for each in split_corners(piece)]
+def _new_mesh(layout: Layout, scene_mesh: SceneMesh, name: str) -> MovingMesh:
+    primitives = [_new_primitive(layout, each, scene_mesh) for each in split_corners(scene_mesh)]
     entries = [primitive.entry for primitive in primitives]
     mesh = append(layout.document, "meshes", {**named(name), "primitives": entries})
     node = append(layout.document, "nodes", {**named(name), "mesh": mesh})
-    return MovingMesh(node, piece, primitives)
+    return MovingMesh(node, scene_mesh, primitives)
 
 
-def _new_primitive(layout: Layout, primitive: Primitive, piece: Piece) -> MovingPrimitive:
+def _new_primitive(layout: Layout, primitive: Primitive, scene_mesh: SceneMesh) -> MovingPrimitive:
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
         upside_down = (primitive.uvs * (1, -1) + (0, 1)).astype(np.float32)
@@ -104,7 +106,7 @@ def _new_primitive(layout: Layout, primitive: Primitive, piece: Piece) -> Moving
     if primitive.face_set is not None:
         entry["material"] = _material(layout.document, material_name(primitive.face_set))
     moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
-    add_vertex_numbers(layout, moving, piece.vertex_count)
+    add_vertex_numbers(layout, moving, scene_mesh.vertex_count)
     return moving
 
 

@@ -56,7 +56,7 @@ def salvage_coded(path: Path) -> Coded | None:
     index = read_index(path, stored)
     ground = {name: stream.read(stored.streams) for name, stream in index.ground().items()}
     if ground["surface"] is None:
-        _tell(path, "the surface is damaged and left out: texture coordinates, creases, face sets")
+        _tell(path, "the surface is damaged and left out: texture coordinates, hard edges, face sets")
         ground["surface"] = b""
     for name in ("connectivity", "times"):
         if ground[name] is None:

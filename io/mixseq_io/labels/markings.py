@@ -86,30 +86,30 @@ def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
     return {source: sets for source, sets in named.items() if sets}
 
 
-def joined_colours(pieces: Sequence[FloatArray | None], corners: Sequence[int]) -> FloatArray | None:
+def joined_colours(meshes: Sequence[FloatArray | None], corners: Sequence[int]) -> FloatArray | None:
     """Put the colours ``(corners, k)`` of several meshes one after the other, as RGBA; None if none has some."""
-    if all(each is None for each in pieces):
+    if all(each is None for each in meshes):
         return None
     joined = np.full((sum(corners), 4), np.nan)
     start = 0
-    for piece, count in zip(pieces, corners, strict=True):
-        if piece is not None:
+    for mesh, count in zip(meshes, corners, strict=True):
+        if mesh is not None:
             joined[start : start + count, 3] = 1.0
-            joined[start : start + count, : piece.shape[1]] = piece
+            joined[start : start + count, : mesh.shape[1]] = mesh
         start += count
     return joined
 
 
-def joined_skinning(pieces: Sequence[Skinning]) -> Skinning:
+def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:
     """Put several meshes one after the other; joints that they share are the same."""
     from scipy.sparse import csr_array, vstack
 
     parents = {
-        joint: above for each in pieces for joint, above in zip(each.joints, each.parents, strict=True)
+        joint: above for each in meshes for joint, above in zip(each.joints, each.parents, strict=True)
     }
     column = {joint: number for number, joint in enumerate(parents)}
     rows = []
-    for each in pieces:
+    for each in meshes:
         own = each.weights.tocoo()
         columns = np.array([column[joint] for joint in each.joints])[own.col]
         rows.append(csr_array((own.data, (own.row, columns)), shape=(own.shape[0], len(column))))

@@ -6,7 +6,7 @@ in the file                         here
 ``v``, without weights and colours  points
 ``f``                               polygons
 ``vt``                              texture coordinates, of the first frame
-``vn``                              creases: where the first frame has several normals at a vertex
+``vn``                              hard edges: where the first frame has several normals at a vertex
 ``o``, one                          the name
 ``o``, several                      objects, if each has vertices of its own that follow each other,
                                     else face sets
@@ -19,7 +19,7 @@ with several texture coordinates, and cuts polygons into triangles.
 
 Points are written with the digits that give back the same float32 or float64. Comments in our own files tell which
 of them it was, and whether the file is whole; points of other files are read as float64. Normals are only written
-where there are creases, anew for every frame; a crease across which the first frame is flat cannot be told from none
+where there are hard edges, anew for every frame; one across which the first frame is flat cannot be told from none
 when they are read. A name of a material is the last part of its path. OBJ has no place
 for times, frame rate, units, the up axis, velocities, subdivision, and two materials on one polygon; the library of
 materials (``mtllib``) is not kept.

@@ -26,13 +26,13 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
     lines = _face_lines(header)
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
     uvs = b"" if header.surface.uvs is None else _lines("vt", header.surface.uvs.values)
-    creases = header.surface.creases
+    hard_edges = header.surface.hard_edges
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         yield FIRST_LINE + str(points.dtype).encode() + b"\n"
         yield uvs
-        if creases is not None:
-            yield _lines("vn", shared_normals(points[None], header.polygons, creases)[0])
+        if hard_edges is not None:
+            yield _lines("vn", shared_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
             yield _lines("v", points[a:b])
@@ -44,7 +44,7 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
 
 def lost_in_obj(header: SequenceHeader) -> list[str]:
     """Return what OBJ has no place for in a sequence's surface."""
-    lost = lost_surface(header, held=("uvs", "creases", "face_sets", "objects"))
+    lost = lost_surface(header, held=("uvs", "hard_edges", "face_sets", "objects"))
     sets = header.surface.face_sets
     names = _material_names(sets)
     with_material = [each for each in sets if each.material]
@@ -75,9 +75,9 @@ def _face_lines(header: SequenceHeader) -> list[str]:
     if surface.uvs is not None:
         uvs = (surface.uvs.indices + 1).tolist()
         corners = [f"{corner}/{uv}" for corner, uv in zip(corners, uvs, strict=True)]
-    if surface.creases is not None:
+    if surface.hard_edges is not None:
         slashes = "/" if surface.uvs is not None else "//"
-        normals = (surface.creases + 1).tolist()
+        normals = (surface.hard_edges + 1).tolist()
         corners = [f"{corner}{slashes}{normal}" for corner, normal in zip(corners, normals, strict=True)]
     ends = np.cumsum([0, *header.polygons.counts.tolist()]).tolist()
     lines = [f"f {' '.join(corners[a:b])}\n" for a, b in pairwise(ends)]

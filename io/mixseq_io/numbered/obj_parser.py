@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
-from mixseq.geometry.normals import creases_of_normals
+from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.numbered.files import MeshFile, excerpt
@@ -57,7 +57,7 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
     name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
     surface = Surface(
         uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),
-        creases=_creases(file, polygons, lines.normals, corners[:, 2]),
+        hard_edges=_hard_edges(file, polygons, lines.normals, corners[:, 2]),
         face_sets=face_sets,
         objects=objects,
     )
@@ -174,7 +174,7 @@ def _uvs(
         return CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
 
 
-def _creases(
+def _hard_edges(
     file: Path, polygons: Polygons, values: list[tuple[float, ...]], indices: IntArray
 ) -> NDArray[np.int32] | None:
     """Return which corners share a normal, if all corners have one."""
@@ -184,7 +184,7 @@ def _creases(
     normals = np.array(values)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return creases_of_normals(polygons, np.nan_to_num(normals)[indices])
+    return hard_edges_of_normals(polygons, np.nan_to_num(normals)[indices])
 
 
 def _check_numbers(file: Path, polygons: Polygons, indices: IntArray, count: int, what: str) -> None:

@@ -8,7 +8,7 @@ faces, and texture coordinates: ``s t`` or ``u v`` of the vertices, or the list 
 
 Written are little-endian binary files in the precision of the points, texture coordinates as ``s t`` if every vertex
 has a single one, else as ``texcoord``. PLY has no place for the name, times, frame rate, units, the up axis,
-velocities, creases, face sets, objects and subdivision.
+velocities, hard edges, face sets, objects and subdivision.
 
 The parser is our own because trimesh refuses binary files with triangles and quads, and cuts polygons of text files
 into triangles.

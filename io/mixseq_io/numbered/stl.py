@@ -6,7 +6,7 @@ parts of a mesh only touched in the first frame, STL cannot tell that, and the s
 
 Binary files are float32; text is read as float64. Written are binary files, with the normals of the triangles. STL
 has no place for polygons (they are cut into triangles), the numbers of vertices, the name, times, frame rate, units,
-the up axis, velocities, texture coordinates, creases, face sets, objects and subdivision. All solids of a text file
+the up axis, velocities, texture coordinates, hard edges, face sets, objects and subdivision. All solids of a text file
 are read as one mesh.
 
 The parser is our own because trimesh leaves out what follows a solid without an end, so that truncated text is read

@@ -1,7 +1,7 @@
 """USD, writing: the file that new points are laid over, and its meshes that a sequence fits.
 
-Which mesh a piece of the sequence goes to is told by its path; where there is no mesh, by its faces, if a single mesh
-has them.
+Which mesh of the file a mesh of the sequence goes to is told by its path; where there is none, by its faces, if a
+single mesh has them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mixseq.arrays import IntArray
 from mixseq.errors import FormatError, OutputError
 from mixseq.polygons import reversed_corners
 from mixseq.sequence import SequenceHeader
-from mixseq_io.pieces import Piece, split
+from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.diagnostics import reading_usd
 from mixseq_io.usd.paths import is_prim_path
 from mixseq_io.usd.seams import Weld, unwelded, weld
@@ -25,23 +25,23 @@ from mixseq_io.usd.stage import open_stage, prims_of
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A piece of the sequence and the mesh that it is laid over.
+    """A mesh of the sequence and the mesh of the file that it is laid over.
 
     Parameters
     ----------
-    piece : Piece
-        The piece.
+    scene_mesh : SceneMesh
+        That of the sequence.
     mesh : UsdGeom.Mesh
         The mesh.
     corner_points : (C,) int
         The point at every corner of the mesh.
     order : (C,) int
-        Which of the piece's corners each corner of the mesh is.
+        Which of its corners each corner of the mesh is.
     weld : Weld
-        Which of the piece's vertices each point of the mesh is.
+        Which of its vertices each point of the mesh is.
     """
 
-    piece: Piece
+    scene_mesh: SceneMesh
     mesh: UsdGeom.Mesh
     corner_points: IntArray
     order: IntArray
@@ -59,7 +59,7 @@ class Base:
     stage : Usd.Stage
         What it holds.
     fits : tuple of Fit
-        The pieces of the sequence and their meshes.
+        The meshes of the sequence, each with its mesh in the file.
     """
 
     path: Path
@@ -89,39 +89,39 @@ def open_base(path: Path, header: SequenceHeader) -> Base:
     rate = stage.GetTimeCodesPerSecond()
     if not 0 < rate < np.inf:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
-    fits = tuple(_fit(path, stage, piece) for piece in split(header))
+    fits = tuple(_fit(path, stage, scene_mesh) for scene_mesh in split(header))
     if len({fit.mesh.GetPath() for fit in fits}) < len(fits):
         raise OutputError(f"{path} has fewer meshes than the sequence, which has {len(fits)}")
     return Base(path, stage, fits)
 
 
-def _fit(path: Path, stage: Usd.Stage, piece: Piece) -> Fit:
-    """Return the mesh that a piece came from."""
-    named = stage.GetPrimAtPath(piece.path) if is_prim_path(piece.path) else None
+def _fit(path: Path, stage: Usd.Stage, scene_mesh: SceneMesh) -> Fit:
+    """Return the mesh that a mesh of the sequence came from."""
+    named = stage.GetPrimAtPath(scene_mesh.path) if is_prim_path(scene_mesh.path) else None
     candidates = [named] if named and UsdGeom.Mesh(named) else prims_of(path, stage)
     meshes = [mesh for prim in candidates if (mesh := UsdGeom.Mesh(prim))]
-    fitting = [fit for mesh in meshes if (fit := _fit_to(mesh, piece)) is not None]
+    fitting = [fit for mesh in meshes if (fit := _fit_to(mesh, scene_mesh)) is not None]
     if len(fitting) != 1:
         what = f"{len(fitting)} meshes" if fitting else "no mesh"
-        raise OutputError(f"{path} has {what} with the faces of {piece.path or piece.name!r}")
+        raise OutputError(f"{path} has {what} with the faces of {scene_mesh.path or scene_mesh.name!r}")
     return fitting[0]
 
 
-def _fit_to(mesh: UsdGeom.Mesh, piece: Piece) -> Fit | None:
-    """Lay a piece over a mesh; None if it has other faces."""
+def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
+    """Lay a mesh of the sequence over one of the file; None if it has other faces."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
     places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    if not np.array_equal(counts, piece.polygons.counts) or not _within(points, len(places)):
+    if not np.array_equal(counts, scene_mesh.polygons.counts) or not _within(points, len(places)):
         return None
     # The sequence may have come from elsewhere, with a vertex for every point.
     for seams in (weld(mesh, places), unwelded(len(places))):
         # Readers reverse left-handed faces.
         for order in (np.arange(points.size), reversed_corners(counts, keep_first=True)):
-            same = np.array_equal(seams.of_point[points], piece.polygons.indices[order])
-            if same and seams.vertex_count == piece.vertex_count:
-                return Fit(piece, mesh, points, order, seams)
+            same = np.array_equal(seams.of_point[points], scene_mesh.polygons.indices[order])
+            if same and seams.vertex_count == scene_mesh.vertex_count:
+                return Fit(scene_mesh, mesh, points, order, seams)
     return None
 
 

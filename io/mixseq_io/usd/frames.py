@@ -22,7 +22,7 @@ from pxr import Gf, Vt
 from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
 from mixseq_io.blocks import Numbered, as_float32
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 
 Frame = tuple[float, Mapping[str, Any]]
 """A time code, and values by the paths of their attributes."""
@@ -77,10 +77,10 @@ class Placed:
     ----------
     path : str
         Path of its prim.
-    piece : Piece
+    scene_mesh : SceneMesh
         Its faces, and which of the sequence's vertices are its own.
     of_point : (P,) int, optional
-        Which of the piece's vertices each point of the prim is; by default they are the points.
+        Which of its vertices each point of the prim is; by default they are the points.
     space : SpaceAt
         Its space.
     normals : Normals, optional
@@ -90,7 +90,7 @@ class Placed:
     """
 
     path: str
-    piece: Piece
+    scene_mesh: SceneMesh
     of_point: IntArray | None = None
     space: SpaceAt = lambda time: WORLD
     normals: Normals | None = None
@@ -105,7 +105,7 @@ class Placed:
 
     def points(self, values: FloatArray) -> FloatArray:
         """Return of values (V, 3) of the sequence's vertices those of the prim's points."""
-        own = values[self.piece.vertices]
+        own = values[self.scene_mesh.vertices]
         return own if self.of_point is None else own[self.of_point]
 
 
@@ -117,7 +117,7 @@ class Bounds:
     ----------
     path : str
         Path of the prim.
-    pieces : tuple of Piece
+    scene_meshes : tuple of SceneMesh
         The meshes below it.
     space : SpaceAt
         Its space.
@@ -126,7 +126,7 @@ class Bounds:
     """
 
     path: str
-    pieces: tuple[Piece, ...]
+    scene_meshes: tuple[SceneMesh, ...]
     space: SpaceAt
     others: Callable[[float], FloatArray]
 
@@ -176,7 +176,7 @@ def _values(
         yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(own)
         yield f"{mesh.path}.extent", _extent(own)
         if mesh.normals:
-            normals = _normals(mesh.normals, points[mesh.piece.vertices], mesh.piece, space)
+            normals = _normals(mesh.normals, points[mesh.scene_mesh.vertices], mesh.scene_mesh, space)
             yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
     if velocities is not None:
         turned = _in_spaces(velocities, placed, direction=True)
@@ -196,13 +196,15 @@ def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direc
     for mesh, space in placed:
         if space is not WORLD:
             shift = 0.0 if direction else space.to_local[3, :3]
-            local[mesh.piece.vertices] = local[mesh.piece.vertices] @ space.to_local[:3, :3] + shift
+            local[mesh.scene_mesh.vertices] = local[mesh.scene_mesh.vertices] @ space.to_local[:3, :3] + shift
     return local
 
 
-def _normals(normals: Normals, points: FloatArray, piece: Piece, space: Space) -> NDArray[np.float32]:
+def _normals(
+    normals: Normals, points: FloatArray, scene_mesh: SceneMesh, space: Space
+) -> NDArray[np.float32]:
     """Return normals in a mesh's space: x' = x M turns normals n into n' = n M⁻ᵀ, so that n = n' Mᵀ."""
-    unit = shared_normals(points[None], piece.polygons, normals.groups)[0]
+    unit = shared_normals(points[None], scene_mesh.polygons, normals.groups)[0]
     if space is not WORLD:
         local = unit @ space.to_world[:3, :3].T
         unit = (local / np.linalg.norm(local, axis=1, keepdims=True)).astype(np.float32)
@@ -211,7 +213,7 @@ def _normals(normals: Normals, points: FloatArray, piece: Piece, space: Space) -
 
 def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
     """Return the corners of boxes around everything below a prim, in the prim's space."""
-    own = [points[piece.vertices] for piece in bounds.pieces if piece.vertex_count]
+    own = [points[scene_mesh.vertices] for scene_mesh in bounds.scene_meshes if scene_mesh.vertex_count]
     sides = [zip(each.min(axis=0), each.max(axis=0), strict=True) for each in own]
     corners = np.array([corner for box in sides for corner in product(*box)], dtype=np.float64).reshape(-1, 3)
     to_local = bounds.space(time).to_local

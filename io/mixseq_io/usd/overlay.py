@@ -26,7 +26,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from mixseq.arrays import FloatArray
 from mixseq.errors import OutputError
 from mixseq_io.blocks import warn
-from mixseq_io.pieces import Piece
+from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.base import Base, Fit
 from mixseq_io.usd.frames import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
 from mixseq_io.usd.layers import attribute_in
@@ -116,7 +116,7 @@ def _placed(base: Base, fit: Fit, velocities: bool) -> Placed:
     prim = fit.mesh.GetPrim()
     return Placed(
         path=str(prim.GetPath()),
-        piece=fit.piece,
+        scene_mesh=fit.scene_mesh,
         of_point=None if fit.weld.is_identity else fit.weld.of_point,
         space=_space(base, prim),
         normals=_normals(fit),
@@ -146,7 +146,7 @@ def _space(base: Base, prim: Usd.Prim) -> SpaceAt:
 
 def _normals(fit: Fit) -> Normals | None:
     """Return how to replace authored normals, which would be stale; subdivided meshes have none that count."""
-    mesh, piece = fit.mesh, fit.piece
+    mesh, scene_mesh = fit.mesh, fit.scene_mesh
     if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none:
         return None
     primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")  # counts before the attribute
@@ -156,14 +156,14 @@ def _normals(fit: Fit) -> Normals | None:
         attribute, interpolation = "normals", mesh.GetNormalsInterpolation()
     else:
         return None
-    groups = piece.polygons.indices if piece.creases is None else piece.creases
+    groups = scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
     if interpolation == UsdGeom.Tokens.faceVarying:
         return Normals(
             attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.order]
         )
     if interpolation == UsdGeom.Tokens.uniform:
-        faces = np.arange(len(piece.polygons.counts))
-        groups = np.repeat(faces, piece.polygons.counts)
+        faces = np.arange(len(scene_mesh.polygons.counts))
+        groups = np.repeat(faces, scene_mesh.polygons.counts)
         return Normals(attribute=attribute, interpolation=interpolation, groups=groups)
     if fit.weld.is_identity:
         return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
@@ -234,19 +234,19 @@ def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
 
 def _bounds(base: Base) -> tuple[Bounds, ...]:
     """Return the roots of skeletons: their extents follow the skeleton, and count instead of those of the meshes."""
-    below: dict[Usd.Prim, list[Piece]] = {}
+    below: dict[Usd.Prim, list[SceneMesh]] = {}
     for fit in base.fits:
         for prim in lineage(fit.mesh.GetPrim()):
             if UsdSkel.Root(prim):
-                below.setdefault(prim, []).append(fit.piece)
+                below.setdefault(prim, []).append(fit.scene_mesh)
     return tuple(
         Bounds(
             path=str(root.GetPath()),
-            pieces=tuple(pieces),
+            scene_meshes=tuple(scene_meshes),
             space=_space(base, root),
-            others=_others(base, root, len(pieces)),
+            others=_others(base, root, len(scene_meshes)),
         )
-        for root, pieces in below.items()
+        for root, scene_meshes in below.items()
     )
 
 

@@ -22,15 +22,15 @@ from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name, moving
 from mixseq_io.labels.markings import Markings
-from mixseq_io.pieces import join
 from mixseq_io.reader import SequenceReader, naming
+from mixseq_io.scene_meshes import join
 from mixseq_io.usd.diagnostics import quiet, reading_usd
 from mixseq_io.usd.markings import markings_of
 from mixseq_io.usd.meshes import meshes_of, places_of
 from mixseq_io.usd.motion import Mover, Track
 from mixseq_io.usd.skinning import skins_of
 from mixseq_io.usd.stage import Notes, absolute, open_stage
-from mixseq_io.usd.surface import piece_of
+from mixseq_io.usd.surface import scene_mesh_of
 from mixseq_io.usd.timing import frame_codes
 
 
@@ -161,11 +161,11 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
     stage = shot.stage
     rate = stage.GetTimeCodesPerSecond()
     ends = np.cumsum([track.vertex_count for track in shot.tracks]).tolist()
-    pieces = [
-        piece_of(track, end - track.vertex_count, shot.codes, notes)
+    scene_meshes = [
+        scene_mesh_of(track, end - track.vertex_count, shot.codes, notes)
         for track, end in zip(shot.tracks, ends, strict=True)
     ]
-    polygons, surface = join(path, pieces, Origin("USD", absolute(path)))
+    polygons, surface = join(path, scene_meshes, Origin("USD", absolute(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],

@@ -2,7 +2,7 @@
 
 It is a component that other tools can reference: the default prim ``/<name>`` is an Xform, with one Mesh for every
 object in it and the materials in ``/<name>/Looks``. Meshes are right-handed and in world space. Normals are written
-only where the author wanted creases on a mesh that is not subdivided; renderers compute the others.
+only where the author wanted hard edges on a mesh that is not subdivided; renderers compute the others.
 
 Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
 https://openusd.org/release/api/class_usd_geom_subset.html,
@@ -19,7 +19,7 @@ from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.blocks import warn
-from mixseq_io.pieces import Piece, split
+from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.frames import Cast, Normals, Placed
 from mixseq_io.usd.materials import define_materials
 from mixseq_io.usd.paths import identifier
@@ -52,32 +52,34 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, vel
     _show_name(root.GetPrim(), header.name)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
-    pieces = split(header)
-    wanted = [each.material for piece in pieces for each in piece.face_sets if each.material]
+    scene_meshes = split(header)
+    wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
     materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
     placed, taken = [], [_LOOKS]
-    for piece in pieces:
-        taken.append(identifier(piece.name, taken))
+    for scene_mesh in scene_meshes:
+        taken.append(identifier(scene_mesh.name, taken))
         path = f"/{name}/{taken[-1]}"
-        _define_mesh(stage, path, piece)
-        _bind(stage.GetPrimAtPath(path), target, piece, materials)
-        placed.append(Placed(path=path, piece=piece, normals=_normals(piece), velocities=velocities))
+        _define_mesh(stage, path, scene_mesh)
+        _bind(stage.GetPrimAtPath(path), target, scene_mesh, materials)
+        placed.append(
+            Placed(path=path, scene_mesh=scene_mesh, normals=_normals(scene_mesh), velocities=velocities)
+        )
     return Cast(tuple(placed))
 
 
-def _define_mesh(stage: Usd.Stage, path: str, piece: Piece) -> None:
+def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
     mesh = UsdGeom.Mesh.Define(stage, path)
-    _show_name(mesh.GetPrim(), piece.name)
-    mesh.CreateSubdivisionSchemeAttr(piece.subdivision)
+    _show_name(mesh.GetPrim(), scene_mesh.name)
+    mesh.CreateSubdivisionSchemeAttr(scene_mesh.subdivision)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(piece.polygons.counts))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArrayFromBuffer(piece.polygons.indices))
-    if piece.uvs is not None:
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.counts))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.indices))
+    if scene_mesh.uvs is not None:
         UsdGeom.PrimvarsAPI(mesh).CreateIndexedPrimvar(
             "st",
             Sdf.ValueTypeNames.TexCoord2fArray,
-            Vt.Vec2fArrayFromBuffer(piece.uvs.values),
-            Vt.IntArrayFromBuffer(piece.uvs.indices),
+            Vt.Vec2fArrayFromBuffer(scene_mesh.uvs.values),
+            Vt.IntArrayFromBuffer(scene_mesh.uvs.indices),
             UsdGeom.Tokens.faceVarying,
         )
 
@@ -88,31 +90,37 @@ def _show_name(prim: Usd.Prim, name: str) -> None:
         prim.SetDisplayName(name)
 
 
-def _normals(piece: Piece) -> Normals | None:
-    if piece.creases is None or piece.subdivision != "none":
+def _normals(scene_mesh: SceneMesh) -> Normals | None:
+    if scene_mesh.hard_edges is None or scene_mesh.subdivision != "none":
         return None
     return Normals(
         attribute="normals",
         interpolation=UsdGeom.Tokens.faceVarying,
-        groups=piece.creases,
-        order=piece.creases,
+        groups=scene_mesh.hard_edges,
+        order=scene_mesh.hard_edges,
     )
 
 
-def _bind(prim: Usd.Prim, target: Path, piece: Piece, materials: Mapping[str, UsdShade.Material]) -> None:
+def _bind(
+    prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
+) -> None:
     """Bind a material to the whole mesh, and others to subsets of its faces, which must not overlap."""
-    count = len(piece.polygons.counts)
-    whole = next((each for each in piece.face_sets if each.material and each.polygons.size == count), None)
+    count = len(scene_mesh.polygons.counts)
+    whole = next(
+        (each for each in scene_mesh.face_sets if each.material and each.polygons.size == count), None
+    )
     if whole:
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
     owners = [""] * count
     taken: list[str] = []
-    for each in piece.face_sets:
+    for each in scene_mesh.face_sets:
         if each is whole:
             continue
         taken.append(identifier(each.name, taken))
         faces = (
-            _unowned(each, owners, f"{target}: {piece.name!r}") if each.material else each.polygons.tolist()
+            _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
+            if each.material
+            else each.polygons.tolist()
         )
         subset = UsdGeom.Subset.CreateGeomSubset(
             UsdGeom.Mesh(prim),

@@ -16,11 +16,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from mixseq.arrays import IntArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.geometry.normals import creases_of_normals
+from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
-from mixseq_io.pieces import Piece
 from mixseq_io.reader import naming
+from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.meshes import display_name
 from mixseq_io.usd.motion import Track
 from mixseq_io.usd.stage import Notes
@@ -35,7 +35,7 @@ _UV_TYPES = (
 _PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
 
 
-def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes: Notes) -> Piece:
+def scene_mesh_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes: Notes) -> SceneMesh:
     """Return a mesh as it is in the first frame, its faces counter-clockwise seen from outside in world space.
 
     Parameters
@@ -61,29 +61,31 @@ def piece_of(track: Track, first_vertex: int, codes: NDArray[np.float64], notes:
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     if mesh.GetHoleIndicesAttr().Get(code):
         notes.add(mesh.GetPrim(), "holes cannot be kept; these faces become visible")
-    piece = Piece(
+    scene_mesh = SceneMesh(
         name=display_name(mesh.GetPrim()),
         path=path,
         vertices=slice(first_vertex, first_vertex + track.vertex_count),
         polygons=track.weld.polygons(polygons),
         uvs=_uvs(track, polygons, notes),
         # The normals of a surface that is subdivided follow from the subdivision.
-        creases=_creases(track, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
+        hard_edges=_hard_edges(track, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
         face_sets=tuple(_face_sets(mesh, len(polygons.counts), code, notes)),
         subdivision=scheme,
     )
     # A left-handed mesh lists corners clockwise; a transform that mirrors turns clockwise around.
     left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-    return _turned(piece) if left_handed != track.mirrored else piece
+    return _turned(scene_mesh) if left_handed != track.mirrored else scene_mesh
 
 
-def _turned(piece: Piece) -> Piece:
-    order = reversed_corners(piece.polygons.counts, keep_first=True)
+def _turned(scene_mesh: SceneMesh) -> SceneMesh:
+    order = reversed_corners(scene_mesh.polygons.counts, keep_first=True)
     return replace(
-        piece,
-        polygons=Polygons(piece.polygons.counts, piece.polygons.indices[order]),
-        uvs=None if piece.uvs is None else CornerValues(piece.uvs.values, piece.uvs.indices[order]),
-        creases=None if piece.creases is None else piece.creases[order],
+        scene_mesh,
+        polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
+        uvs=None
+        if scene_mesh.uvs is None
+        else CornerValues(scene_mesh.uvs.values, scene_mesh.uvs.indices[order]),
+        hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
     )
 
 
@@ -138,7 +140,7 @@ def _uvs(track: Track, polygons: Polygons, notes: Notes) -> CornerValues | None:
     return CornerValues(values, rows)
 
 
-def _creases(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:
+def _hard_edges(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:
     """Return which corners share a normal; ``primvars:normals`` come before ``normals``."""
     mesh, code = track.mesh, Usd.TimeCode(track.start)
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
@@ -154,7 +156,7 @@ def _creases(track: Track, polygons: Polygons, notes: Notes) -> NDArray[np.int32
     if not within(rows, len(normals)) or not np.isfinite(normals).all():
         notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
         return None
-    return creases_of_normals(track.weld.polygons(polygons), normals[rows])
+    return hard_edges_of_normals(track.weld.polygons(polygons), normals[rows])
 
 
 def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:

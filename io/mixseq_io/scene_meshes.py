@@ -1,7 +1,7 @@
 """Several meshes of a file as one sequence, and that sequence as several meshes again.
 
-Readers of scenes make one `Piece` per mesh and `join` them; writers `split` a header into the pieces that it
-joins. Points go along: object ``i`` owns the vertices ``piece.vertices`` of every frame.
+Readers of scenes make a `SceneMesh` of every mesh and `join` them; writers `split` a header into the meshes that it
+joins. Points go along: mesh ``i`` owns the vertices ``meshes[i].vertices`` of every frame.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mixseq_io.blocks import warn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Piece:
-    """One mesh: its polygons by its own vertices, and what is on them.
+class SceneMesh:
+    """A mesh of a scene: its polygons by its own vertices, and what is on them.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Piece:
         Its vertices among those of the sequence.
     polygons : Polygons
         Its faces; indices count from its own first vertex.
-    uvs, creases, face_sets, subdivision
+    uvs, hard_edges, face_sets, subdivision
         See `Surface`, with indices of its own polygons. A face set of all polygons is a material on the whole mesh.
     """
 
@@ -42,7 +42,7 @@ class Piece:
     vertices: slice
     polygons: Polygons
     uvs: CornerValues | None = None
-    creases: IntArray | None = None
+    hard_edges: IntArray | None = None
     face_sets: tuple[FaceSet, ...] = ()
     subdivision: str = "none"
 
@@ -52,14 +52,14 @@ class Piece:
         return int(self.vertices.stop - self.vertices.start)
 
 
-def join(path: Path, pieces: Sequence[Piece], origin: Origin | None) -> tuple[Polygons, Surface]:
+def join(path: Path, meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes, whose vertices follow each other, into one.
 
     Parameters
     ----------
     path : Path
         The file, for warnings.
-    pieces : sequence of Piece
+    meshes : sequence of SceneMesh
         The meshes, at least one.
     origin : Origin or None
         What the surface shall tell about the file.
@@ -70,26 +70,25 @@ def join(path: Path, pieces: Sequence[Piece], origin: Origin | None) -> tuple[Po
         If some of the meshes are subdivided differently; the sequence has what most have.
     """
     polygons = Polygons(
-        np.concatenate([piece.polygons.counts for piece in pieces]),
-        np.concatenate([piece.polygons.indices + piece.vertices.start for piece in pieces]),
+        np.concatenate([mesh.polygons.counts for mesh in meshes]),
+        np.concatenate([mesh.polygons.indices + mesh.vertices.start for mesh in meshes]),
     )
-    first_polygon = np.cumsum([0, *(len(piece.polygons.counts) for piece in pieces)])
-    schemes = Counter(piece.subdivision for piece in pieces)
+    first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
+    schemes = Counter(mesh.subdivision for mesh in meshes)
     if len(schemes) > 1:
         warn(
             f"{path}: its meshes are subdivided differently; {schemes.most_common(1)[0][0]!r} is kept for all"
         )
     surface = Surface(
-        uvs=_joined_uvs(pieces),
-        creases=_joined_creases(pieces),
+        uvs=_joined_uvs(meshes),
+        hard_edges=_joined_hard_edges(meshes),
         face_sets=tuple(
             FaceSet(each.name, each.polygons + first, each.material)
-            for piece, first in zip(pieces, first_polygon, strict=False)
-            for each in piece.face_sets
+            for mesh, first in zip(meshes, first_polygon, strict=False)
+            for each in mesh.face_sets
         ),
         objects=tuple(
-            MeshObject(piece.name, piece.path, piece.vertex_count, len(piece.polygons.counts))
-            for piece in pieces
+            MeshObject(mesh.name, mesh.path, mesh.vertex_count, len(mesh.polygons.counts)) for mesh in meshes
         ),
         subdivision=schemes.most_common(1)[0][0],
         origin=origin,
@@ -97,14 +96,14 @@ def join(path: Path, pieces: Sequence[Piece], origin: Origin | None) -> tuple[Po
     return polygons, surface
 
 
-def _joined_uvs(pieces: Sequence[Piece]) -> CornerValues | None:
+def _joined_uvs(meshes: Sequence[SceneMesh]) -> CornerValues | None:
     """Put the coordinates one after the other; meshes without any get (0, 0)."""
-    if all(piece.uvs is None for piece in pieces):
+    if all(mesh.uvs is None for mesh in meshes):
         return None
     values, indices, count = [], [], 0
-    for piece in pieces:
-        uvs = piece.uvs or CornerValues(
-            np.zeros((1, 2), dtype=np.float32), np.zeros(piece.polygons.indices.size, dtype=np.int32)
+    for mesh in meshes:
+        uvs = mesh.uvs or CornerValues(
+            np.zeros((1, 2), dtype=np.float32), np.zeros(mesh.polygons.indices.size, dtype=np.int32)
         )
         values.append(uvs.values)
         indices.append(uvs.indices + count)
@@ -112,40 +111,40 @@ def _joined_uvs(pieces: Sequence[Piece]) -> CornerValues | None:
     return CornerValues(np.concatenate(values), np.concatenate(indices))
 
 
-def _joined_creases(pieces: Sequence[Piece]) -> IntArray | None:
-    """Number the normals on from piece to piece; meshes without creases have one normal per vertex."""
-    if all(piece.creases is None for piece in pieces):
+def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
+    """Number the normals on from mesh to mesh; meshes without hard edges have one normal per vertex."""
+    if all(mesh.hard_edges is None for mesh in meshes):
         return None
     joined, count = [], 0
-    for piece in pieces:
-        creases = piece.polygons.indices if piece.creases is None else piece.creases
-        joined.append(creases + count)
-        count += int(creases.max(initial=-1)) + 1
+    for mesh in meshes:
+        hard_edges = mesh.polygons.indices if mesh.hard_edges is None else mesh.hard_edges
+        joined.append(hard_edges + count)
+        count += int(hard_edges.max(initial=-1)) + 1
     return np.concatenate(joined)
 
 
-def split(header: SequenceHeader) -> list[Piece]:
+def split(header: SequenceHeader) -> list[SceneMesh]:
     """Return the meshes that a sequence joins, in order; their vertices follow each other."""
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
-    pieces, vertex, polygon = [], 0, 0
+    meshes, vertex, polygon = [], 0, 0
     for each in header.objects:
         end = polygon + each.polygon_count
         inside = slice(int(corners[polygon]), int(corners[end]))
-        pieces.append(
-            Piece(
+        meshes.append(
+            SceneMesh(
                 name=each.name,
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
                 polygons=Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex),
                 uvs=None if surface.uvs is None else _used(surface.uvs.values, surface.uvs.indices[inside]),
-                creases=None if surface.creases is None else _renumbered(surface.creases[inside]),
+                hard_edges=None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside]),
                 face_sets=tuple(_inside(surface.face_sets, polygon, end)),
                 subdivision=surface.subdivision,
             )
         )
         vertex, polygon = vertex + each.vertex_count, end
-    return pieces
+    return meshes
 
 
 def _used(values: NDArray[np.float32], indices: IntArray) -> CornerValues:
@@ -153,8 +152,8 @@ def _used(values: NDArray[np.float32], indices: IntArray) -> CornerValues:
     return CornerValues(values[rows], used)
 
 
-def _renumbered(creases: IntArray) -> IntArray:
-    return np.unique(creases, return_inverse=True)[1].astype(np.int32)
+def _renumbered(hard_edges: IntArray) -> IntArray:
+    return np.unique(hard_edges, return_inverse=True)[1].astype(np.int32)
 
 
 def _inside(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:

@@ -11,9 +11,9 @@ from mixseq.errors import MixseqWarning
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, Origin
-from mixseq_io.pieces import Piece, join, split
+from mixseq_io.scene_meshes import SceneMesh, join, split
 
-QUAD = Piece(
+QUAD = SceneMesh(
     name="quad",
     path="/a/quad",
     vertices=slice(0, 4),
@@ -21,12 +21,12 @@ QUAD = Piece(
     uvs=CornerValues(np.array([[0.0, 1.0], [1.0, 0.5]]), np.array([0, 1, 0, 1])),
     face_sets=(FaceSet("skin", np.array([0]), "/looks/skin"),),
 )
-PAIR = Piece(
+PAIR = SceneMesh(
     name="pair",
     path="/a/pair",
     vertices=slice(4, 8),
     polygons=Polygons(np.array([3, 3]), np.array([0, 1, 2, 2, 1, 3])),
-    creases=np.array([0, 1, 2, 3, 4, 5]),
+    hard_edges=np.array([0, 1, 2, 3, 4, 5]),
     face_sets=(FaceSet("left", np.array([1])),),
 )
 
@@ -49,34 +49,34 @@ def test_joining() -> None:
         ("skin", [0], "/looks/skin"),
         ("left", [2], ""),
     ]
-    assert surface.uvs is not None and surface.creases is not None
+    assert surface.uvs is not None and surface.hard_edges is not None
     assert surface.uvs.at_corners.tolist() == [[0, 1], [1, 0.5]] * 2 + [[0, 0]] * 6
-    assert surface.creases.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert surface.hard_edges.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
 
 def test_splitting_gives_the_pieces_back() -> None:
     quad, pair = split(joined())
-    for got, piece in ((quad, QUAD), (pair, PAIR)):
-        assert (got.name, got.path, got.vertices) == (piece.name, piece.path, piece.vertices)
-        assert got.polygons.same_as(piece.polygons)
+    for got, mesh in ((quad, QUAD), (pair, PAIR)):
+        assert (got.name, got.path, got.vertices) == (mesh.name, mesh.path, mesh.vertices)
+        assert got.polygons.same_as(mesh.polygons)
         assert [(each.name, each.polygons.tolist(), each.material) for each in got.face_sets] == [
-            (each.name, each.polygons.tolist(), each.material) for each in piece.face_sets
+            (each.name, each.polygons.tolist(), each.material) for each in mesh.face_sets
         ]
-    assert quad.uvs is not None and QUAD.uvs is not None and pair.creases is not None
+    assert quad.uvs is not None and QUAD.uvs is not None and pair.hard_edges is not None
     assert quad.uvs.at_corners.tolist() == QUAD.uvs.at_corners.tolist()
-    assert pair.creases.tolist() == [0, 1, 2, 3, 4, 5]
+    assert pair.hard_edges.tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_sequence_without_objects_is_one_piece() -> None:
     header = SequenceHeader(polygons=QUAD.polygons, vertex_count=4, times=np.zeros(1), name="walk")
-    (piece,) = split(header)
-    assert (piece.name, piece.path, piece.vertices) == ("walk", "", slice(0, 4))
-    assert piece.polygons.same_as(QUAD.polygons)
-    assert piece.uvs is None and piece.creases is None and piece.face_sets == ()
+    (mesh,) = split(header)
+    assert (mesh.name, mesh.path, mesh.vertices) == ("walk", "", slice(0, 4))
+    assert mesh.polygons.same_as(QUAD.polygons)
+    assert mesh.uvs is None and mesh.hard_edges is None and mesh.face_sets == ()
 
 
 def test_different_subdivision_is_told() -> None:
-    smooth = Piece(
+    smooth = SceneMesh(
         name="smooth",
         path="/a/smooth",
         vertices=slice(4, 8),
