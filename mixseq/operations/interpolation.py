@@ -32,7 +32,7 @@ from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
+from mixseq.spaces.edge.space import EdgeSettings
 from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
 from mixseq.spaces.mixed import PlacementName
 from mixseq.threads import one_blas_thread
@@ -125,10 +125,8 @@ class Blend(PickledWithoutCaches):
     def at_with_reports(self, weights: ArrayLike) -> tuple[Float, list[ShellReport]]:
         """Blend as `at` does, and tell how every fit to lengths and angles went, in spaces that fit."""
         vector = self._blended(checked_weights(weights, len(self.vectors)))
-        if isinstance(self.space, EdgeSpace):
-            points, (reports,) = self.space.decode_with_reports(vector)
-            return points[0], reports
-        return self.space.decode(vector)[0], []
+        points, (reports,) = self.space.decode_with_reports(vector)
+        return points[0], reports
 
     def along(
         self, weights: ArrayLike, progress: Progress = silent, workers: Executor | None = None
@@ -139,7 +137,7 @@ class Blend(PickledWithoutCaches):
         except (TypeError, ValueError) as error:
             raise SettingsError("weights are not a table of numbers, with a row for every blend") from error
         rows = [checked_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
-        self.space.prepare()
+        self.space.prepared()
         work = workers or on_threads()
         for done, points in enumerate(work(Blend.at, self, rows), start=1):
             yield points

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse import csgraph
 
-from mixseq.arrays import Float, Index, Mask
+from mixseq.arrays import Float, Mask
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import turned
@@ -145,14 +144,10 @@ def limb_of(model: Model, part: int) -> Limb:
     SettingsError
         If the parts of the model have no poses of their own, the part is none of them, or hangs on no other.
     """
-    space, count = model.space, len(model.decomposition.parts)
-    if not isinstance(space, AnchoredSpace):
-        raise SettingsError(
-            "parts have poses of their own in the anchored placement only; fit a model with placement='anchored'"
-        )
+    space, count = model.space.anchored(), len(model.decomposition.parts)
     if not 0 <= part < count:
         raise SettingsError(f"there is no part {part}; the model has {count}, from 0 on")
-    above = parents(space)
+    above = space.parents
     parent = int(above[part])
     if parent < 0:
         linked = bool((space.neighbours.parts == part).any())
@@ -163,21 +158,3 @@ def limb_of(model: Model, part: int) -> Limb:
     for _ in range(count):
         parts |= (above >= 0) & parts[above]
     return Limb(space, part, parent, parts)
-
-
-def parents(space: AnchoredSpace) -> Index:
-    """Return the part ``(p,)`` that every part hangs on, -1 for the roots: the parts with most area."""
-    faces, labels = space.topology.faces, space.decomposition.part_of_face
-    a, b, c = np.moveaxis(space.reference[faces], 1, 0)
-    count = len(space.decomposition.parts)
-    areas = np.bincount(labels, np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=count)
-    i, j = space.neighbours.parts.T
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(count, count)).tocsr()
-    result = np.full(count, -1, dtype=np.int64)
-    reached = np.zeros(count, dtype=bool)
-    for root in np.argsort(-areas, kind="stable"):
-        if not reached[root]:
-            order, above = csgraph.breadth_first_order(graph, root, directed=False)
-            result[order[1:]] = above[order[1:]]
-            reached[order] = True
-    return result

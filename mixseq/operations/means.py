@@ -17,10 +17,8 @@ from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.geometry.rotations import continuous_vectors
-from mixseq.operations.limbs import parents
 from mixseq.prediction.poses import Poses
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.mixed import AnchoredSpace
 
 
 def mean(one: Float, other: Float, share: Float) -> Float:
@@ -45,8 +43,7 @@ def mean_placements(space: ShapeSpace, one: Float, other: Float, share: Float) -
     a, b = (Poses(normalised(poses.rotations), poses.centres) for poses in (first, second))
     share = share[:, :, None]
     result = Poses(_turned(a.rotations, b.rotations, share), mean(a.centres, b.centres, share))
-    if isinstance(space, AnchoredSpace):
-        _hang(space, result, a, b, share)
+    _hang(space, result, a, b, share)
     return space.placements(Poses(result.rotations * mean(length, longer, share), result.centres))
 
 
@@ -56,9 +53,9 @@ def _turned(one: Float, other: Float, share: Float) -> Float:
     return product(one, exponentials(share * ways))
 
 
-def _hang(space: AnchoredSpace, result: Poses, a: Poses, b: Poses, share: Float) -> None:
+def _hang(space: ShapeSpace, result: Poses, a: Poses, b: Poses, share: Float) -> None:
     """Put the parts that hang on others where these have them, in between `a` and `b`."""
-    above, pairs = parents(space), space.neighbours.parts
+    above, pairs = space.parents, space.neighbours.parts
     for part in _downwards(above):
         parent = above[part]
         link = np.flatnonzero((pairs == (parent, part)).all(axis=1))[0]

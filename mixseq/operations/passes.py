@@ -15,7 +15,6 @@ from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.mixed import AnchoredSpace
 
 SLACK = 1e-3
 """Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""
@@ -108,9 +107,8 @@ def continued(space: ShapeSpace, piece: Piece, reference: Float) -> Curve:
     """
     curve, start, _ = piece
     here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
-    bodies = space.frames.bodies if isinstance(space, AnchoredSpace) else np.arange(space.rotation_count)
     cosines = np.einsum("gi,gi->g", normalised(here), normalised(before))
-    together = np.bincount(bodies, cosines)[bodies]
+    together = np.bincount(space.bodies, cosines)[space.bodies]
     signs = np.where(np.where(np.abs(cosines) > 0.5, cosines, together) < 0, -1.0, 1.0)
     if (signs > 0).all():
         return curve

@@ -26,7 +26,6 @@ from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
-from mixseq.spaces import MixedSpace
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
@@ -160,7 +159,7 @@ def _content(
     if kind is None:
         charts = stacked(_coefficients(model, 2.7), _singular_values(model, 2.7))
         rows.append(beside(_layout(model, frames), charts))
-        if isinstance(model.space, MixedSpace):
+        if model.space.decomposed:
             rows.append(_parts(model, 5.0))
     if against is not None:
         own = kind == "error-vertices" and frames is not None

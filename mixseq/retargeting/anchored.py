@@ -94,11 +94,6 @@ class AnchoredPlacement:
         slices = rows.edge_slices, rows.hinge_slices, rows.free_slices
         return list(zip(rows.joints, rows.patches, *slices, self._blends, strict=True))
 
-    def prepare(self) -> None:
-        """Compute what all frames share."""
-        self.rows.prepare()
-        self._solved, self._copies, self._reference_poses  # noqa: B018 - cached properties
-
     def assemble(self, frame: MixedFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
 

@@ -49,11 +49,6 @@ class JointRows:
     stored_edges: tuple[Mask, ...]
     stored_hinges: tuple[Mask, ...]
 
-    def prepare(self) -> None:
-        """Find the patterns of all systems."""
-        for patch in self.patches:
-            patch.equations.pattern.analysis  # noqa: B018 - cached properties
-
     @cached_property
     def edge_ids(self) -> Index:
         """Global numbers ``(E',)`` of the stored edges, joint by joint."""

@@ -19,7 +19,6 @@ from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames
 from mixseq.signals.model import Model
-from mixseq.spaces import MixedSpace
 from mixseq.topology import Topology
 
 SAME_SIZE = 0.05
@@ -104,8 +103,8 @@ def source_motion(
         If there is no such frame.
     """
     if isinstance(source, Model):
-        if parts is None and isinstance(source.space, MixedSpace):
-            parts = source.space.decomposition.part_of_face
+        if parts is None and source.space.decomposed:
+            parts = source.space.decomposed.part_of_face
         frames = frame_store(_Sampled(source), progress)
     else:
         check_frames(source)

@@ -13,11 +13,12 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Index
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.solvers import Analysis, analyse
 
 
 @dataclass(frozen=True, eq=False)
-class BlockSparsePattern:
+class BlockSparsePattern(PickledWithoutCaches):
     """The lower triangle of a symmetric matrix of n x n blocks, all blocks of the diagonal there.
 
     Attributes
@@ -32,15 +33,18 @@ class BlockSparsePattern:
         and below the diagonal.
     keys : (m,) int64
         ``n * column + row`` of the blocks below the diagonal, ascending.
+    threads : int, optional
+        Threads that factor one matrix; by default as its size suggests.
     """
 
     starts: Index
     rows: Index
     places: Index
     keys: Index
+    threads: int | None = None
 
     @classmethod
-    def of(cls, count: int, pairs: Index) -> BlockSparsePattern:
+    def of(cls, count: int, pairs: Index, threads: int | None = None) -> BlockSparsePattern:
         """Make the pattern of `count` triples of unknowns, coupled in pairs ``(k, 2)``; negative ones are none."""
         low, high = pairs.min(axis=1, initial=count), pairs.max(axis=1, initial=-1)
         coupled = (low >= 0) & (low < high)
@@ -58,7 +62,7 @@ class BlockSparsePattern:
                 rows[places[:count, j] + i] = 3 * np.arange(count) + i
             for i in range(3):
                 rows[places[count:, j] + i] = 3 * row + i
-        return cls(starts, rows, places.astype(np.int64), keys)
+        return cls(starts, rows, places.astype(np.int64), keys, threads)
 
     @property
     def count(self) -> int:
@@ -71,6 +75,10 @@ class BlockSparsePattern:
         below = self.count + np.searchsorted(self.keys, self.count * low + high)
         return np.where(low < 0, -1, np.where(low == high, low, below)).astype(np.int64)
 
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.analysis,)
+
     @cached_property
     def diagonal(self) -> Index:
         """Where the values of the diagonal are ``(3n,)``."""
@@ -79,4 +87,4 @@ class BlockSparsePattern:
     @cached_property
     def analysis(self) -> Analysis:
         """Ordering and symbolic factorisation, shared by all matrices of the pattern."""
-        return analyse(self.starts, self.rows)
+        return analyse(self.starts, self.rows, self.threads)

@@ -68,9 +68,9 @@ class FrameGraph(PickledWithoutCaches):
         """Factor of the matrix of all averages."""
         return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.hold, 0.0))
 
-    def prepare(self) -> None:
-        """Compute what all frames of a sequence share."""
-        self.factor, self._layers  # noqa: B018 - cached properties
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.factor, self._layers
 
     def averaged(self, frames: Float, turns: Float, rounds: int) -> Float:
         """Return frames that fit each other better.

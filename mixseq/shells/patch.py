@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.arrays import Index, Mask
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.block_pattern import BlockSparsePattern
 from mixseq.shells.solvers import Factor, factorise
@@ -48,13 +49,15 @@ class NormalEquations:
     hinge_blocks: Index
 
     @classmethod
-    def of(cls, edges: Index, hinges: Index, free: Index, number: Index) -> NormalEquations:
+    def of(
+        cls, edges: Index, hinges: Index, free: Index, number: Index, threads: int | None = None
+    ) -> NormalEquations:
         """Find the blocks."""
         ends, corners = number[edges], number[hinges]
         p, o = np.tril_indices(4, -1)
         first, second = corners[:, p], corners[:, o]
         pairs = np.concatenate([ends, np.stack([first, second], axis=-1).reshape(-1, 2)])
-        pattern = BlockSparsePattern.of(len(free), pairs)
+        pattern = BlockSparsePattern.of(len(free), pairs, threads)
         return cls(
             edges=np.ascontiguousarray(edges),
             hinges=np.ascontiguousarray(hinges),
@@ -67,7 +70,7 @@ class NormalEquations:
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class Patch(PickledWithoutCaches):
     """A hinge-connected patch of triangles in local indices, some of its vertices fixed in space.
 
     Attributes
@@ -84,6 +87,8 @@ class Patch:
         Their two faces.
     fixed : (n,) bool
         Vertices whose positions are given.
+    threads : int, optional
+        Threads that factor one matrix; by default as its size suggests.
     """
 
     faces: Index
@@ -92,6 +97,7 @@ class Patch:
     hinges: Index
     hinge_faces: Index
     fixed: Mask
+    threads: int | None = None
 
     @classmethod
     def of_joint(cls, topology: Topology, joint: Joint, fixed: Mask) -> Patch:
@@ -104,6 +110,10 @@ class Patch:
             hinge_faces=np.searchsorted(joint.face_ids, topology.hinge_faces[joint.hinge_ids]),
             fixed=fixed,
         )
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`: what the linear initialisation and Gauss-Newton need."""
+        return self.equations.pattern, self.frame_pattern, self.laplacian_factor
 
     @cached_property
     def free(self) -> Index:
@@ -141,13 +151,18 @@ class Patch:
     def equations(self) -> NormalEquations:
         """The normal equations of lengths and angles around the free vertices."""
         return NormalEquations.of(
-            self.edges[self.free_edges], self.hinges[self.free_hinges], self.free, self.free_number
+            self.edges[self.free_edges],
+            self.hinges[self.free_hinges],
+            self.free,
+            self.free_number,
+            self.threads,
         )
 
     @cached_property
     def frame_pattern(self) -> BlockSparsePattern:
         """Which frames of faces are coupled by hinges; those of fixed faces are none."""
-        return BlockSparsePattern.of(int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces])
+        count, pairs = int((self.face_number >= 0).sum()), self.face_number[self.hinge_faces]
+        return BlockSparsePattern.of(count, pairs, self.threads)
 
     @cached_property
     def face_number(self) -> Index:

@@ -133,6 +133,10 @@ class Shell(PickledWithoutCaches):
     holds: Float
     bending: float
 
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.factor, self.largest
+
     @cached_property
     def _faces(self) -> Index:
         return self.topology.faces.astype(np.int64)

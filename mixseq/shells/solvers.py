@@ -43,16 +43,18 @@ class Analysis(Protocol):
         """
 
 
-def analyse(starts: Index, rows: Index) -> Analysis:
+def analyse(starts: Index, rows: Index, threads: int | None = None) -> Analysis:
     """Analyse the pattern of a symmetric positive definite matrix.
 
     Parameters
     ----------
     starts, rows : (n + 1,), (N,) int64
         Its lower triangle in compressed sparse columns, rows ascending.
+    threads : int, optional
+        Threads that rslab factors one matrix with; by default as its size suggests.
     """
     rslab = _rslab()
-    return _SuperLUAnalysis(starts, rows) if rslab is None else _RslabAnalysis(rslab, starts, rows)
+    return _SuperLUAnalysis(starts, rows) if rslab is None else _RslabAnalysis(rslab, starts, rows, threads)
 
 
 def factorise(matrix: sparse.sparray) -> Factor:
@@ -117,9 +119,9 @@ def _singular(error: Exception) -> ReconstructionError:
 
 
 class _RslabAnalysis:
-    def __init__(self, rslab: Any, starts: Index, rows: Index) -> None:
+    def __init__(self, rslab: Any, starts: Index, rows: Index, threads: int | None) -> None:
         size = len(starts) - 1
-        self._threads = 1 if size < ALONE else None
+        self._threads = 1 if threads is None and size < ALONE else threads
         self._symbolic = None
         if size:
             pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))

@@ -169,9 +169,7 @@ class Model(PickledWithoutCaches):
         SettingsError
             If it is another one, which has no parts.
         """
-        if not isinstance(self.space, MixedSpace):
-            raise SettingsError(f"the {self.space.name} space has no parts; fit a model with space='mixed'")
-        return self.space
+        return self.space.mixed()
 
     def __repr__(self) -> str:
         return (
@@ -322,7 +320,7 @@ class Model(PickledWithoutCaches):
         inside = self.inside(times)
         some = (inside[start : start + size] for start in range(0, len(inside), size))
         work = workers or (on_threads() if len(inside) > size else serially)
-        self.space.prepare()
+        self.space.prepared()
         done = 0
         for block in work(decode, self, some):
             yield block

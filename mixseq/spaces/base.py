@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, Index
+from mixseq.errors import SettingsError
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.operator import Operator
-from mixseq.prediction.poses import Poses, predicted_alone
+from mixseq.prediction.poses import Neighbours, Poses, predicted_alone
 from mixseq.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from mixseq.segmentation.joints import Decomposition
+    from mixseq.shells.gauss_newton import ShellReport
+    from mixseq.spaces.mixed.anchored import AnchoredSpace
+    from mixseq.spaces.mixed.space import MixedSpace
 
 DIFFERENCE = 1e-4
 """Step of difference quotients, relative to the size of a vector's metric."""
@@ -33,13 +42,18 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     scale: float
     """Length of the unit of the space, in the units of the sequence."""
 
+    posed_parts: ClassVar[bool] = False
+    """Whether every part has a pose of its own, so that limbs can be moved in their joints."""
+
     @property
     @abstractmethod
     def dim(self) -> int:
         """Length D of a vector."""
 
     def prepare(self) -> None:
-        """Compute what all frames share, so that threads that decode do not all do it."""
+        """Do what `prepared` does: its old name, which works for one more version."""
+        warnings.warn("prepare is now prepared", DeprecationWarning, stacklevel=2)
+        self.prepared()
 
     @property
     @abstractmethod
@@ -70,6 +84,46 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def centre_count(self) -> int:
         """How many centres a placement ends with."""
         return 0
+
+    @property
+    def decomposed(self) -> Decomposition | None:
+        """Parts and joints of the mesh, if the space knows any."""
+        return None
+
+    @property
+    def neighbours(self) -> Neighbours:
+        """Which of the poses in a placement see each other; here none do."""
+        return Neighbours(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), np.ones(self.rotation_count))
+
+    @property
+    def parents(self) -> Index:
+        """The part ``(r,)`` that the part of each pose hangs on, -1 for roots; here all are."""
+        return np.full(self.rotation_count, -1, dtype=np.int64)
+
+    @property
+    def bodies(self) -> Index:
+        """The body ``(r,)`` that each pose is of: poses of one body turn the same way round. Here each is one."""
+        return np.arange(self.rotation_count)
+
+    def anchored(self) -> AnchoredSpace:
+        """Return the space, if its parts have poses of their own, so that they can be moved one by one.
+
+        Raises
+        ------
+        SettingsError
+            If they have none.
+        """
+        raise SettingsError(f"the {self.name} space has no parts; fit a model with space='mixed'")
+
+    def mixed(self) -> MixedSpace:
+        """Return the space, if it is the mixed shape space.
+
+        Raises
+        ------
+        SettingsError
+            If it is another one, which has no parts.
+        """
+        raise SettingsError(f"the {self.name} space has no parts; fit a model with space='mixed'")
 
     @property
     def placement_dim(self) -> int:
@@ -147,6 +201,15 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         ReconstructionError
             If no mesh could be found for a vector.
         """
+
+    def decode_with_reports(
+        self, vectors: Float, progress: Progress = silent
+    ) -> tuple[Float, list[list[ShellReport]]]:
+        """Decode vectors as `decode` does, and tell how every fit to lengths and angles went, frame by frame.
+
+        Spaces that fit nothing have no reports.
+        """
+        return self.decode(vectors, progress), [[] for _ in vectors]
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Return what a change of a frame is in the shape coordinates, its placement left as it is.

@@ -125,10 +125,9 @@ class GradientSpace(ShapeSpace):
         cotangents = cosines / areas[:, None]
         return Integration(self.edges, 0.5 * cotangents.reshape(-1), len(self.pieces.row_vertices))
 
-    def prepare(self) -> None:
-        """Implement `ShapeSpace.prepare`."""
-        if self.integration.solved.size:
-            _ = self.integration.factor
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.integration,)
 
     @property
     def dim(self) -> int:

@@ -22,11 +22,12 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.solvers import Factor, factorise
 
 
 @dataclass(frozen=True, eq=False)
-class Integration:
+class Integration(PickledWithoutCaches):
     """The sides whose differences are known.
 
     Attributes
@@ -42,6 +43,10 @@ class Integration:
     sides: Index
     weights: Float
     count: int
+
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.factor,) if self.solved.size else ()
 
     @cached_property
     def incidence(self) -> sparse.csr_array:

@@ -84,10 +84,9 @@ class LRISpace(PosedSpace):
         """Which frames are coupled by edges."""
         return BlockSparsePattern.of(len(self.integration.solved), self.number[self.edges])
 
-    def prepare(self) -> None:
-        """Implement `ShapeSpace.prepare`."""
-        if self.integration.solved.size:
-            _ = self.integration.factor, self.pattern.analysis
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.integration, self.pattern
 
     @property
     def shape_dim(self) -> int:

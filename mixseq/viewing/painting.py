@@ -14,7 +14,6 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
-from mixseq.spaces import MixedSpace
 from mixseq.viewing.colouring import Colouring, clay, colourings_of
 from mixseq.viewing.shown import Item, Shot
 
@@ -122,4 +121,4 @@ def _same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
 
 
 def _decomposed(item: Item) -> bool:
-    return isinstance(item.motion, Model) and isinstance(item.motion.space, MixedSpace)
+    return isinstance(item.motion, Model) and item.motion.space.decomposed is not None

@@ -67,7 +67,7 @@ def measure(path: Path, first: int, second: int) -> None:
     )
     for method, told in spaces:
         blend = Blend.of(sequence, among=[first, second], **told)
-        blend.space.prepare()
+        blend.space.prepared()
         start = time.perf_counter()
         point, report = blend.at_with_reports([0.5, 0.5])
         show(method, point, time.perf_counter() - start, report)

@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mixseq.operations.limbs import limb_of, parents
+from mixseq.operations.limbs import limb_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 from mixseq.spaces.mixed import AnchoredSpace
@@ -23,7 +23,7 @@ def space_of(order: tuple[int, ...]) -> AnchoredSpace:
 
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=str)
 def test_a_chain_hangs_on_its_largest_bone(order: tuple[int, ...]) -> None:
-    above = parents(space_of(order))
+    above = space_of(order).parents
     assert [int(above[order[number]]) for number in range(3)] == [-1, order[0], order[1]]
     limb = limb_of(chain(order), order[1])
     assert np.flatnonzero(limb.parts).tolist() == sorted(order[1:])
@@ -38,7 +38,7 @@ def test_every_component_has_a_root() -> None:
     labels = np.where(height > 7.0, 0, np.where(height > 1.6, 1, 2))
     space = fit(MeshSequence.from_arrays(points, faces, fps=10), exact=True, parts=labels).space
     assert isinstance(space, AnchoredSpace)
-    assert parents(space).tolist() == [-1, -1, 1]
+    assert space.parents.tolist() == [-1, -1, 1]
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))), ids=str)

@@ -12,7 +12,6 @@ import pytest
 
 from mixseq import operations
 from mixseq.arrays import Float
-from mixseq.operations.limbs import parents
 from mixseq.operations.script import OPERATIONS
 from mixseq.signals import Model, fit
 from mixseq.spaces import AnchoredSpace
@@ -41,7 +40,7 @@ def with_layer(model: Model) -> Model:
 def hanging(model: Model) -> int:
     """A part that hangs on another one."""
     assert isinstance(model.space, AnchoredSpace)
-    return int(np.flatnonzero(parents(model.space) >= 0)[0])
+    return int(np.flatnonzero(model.space.parents >= 0)[0])
 
 
 def moved(model: Model, time: float) -> Float:

@@ -25,7 +25,6 @@ from mixseq.plots.video.timing import Track, film_times, nearest_frames, track_o
 from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames
 from mixseq.signals import Model
-from mixseq.spaces import MixedSpace
 
 _MEANING = {"error": "diagonals", "strain": "strain", "curvature": "degrees"}
 """What the colours with a scale are measured in."""
@@ -222,7 +221,7 @@ def _measures(
 def _colours(shown: Sequence[Shown]) -> list[Float]:
     """Return colours ``(F, 3)`` of the parts of each mesh: its own, or of a model of the same triangles."""
     models = [item.motion for item in shown if isinstance(item.motion, Model)]
-    mixed = [model for model in models if isinstance(model.space, MixedSpace)]
+    mixed = [model for model in models if model.space.decomposed]
     colours = []
     for item in shown:
         own = [model for model in mixed if model is item.motion]

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.joint import sound_lengths
@@ -35,7 +36,7 @@ class ShellPiece(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class DiscreteShell:
+class DiscreteShell(PickledWithoutCaches):
     """An `EdgeProjection`: one Gauss-Newton over each piece of a mesh.
 
     Attributes
@@ -65,13 +66,9 @@ class DiscreteShell:
             shells.append(ShellPiece(rows, patch, whole.edge_ids, whole.hinge_ids))
         return tuple(shells)
 
-    def prepare(self) -> None:
-        """Implement `EdgeProjection.prepare`."""
-        for piece in self.shells:
-            if piece is not None:
-                patch = piece.patch
-                patch.equations.pattern.analysis, patch.frame_pattern.analysis  # noqa: B018 - cached properties
-                patch.laplacian_factor  # noqa: B018
+    def constants(self) -> list[object]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return [piece.patch for piece in self.shells if piece is not None]
 
     def volumes(self, x: FloatArray) -> Float:
         """Return the volumes ``(p,)`` of the pieces of a frame ``(V, 3)``, 0 of a vertex; see `volume`."""

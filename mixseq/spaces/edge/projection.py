@@ -6,7 +6,7 @@ two, `mixseq.spaces.edge.relaxed_shell` and `mixseq.spaces.edge.discrete_shell`.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 from mixseq.arrays import Float
 from mixseq.shells.fitting import ShellReport, ShellSettings
@@ -39,8 +39,8 @@ class EdgeProjection(Protocol):
     *Rows* are the vertices of all pieces, piece after piece, see `mixseq.spaces.pieces`.
     """
 
-    def prepare(self) -> None:
-        """Compute what all frames share."""
+    def prepared(self) -> Self:
+        """Compute what all frames share, as `PickledWithoutCaches.prepared`."""
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Find the mesh with nearly these lengths and angles.

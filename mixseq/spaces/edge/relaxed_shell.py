@@ -121,10 +121,9 @@ class RelaxedShell(PickledWithoutCaches):
         topology = self._rows.topology
         return Hinges(topology.faces, topology.hinges, topology.hinge_faces)
 
-    def prepare(self) -> None:
-        """Implement `EdgeProjection.prepare`."""
-        self.graph.prepare()
-        self.shell.largest  # noqa: B018 - a cached property
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.graph, self.shell
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`; of the settings only the tolerance says when to stop."""

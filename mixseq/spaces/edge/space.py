@@ -130,10 +130,9 @@ class EdgeSpace(PosedSpace):
             volumes = np.divide(1.0, areas, out=np.zeros_like(areas), where=areas > 0)
         return np.concatenate([np.ones(len(lengths)), ANGLE * lengths[self.topology.hinge_edges], volumes])
 
-    def prepare(self) -> None:
-        """Implement `ShapeSpace.prepare`."""
-        self.projection.prepare()
-        self._volume_weights, self.pieces.radii  # noqa: B018 - cached properties
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.projection, self._volume_weights, self.pieces.radii
 
     def shape_of(self, x: Float) -> Float:
         """Implement `PosedSpace.shape_of`."""

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
@@ -98,6 +99,7 @@ class AnchoredSpace(MixedSpace):
     known: Mask
     relaxation: Relaxation
     placement = "anchored"
+    posed_parts = True
 
     @cached_property
     def edge_ids(self) -> Index:
@@ -129,12 +131,9 @@ class AnchoredSpace(MixedSpace):
         """What makes lengths and angles agree."""
         return Settling.of(self.topology, self.reference, self.edge_ids, self.hinge_ids, self.relaxation)
 
-    def prepare(self) -> None:
-        """Implement `ShapeSpace.prepare`."""
-        if len(self.seams.vertices):
-            _ = self.seams.factor
-        if self.relaxation.steps:
-            self.settling.prepare()
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.seams, self.settling) if self.relaxation.steps else (self.seams,)
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
@@ -239,6 +238,33 @@ class AnchoredSpace(MixedSpace):
         bodies = np.eye(int(self.frames.bodies.max(initial=-1)) + 1)[self.frames.bodies]
         signs = np.cumprod(np.where(cosines @ bodies < 0, -1.0, 1.0), axis=0)
         return rotations * signs[:, self.frames.bodies, None]
+
+    def anchored(self) -> AnchoredSpace:
+        """Implement `ShapeSpace.anchored`."""
+        return self
+
+    @property
+    def bodies(self) -> Index:
+        """Implement `ShapeSpace.bodies`: parts that are connected."""
+        return self.frames.bodies
+
+    @cached_property
+    def parents(self) -> Index:
+        """Implement `ShapeSpace.parents`: neighbours one boundary nearer to the root, the part with most area."""
+        faces, labels = self.topology.faces, self.decomposition.part_of_face
+        a, b, c = np.moveaxis(self.reference[faces], 1, 0)
+        count = len(self.decomposition.parts)
+        areas = np.bincount(labels, np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=count)
+        i, j = self.neighbours.parts.T
+        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(count, count)).tocsr()
+        result = np.full(count, -1, dtype=np.int64)
+        reached = np.zeros(count, dtype=bool)
+        for root in np.argsort(-areas, kind="stable"):
+            if not reached[root]:
+                order, above = csgraph.breadth_first_order(graph, root, directed=False)
+                result[order[1:]] = above[order[1:]]
+                reached[order] = True
+        return result
 
     @cached_property
     def neighbours(self) -> Neighbours:

@@ -216,10 +216,9 @@ class Assembly(PickledWithoutCaches):
             for body in np.unique(of_pose)
         ]
 
-    def prepare(self) -> None:
-        """Compute what all frames share."""
-        self.graph.prepare()
-        self.shell.largest, self._inside, self._bodies, self._tied_rows  # noqa: B018 - cached properties
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.graph, self.shell, self._inside, self._bodies, self._tied_rows
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""

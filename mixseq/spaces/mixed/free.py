@@ -77,9 +77,9 @@ class FreeSpace(MixedSpace):
             self.relaxation,
         )
 
-    def prepare(self) -> None:
-        """Implement `ShapeSpace.prepare`."""
-        self.projection.prepare()
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.projection,)
 
     @property
     def edge_ids(self) -> Index:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.frames import FrameGraph
 from mixseq.shells.hinge_kernels import measured
 from mixseq.shells.relaxation_kernels import turned_sides
@@ -30,7 +31,7 @@ place, too little to bend it. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settling:
+class Settling(PickledWithoutCaches):
     """Makes the lengths and angles of posed meshes agree with those that are known; make it with `Settling.of`.
 
     Attributes
@@ -69,9 +70,9 @@ class Settling:
         hinges = Hinges(topology.faces, topology.hinges, topology.hinge_faces)
         return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation.steps)
 
-    def prepare(self) -> None:
-        """Compute what all frames share."""
-        self.shell.largest, self.graph.factor  # noqa: B018 - cached properties
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.shell, self.graph.factor
 
     def settled(self, x: Float, lengths: Float, angles: Float) -> Float:
         """Return where vertices, posed at ``(V, 3)``, are with lengths ``(E',)`` and angles ``(H',)``."""

@@ -55,6 +55,10 @@ class Sides(PickledWithoutCaches):
         """Take the sides of the faces ``(F, 3)`` at free vertices, which are marked ``(V,)``."""
         return cls(faces[free[faces].any(axis=1)].astype(np.int64), np.flatnonzero(free), reference)
 
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return (self.factor,) if len(self.vertices) else ()
+
     @cached_property
     def weights(self) -> Float:
         """Weights ``(f, 3)`` of the sides 01, 12 and 20."""

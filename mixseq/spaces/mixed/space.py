@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.registered import radii_of_gyration, registered
 from mixseq.topology import Topology
+
+if TYPE_CHECKING:
+    from mixseq.spaces.mixed.anchored import AnchoredSpace
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
@@ -48,6 +51,21 @@ class MixedSpace(ShapeSpace):
     reference: Float
     name = "mixed"
     placement: ClassVar[PlacementName]
+
+    @property
+    def decomposed(self) -> Decomposition:
+        """Implement `ShapeSpace.decomposed`."""
+        return self.decomposition
+
+    def mixed(self) -> MixedSpace:
+        """Implement `ShapeSpace.mixed`."""
+        return self
+
+    def anchored(self) -> AnchoredSpace:
+        """Implement `ShapeSpace.anchored`: the free placement has poses of whole components only."""
+        raise SettingsError(
+            "parts have poses of their own in the anchored placement only; fit a model with placement='anchored'"
+        )
 
     @cached_property
     def radii(self) -> Float:

@@ -9,9 +9,7 @@ import numpy as np
 
 from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, retime, reverse
 from mixseq.operations.dragging import default_reach
-from mixseq.operations.limbs import parents
 from mixseq.signals import Model
-from mixseq.spaces import AnchoredSpace
 from mixseq.viewing.live.charts import Charts
 from mixseq.viewing.picking import Picked
 from mixseq.viewing.playback import Playback
@@ -98,7 +96,7 @@ class EditControls:
         """Choose the part that was clicked, and return what was."""
         motion = self._playback.shot.items[index].motion
         text = f"vertex {picked.vertex}, triangle {picked.face}"
-        if isinstance(motion, Model) and isinstance(motion.space, AnchoredSpace):
+        if isinstance(motion, Model) and motion.space.posed_parts:
             cut_up = motion.decomposition
             part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
             if index == self._session.index:  # the root has nothing that it could move against
@@ -169,6 +167,4 @@ def reach_of(model: Model) -> float:
 
 def _parts(model: Model) -> tuple[str, ...]:
     """Return the numbers of the parts that can be chosen: those that hang on another one."""
-    if not isinstance(model.space, AnchoredSpace):
-        return ()
-    return tuple(str(part) for part in np.flatnonzero(parents(model.space) >= 0))
+    return tuple(str(part) for part in np.flatnonzero(model.space.parents >= 0))

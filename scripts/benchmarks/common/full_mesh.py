@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from importlib import import_module
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
-from mixseq.shells.solvers import Analysis
 from mixseq.topology import Topology
 
 
@@ -52,16 +51,14 @@ class FullMesh:
         t = self.topology
         nothing_fixed = np.zeros(t.vertex_count, dtype=bool)
         faces = t.faces.astype(np.int64)
-        patch = Patch(faces, t.edges, t.face_edges, t.hinges, t.hinge_faces, nothing_fixed)
-        for pattern in (patch.equations.pattern, patch.frame_pattern):
-            # In place of the analysis that the pattern would make itself.
-            vars(pattern)["analysis"] = _analysed(pattern.starts, pattern.rows, self.threads)
+        import_module("rslab")  # without it the comparison fails: with another solver it would be another one
+        patch = Patch(faces, t.edges, t.face_edges, t.hinges, t.hinge_faces, nothing_fixed, self.threads)
         return ShellProblem(patch, self.lengths, self.angles, 1.0 / self.lengths, self.settings.bending)
 
     def prepare(self) -> None:
         """Analyse and compile whatever is kept, so that it is not timed."""
         iterate(self.problem, self.ends[0])
-        _ = self.problem.patch.laplacian_factor
+        self.problem.patch.prepared()
 
     def from_vertices(self) -> tuple[Float, ShellReport]:
         """Solve, starting from the mean of the vertices."""
@@ -82,32 +79,3 @@ def iterate(problem: ShellProblem, points: Float) -> Float:
     diagonal = values[pattern.diagonal]
     values[pattern.diagonal] = (1 + 1e-6) * diagonal + 1e-12 * diagonal.max()
     return -pattern.analysis.factor(values).solve(gradient)
-
-
-def _analysed(starts: Any, rows: Any, threads: int) -> Analysis:
-    import rslab  # without it the comparison fails: with another solver it would be another one
-
-    return _Rslab(rslab, starts, rows, threads)
-
-
-class _Rslab:
-    """rslab with a given number of threads, whatever the size of the matrix."""
-
-    def __init__(self, rslab: Any, starts: Any, rows: Any, threads: int) -> None:
-        from scipy import sparse
-
-        size = len(starts) - 1
-        pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
-        self._symbolic = rslab.analyze(pattern, path="ldlt", threads=threads)
-
-    def factor(self, values: Float) -> Any:
-        return _RslabFactor(self._symbolic.factor(values))
-
-
-class _RslabFactor:
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, right: Float) -> Float:
-        right = np.ascontiguousarray(right)
-        return np.asarray(self._factor.solve(right) if right.ndim == 1 else self._factor.solve_many(right))

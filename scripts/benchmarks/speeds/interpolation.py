@@ -95,7 +95,7 @@ def _measure_pair(
     for method, told in SPACES.items():
         say(f"{pair}: {method}")
         blends[method] = Blend.of(sequence, among=[first, second], **told)
-        blends[method].space.prepare()
+        blends[method].space.prepared()
         timing, points = repeated(partial(blends[method].at, [0.5, 0.5]), 7, 20.0, warm=True)
         solved.append((method, timing, [], points / sequence.diagonal, 1))
     settings = ShellSettings()

@@ -95,7 +95,7 @@ class Edge:
         return self.space.encode(self.poses.points)
 
     def prepare(self) -> None:
-        self.space.prepare()
+        self.space.prepared()
         _ = self.vectors
 
     def at(self, weights: Float) -> Blended:
@@ -113,7 +113,7 @@ class ManyScales(Edge):
 
     def prepare(self) -> None:
         super().prepare()
-        self.projection.prepare()
+        self.projection.prepared()
 
     def at(self, weights: Float) -> Blended:
         shapes, turns, centres = self.space.split((weights @ self.vectors)[None])
@@ -168,7 +168,7 @@ class Mixed:
 
     def prepare(self) -> None:
         """Do what is done once."""
-        self.space.prepare()
+        self.space.prepared()
         _ = self.vectors
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
@@ -261,7 +261,7 @@ class Printed(Free):
     def prepare(self) -> None:
         _ = self.vectors, self.registered.overlaps, self.registered.seams.factor
         for patch in self.patches:
-            patch.frame_pattern.analysis, patch.equations.pattern.analysis, patch.laplacian_factor  # noqa: B018
+            patch.prepared()
 
     def timed(self, weights: Float) -> tuple[Blended, Seconds]:
         """Blend step by step."""

@@ -31,6 +31,7 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
+from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from mixseq.shells.joint import rebuild, sound_lengths
@@ -65,7 +66,7 @@ TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Leaf:
+class Leaf(PickledWithoutCaches):
     """A patch that is rebuilt from its lengths and angles.
 
     Attributes
@@ -92,11 +93,9 @@ class Leaf:
         patch = Patch.of_joint(topology, joint, ~joint.free)
         return cls(joint.vertices, joint.edge_ids, joint.hinge_ids, patch)
 
-    def prepare(self) -> None:
-        """Analyse and factor all that depends on connectivity only."""
-        for pattern in (self.patch.frame_pattern, self.patch.equations.pattern):
-            _ = pattern.analysis
-        _ = self.patch.laplacian_factor, self.patch.hinge_frames
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return self.patch, self.patch.hinge_frames
 
     def rebuilt(
         self, lengths: Float, angles: Float, weights: Float, settings: ShellSettings
@@ -113,7 +112,7 @@ class Leaf:
 
 
 @dataclass(frozen=True, eq=False)
-class Merge:
+class Merge(PickledWithoutCaches):
     """A patch that is put together from its children, the patches last made.
 
     Attributes
@@ -158,11 +157,10 @@ class Merge:
         shapes = [np.cos(np.outer(mine + 1, np.sqrt([2.0, 3.0, 5.0]))) for mine in own]
         return cls(vertices, edges, len(own), Overlaps.of(own, shapes), seams)
 
-    def prepare(self) -> None:
-        """Factor all that depends on connectivity only."""
-        _ = self.overlaps.translation_solver, self.seams.component
-        if self.seams.solved.size:
-            _ = self.seams.factor
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        seams = (self.seams.factor,) if self.seams.solved.size else ()
+        return self.overlaps.translation_solver, self.seams.component, *seams
 
     def merged(self, points: list[Float], lengths: Float) -> Float:
         """Return points ``(n, 3)`` from those of the children and the lengths of the mesh."""
@@ -174,7 +172,7 @@ class Merge:
 
 
 @dataclass(frozen=True, eq=False)
-class MultiScale:
+class MultiScale(PickledWithoutCaches):
     """Rebuilds meshes patch by patch; an `EdgeProjection`.
 
     Attributes
@@ -211,11 +209,9 @@ class MultiScale:
             steps.append(tuple(step for region in whole for step in _steps(self.topology, region)))
         return tuple(steps)
 
-    def prepare(self) -> None:
-        """Implement `EdgeProjection.prepare`."""
-        for steps in self.steps:
-            for step in steps:
-                step.prepare()
+    def constants(self) -> list[object]:
+        """Implement `PickledWithoutCaches.constants`."""
+        return [step for steps in self.steps for step in steps]
 
     def fit(self, wanted: Wanted, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Implement `EdgeProjection.fit`, with a report for every leaf."""

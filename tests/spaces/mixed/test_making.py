@@ -340,7 +340,7 @@ def test_spaces_are_the_same_whoever_makes_them_and_can_be_sent(placement: Place
     other = mixed_space(points, space.topology, space.decomposition, placement, workers=on_threads(3))
     vectors = space.encode(points)
     np.testing.assert_array_equal(other.encode(points), vectors)
-    space.prepare()
+    space.prepared()
     sent = pickle.loads(pickle.dumps(space))
     np.testing.assert_array_equal(sent.encode(points), vectors)
     np.testing.assert_array_equal(sent.decode(vectors), space.decode(vectors))
