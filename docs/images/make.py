@@ -148,8 +148,8 @@ def softening(path: Path) -> None:
     """Joints of two poses, at boundaries only and inside parts."""
     walk = walk_cycle()
     columns: dict[str, tuple[Index, Index]] = {}
-    for title, shrink in (("at boundaries only", None), ("shrink=0.01", 0.01)):
-        space = Blend.of(walk, among=[0, 12], shrink=shrink).space
+    for title, tolerance in (("at boundaries only", None), ("stretch_tolerance=0.01", 0.01)):
+        space = Blend.of(walk, among=[0, 12], stretch_tolerance=tolerance).space
         assert isinstance(space, MixedSpace)
         columns[title] = space.decomposition.part_of_face, space.decomposition.joint_of_face
     from_two_sides(path, walk, columns)

@@ -24,7 +24,17 @@ _UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2
 _SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 _OF_FITTING = (
-    *("exact", "tolerance", "rank", "space", "parts", "segmentation", "joint_width", "placement", "shrink"),
+    *(
+        "exact",
+        "tolerance",
+        "rank",
+        "space",
+        "parts",
+        "segmentation",
+        "joint_width",
+        "placement",
+        "stretch_tolerance",
+    ),
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )
 """Options of ``mixseq encode`` that are about models that are not compressed."""

@@ -17,7 +17,6 @@ from mixseq.cli.info import dimension_rows
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
     FILE,
-    as_settings,
     examples,
     fit_options,
     labels_options,
@@ -111,11 +110,9 @@ def command(
         else:
             if labels is not None or label_source is not None:
                 fitting = fitting | {
-                    "parts": parts_given(reader, fitting["parts"], labels, label_source, reading)
+                    "parts": parts_given(reader, fitting.get("parts"), labels, label_source, reading)
                 }
-            model = mixseq.fit(
-                reader, **as_settings(fitting), knots=knots, pose=pose, progress=progress, workers=work
-            )
+            model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
         mixseq.save(target, model)
         seconds = perf_counter() - start
         if check:

@@ -16,7 +16,6 @@ from mixseq.cli.files import check_target, write_sequence
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
     FILE,
-    as_settings,
     examples,
     labels_options,
     quiet_option,
@@ -123,10 +122,10 @@ def command(
     ):
         weights = _weights(poses, steps, reader.header.frame_count)
         if labels is not None or label_source is not None:
-            parts = parts_given(reader, making["parts"], labels, label_source, reading)
+            parts = parts_given(reader, making.get("parts"), labels, label_source, reading)
             making = making | {"parts": parts}
         used = _used(weights)
-        blend = Blend.of(reader, **as_settings(making), among=used, progress=progress, workers=work)
+        blend = Blend.of(reader, **making, among=used, progress=progress, workers=work)
         header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
         frames = (points[None] for points in blend.along(weights[:, used], progress, work))
         write_sequence(target, header, frames, None, writing)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import wraps
 from pathlib import Path
@@ -181,7 +181,8 @@ def space_options(command: Command) -> Command:
         help="How parts are placed: by a pose each, or where lengths and angles put them.",
     )
     @setting(
-        "--shrink",
+        "--stretch-tolerance",
+        renamed_from="shrink",
         type=click.FloatRange(min=0, min_open=True),
         metavar="X",
         help="Let joints go on inside parts where blending shortens edges by more than this share.",
@@ -200,26 +201,15 @@ def space_options(command: Command) -> Command:
     @wraps(command)
     def with_options(*args: Any, **settings: Any) -> None:
         making = {name: settings.pop(name) for name in _MAKING}
-        edge = _those_given({name: settings.pop(name) for name in ("projection", "volume")})
-        if edge and making["space"] != "edge":
-            raise SettingsError(
-                f"--{next(iter(edge))} is for the edge space; leave it out, or give --space edge"
-            )
-        command(*args, making=making | ({"edge": edge} if edge else {}), **settings)
+        command(*args, making=_those_given(making), **settings)
 
     return with_options
 
 
-_MAKING = ("space", "parts", "segmentation", "joint_width", "placement", "shrink")
-
-
-def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `mixseq.fit` takes of the plain values that `fit_options` or `space_options` collected."""
-    if "edge" not in options:
-        return dict(options)
-    from mixseq.spaces.edge.space import EdgeSettings
-
-    return {**options, "edge": EdgeSettings(**options["edge"])}
+_MAKING = (
+    *("space", "parts", "segmentation", "joint_width", "placement", "stretch_tolerance"),
+    *("projection", "volume"),
+)
 
 
 def labels_options(command: Command) -> Command:

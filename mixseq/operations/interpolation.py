@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,13 +28,19 @@ from mixseq.mapping import Executor, on_threads
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.progress import Progress, Stages, silent
 from mixseq.renamed import renamed
-from mixseq.segmentation import Segmentation
 from mixseq.sequence import Frames, SequenceHeader, check_frames
-from mixseq.shells.fitting import ShellReport, ShellSettings
+from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.space import EdgeSettings
-from mixseq.spaces.making import MAKING, SpaceName, SpaceSettings, check_space, make_space, part_of_faces
+from mixseq.spaces.making import (
+    MAKING,
+    MixedSettings,
+    SpaceName,
+    SpaceOptions,
+    make_space,
+    part_of_faces,
+    space_settings,
+)
 from mixseq.spaces.mixed import PlacementName
 from mixseq.threads import one_blas_thread
 
@@ -60,21 +67,19 @@ class Blend(PickledWithoutCaches):
     vectors: Float
 
     @classmethod
+    @renamed(motion="segmentation", shrink="stretch_tolerance")
     def of(
         cls,
         poses: Frames,
         space: SpaceName = "mixed",
         *,
-        placement: PlacementName = "anchored",
+        placement: PlacementName = MixedSettings.placement,
         parts: int | ArrayLike | None = None,
-        joint_width: int = 3,
-        segmentation: Segmentation = "motion",
-        shrink: float | None = None,
-        shell: ShellSettings | None = None,
-        edge: EdgeSettings | None = None,
+        joint_width: int = MixedSettings.joint_width,
         among: ArrayLike | None = None,
         progress: Progress = silent,
         workers: Executor | None = None,
+        **settings: Unpack[SpaceOptions],
     ) -> Blend:
         """Make a space of poses, and encode them; parameters as of `interpolate`, and one more.
 
@@ -83,8 +88,7 @@ class Blend(PickledWithoutCaches):
         among : (n,) int array_like, optional
             The poses to be blended, all by default. The others tell only of the parts of the mesh.
         """
-        settings = SpaceSettings(placement, parts, joint_width, segmentation, shrink, 0.0, shell, edge)
-        check_space(space, settings, usual=SpaceSettings(settling_from=0.0))
+        chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
         check_frames(poses)
         count = poses.header.frame_count
         blended = np.arange(count) if among is None else np.asarray(among)
@@ -97,10 +101,10 @@ class Blend(PickledWithoutCaches):
         work = workers or on_threads()
         with one_blas_thread():
             frames = frame_store(poses, stages.at(0))
-            if space == "mixed":
-                settings = replace(settings, parts=part_of_faces(frames, settings))
+            if isinstance(chosen, MixedSettings):
+                chosen = replace(chosen, parts=part_of_faces(frames, chosen), settling_from=0.0)
             some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
-            made = make_space(some, space, settings, work, stages.at(1, MAKING))
+            made = make_space(some, space, chosen, work, stages.at(1, MAKING))
             encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
         return cls(frames.header, made, vectors)
@@ -150,21 +154,18 @@ class Blend(PickledWithoutCaches):
             return np.concatenate([weights @ shapes, placement])[None]
 
 
-@renamed(motion="segmentation")
+@renamed(motion="segmentation", shrink="stretch_tolerance")
 def interpolate(
     poses: Frames,
     weights: ArrayLike,
     space: SpaceName = "mixed",
     *,
-    placement: PlacementName = "anchored",
+    placement: PlacementName = MixedSettings.placement,
     parts: int | ArrayLike | None = None,
-    joint_width: int = 3,
-    segmentation: Segmentation = "motion",
-    shrink: float | None = None,
-    shell: ShellSettings | None = None,
-    edge: EdgeSettings | None = None,
+    joint_width: int = MixedSettings.joint_width,
     progress: Progress = silent,
     workers: Executor | None = None,
+    **settings: Unpack[SpaceOptions],
 ) -> Float:
     """Blend any number of poses of a mesh in a shape space.
 
@@ -186,17 +187,15 @@ def interpolate(
         Mixed space: number of parts, or the part of every triangle; found from the poses if not given.
     joint_width : int
         Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
-    shrink : float, optional
-        Mixed space: joints go on inside parts where a blend would shorten an edge by more than this share of its
-        length; by default they are at boundaries. The free placement follows lengths and angles more closely with .03.
-    segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
-        Mixed space: how parts are found; settings of a method are that method.
-    shell, edge : optional
-        Edge space: fits to lengths and angles, and the projection.
     progress : callable, optional
         Told about every stage.
     workers : Executor, optional
         Who looks at the poses; by default as many threads as there are cores.
+
+    Other Parameters
+    ----------------
+    segmentation, stretch_tolerance, projection, volume, shell : optional
+        As of `mixseq.fit`. The free placement follows lengths and angles more closely with a stretch tolerance of .03.
 
     Returns
     -------
@@ -231,12 +230,9 @@ def interpolate(
         placement=placement,
         parts=parts,
         joint_width=joint_width,
-        segmentation=segmentation,
-        shrink=shrink,
-        shell=shell,
-        edge=edge,
         progress=progress,
         workers=workers,
+        **settings,
     )
     return blend.at(weights[used])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,15 +13,22 @@ from mixseq.frame_store import frame_store
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, Stages, silent
 from mixseq.renamed import renamed
-from mixseq.segmentation import Segmentation
 from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
 from mixseq.spaces.edge.space import EdgeSettings
-from mixseq.spaces.making import MAKING, SPACES, SpaceName, SpaceSettings, check_space, make_space
-from mixseq.spaces.mixed import FAR, NEVER, PlacementName
+from mixseq.spaces.making import (
+    MAKING,
+    SPACES,
+    MixedSettings,
+    SpaceName,
+    SpaceOptions,
+    make_space,
+    space_settings,
+)
+from mixseq.spaces.mixed import FAR, PlacementName
 from mixseq.threads import one_blas_thread
 
 __all__ = ["SPACES", "SpaceName", "fit"]
@@ -32,25 +40,27 @@ _MARGIN = 10.0
 """Lengths and angles are fitted to so much more accurately than frames have to be."""
 
 
-@renamed(motion="segmentation")
+class FitOptions(SpaceOptions, total=False):
+    """Further settings of `fit`, by name."""
+
+    knots: int | ArrayLike | None
+    pose: PoseForm
+
+
+@renamed(motion="segmentation", shrink="stretch_tolerance")
 def fit(
     sequence: Frames,
     exact: bool = False,
     tolerance: float | None = None,
     rank: int | None = None,
-    placement: PlacementName = "anchored",
+    placement: PlacementName = MixedSettings.placement,
     parts: int | ArrayLike | None = None,
-    joint_width: int = 3,
+    joint_width: int = MixedSettings.joint_width,
     space: SpaceName = "mixed",
     *,
-    knots: int | ArrayLike | None = None,
-    pose: PoseForm = "modes",
-    segmentation: Segmentation = "motion",
-    shrink: float | None = None,
-    shell: ShellSettings | None = None,
-    edge: EdgeSettings | None = None,
     progress: Progress = silent,
     workers: Executor | None = None,
+    **settings: Unpack[FitOptions],
 ) -> Model:
     r"""Turn a mesh sequence into a model: time, pose and shape signals in a shape space.
 
@@ -85,23 +95,26 @@ def fit(
         Largest width of joints, in strips of triangles on each side of a boundary.
     space : {"mixed", "vertex", "gradient", "lri", "edge"}
         The shape space: S_m, vertex positions, deformation gradients, LRI coordinates, or edge lengths and dihedral
-        angles. Only S_m has a use for `placement`, `parts`, `joint_width`, `segmentation` and `shrink`.
-    knots : int or (n,) array_like, optional
-        Inner knots of all curves: how many, evenly spread, or their times in seconds. By default one at (almost)
-        every frame, or as few as `tolerance` allows.
-    pose : {"modes", "keys"}
-        What key shapes are: mean and modes, or frames of the sequence; see `mixseq.signals.pose`.
-    shrink : float, optional
-        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
-        `mixseq.segmentation.softness`; by default they are at boundaries only.
-    segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
-        How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
-    shell, edge : optional
-        Details of the edge space: fits to lengths and angles; its projection, and what else it keeps.
+        angles. Only S_m has a use for `placement`, `parts`, `joint_width`, `segmentation` and `stretch_tolerance`.
     progress : callable, optional
         Told about every stage.
     workers : Executor, optional
         Who works on blocks of frames, see `mixseq.mapping`; by default as many threads as there are cores.
+
+    Other Parameters
+    ----------------
+    segmentation : {"motion", "silhouettes", "spanning-tree"}, optional
+        How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
+    stretch_tolerance : float, optional
+        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
+        `mixseq.segmentation.softness`; by default they are at boundaries only.
+    projection, volume, shell : optional
+        Of the edge space, see `mixseq.spaces.EdgeSettings`.
+    knots : int or (n,) array_like, optional
+        Inner knots of all curves: how many, evenly spread, or their times in seconds. By default one at (almost)
+        every frame, or as few as `tolerance` allows.
+    pose : {"modes", "keys"}
+        What key shapes are: mean and modes (default), or frames of the sequence; see `mixseq.signals.pose`.
 
     Returns
     -------
@@ -129,20 +142,22 @@ def fit(
     True
     """
     check_frames(sequence)
+    knots, pose = settings.pop("knots", None), settings.pop("pose", "modes")
     _check(exact, tolerance, rank, knots, pose)
+    chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
+    wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
     few = rank is not None or knots is not None  # numbers: they do not tell lengths and angles well enough
-    settling_from = NEVER if few else FAR
-    settings = SpaceSettings(placement, parts, joint_width, segmentation, shrink, settling_from, shell, edge)
-    check_space(space, settings, usual=SpaceSettings(settling_from=settling_from))
-    direct = exact or rank is not None or knots is not None
+    direct = exact or few
+    match chosen:
+        case MixedSettings() if not few:
+            chosen = replace(chosen, settling_from=FAR)
+        case EdgeSettings(projection="dso", shell=None):
+            chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _MARGIN))
     stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
     work = workers or on_threads()
-    wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
-    if edge is not None and edge.projection == "dso" and shell is None:
-        settings = replace(settings, shell=ShellSettings(accuracy=wanted / _MARGIN))
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
-        shape_space = make_space(frames, space, settings, work, stages.at(1, MAKING))
+        shape_space = make_space(frames, space, chosen, work, stages.at(1, MAKING))
         encoded = encode(frames, shape_space, pose, work, stages.at(1 + MAKING))
         if direct:
             return build(encoded, Detail(rank=rank, knots=knots))

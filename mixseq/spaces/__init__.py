@@ -4,7 +4,15 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
-from mixseq.spaces.making import SPACES, SpaceName, SpaceSettings, make_space
+from mixseq.spaces.making import (
+    SPACES,
+    MixedSettings,
+    NoSettings,
+    SpaceName,
+    SpaceSettings,
+    make_space,
+    space_settings,
+)
 from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 
@@ -16,11 +24,14 @@ __all__ = [
     "FreeSpace",
     "GradientSpace",
     "LRISpace",
+    "MixedSettings",
     "MixedSpace",
+    "NoSettings",
     "ShapeSpace",
     "SpaceName",
     "SpaceSettings",
     "VertexSpace",
     "make_space",
     "mixed_space",
+    "space_settings",
 ]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +30,7 @@ from mixseq.segmentation import (
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
+from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace, ProjectionName
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.mean_lengths import mean_lengths
@@ -45,74 +46,101 @@ MAKING = 3
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceSettings:
-    """How spaces are made. Every space has a use for some of these only.
+class MixedSettings:
+    """How the mixed space is made.
 
     Attributes
     ----------
     placement : {"anchored", "free"}
-        Mixed space: how parts are placed.
+        How parts are placed.
     parts : int or (F,) int, optional
-        Mixed space: number of parts, or the part of every triangle; found from the motion if not given.
+        Number of parts, or the part of every triangle; found from the motion if not given.
     joint_width : int
-        Mixed space: largest width of joints, in strips of triangles on each side of a boundary.
+        Largest width of joints, in strips of triangles on each side of a boundary.
     segmentation : {"motion", "silhouettes", "spanning-tree"} or settings of one of these
-        Mixed space: how parts are found.
-    shrink : float, optional
-        Mixed space: joints go on inside parts where blending would shorten an edge by more than this share of its
-        length, see `mixseq.segmentation.softness`; by default they are at boundaries only.
+        How parts are found.
+    stretch_tolerance : float, optional
+        Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
+        `mixseq.segmentation.softness`; by default they are at boundaries only.
     settling_from : float
-        Mixed space: from where on lengths and angles are made to agree, see `mixseq.spaces.mixed_space`.
-    shell : ShellSettings, optional
-        Edge space, projection "dso": the weight of angles, and when Gauss-Newton stops.
-    edge : EdgeSettings, optional
-        Edge space: which projection, and what else it keeps.
+        From where on lengths and angles are made to agree, see `mixseq.spaces.mixed_space`.
     """
 
     placement: PlacementName = "anchored"
     parts: int | ArrayLike | None = None
     joint_width: int = 3
     segmentation: Segmentation = "motion"
-    shrink: float | None = None
+    stretch_tolerance: float | None = None
     settling_from: float = NEVER
-    shell: ShellSettings | None = None
-    edge: EdgeSettings | None = None
 
 
-_USES: dict[SpaceName, tuple[str, ...]] = {
-    "mixed": ("placement", "parts", "joint_width", "segmentation", "shrink", "settling_from"),
-    "edge": ("shell", "edge"),
-}
+@dataclass(frozen=True)
+class NoSettings:
+    """How spaces are made that leave nothing to choose."""
 
 
-def check_space(name: SpaceName, settings: SpaceSettings, usual: SpaceSettings) -> None:
-    """Refuse a space that does not exist, and settings that were chosen for nothing.
+SpaceSettings = MixedSettings | EdgeSettings | NoSettings
+
+
+class SpaceOptions(TypedDict, total=False):
+    """Settings of spaces by name, but for those that are parameters of `mixseq.fit` themselves."""
+
+    segmentation: Segmentation
+    stretch_tolerance: float | None
+    projection: ProjectionName
+    volume: float
+    shell: ShellSettings | None
+
+
+def space_settings(name: SpaceName, edge: EdgeSettings | None = None, **given: Any) -> SpaceSettings:
+    """Make the settings of a space of what users chose, by the names of the settings.
 
     Parameters
     ----------
     name : str
         Name of the space.
-    settings : SpaceSettings
-        The settings.
-    usual : SpaceSettings
-        What they are where nobody chose any.
+    edge : EdgeSettings, optional
+        Deprecated: settings of the edge space together.
+    **given
+        Settings by name. Those of other spaces are allowed as long as they are what they are by default.
 
     Raises
     ------
     SettingsError
-        If the name is none of `SPACES`, or the space has no use for a setting that is not the usual one.
+        If the name is none of `SPACES`, or the space has no use for a setting.
     """
     if name not in SPACES:
         raise SettingsError(f"space is {name!r}; one of {', '.join(SPACES)} is expected")
-    uses = _USES.get(name, ())
-    for setting in (field.name for field in fields(SpaceSettings)):
-        given, default = getattr(settings, setting), getattr(usual, setting)
-        chosen = given is not default and not (np.ndim(given) == 0 and given == default)
-        if chosen and setting not in uses:
-            others = " or ".join(f"space={other!r}" for other in SPACES if setting in _USES.get(other, ()))
+    if edge is not None:
+        warnings.warn("edge=EdgeSettings('dso') is now projection='dso'", DeprecationWarning, stacklevel=4)
+        given |= {"projection": edge.projection, "volume": edge.volume}
+    known = _defaults(name)
+    for setting, value in given.items():
+        owners = [other for other in SPACES if setting in _defaults(other)]
+        if not owners:
+            names = sorted({setting for space in SPACES for setting in _defaults(space)})
+            raise SettingsError(f"there is no setting {setting}; settings of spaces are {', '.join(names)}")
+        default = _defaults(owners[0])[setting]
+        chosen = value is not default and not (np.ndim(value) == 0 and value == default)
+        if chosen and setting not in known:
+            others = " or ".join(f"space={other!r}" for other in owners)
             raise SettingsError(
                 f"the {name} space has no use for {setting}; leave it out, or choose {others}"
             )
+    return _SETTINGS[name](**{setting: value for setting, value in given.items() if setting in known})
+
+
+_SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
+    "mixed": MixedSettings,
+    "vertex": NoSettings,
+    "gradient": NoSettings,
+    "lri": NoSettings,
+    "edge": EdgeSettings,
+}
+
+
+def _defaults(name: SpaceName) -> dict[str, Any]:
+    return {field.name: field.default for field in fields(_SETTINGS[name])}
 
 
 def make_space(
@@ -130,8 +158,8 @@ def make_space(
         The sequence. Its first frame is the reference, and its diagonal the unit.
     name : str
         One of `SPACES`.
-    settings : SpaceSettings, optional
-        How it is made.
+    settings : MixedSettings, EdgeSettings or NoSettings, optional
+        How it is made, see `space_settings`.
     workers : Executor, optional
         Who looks at the frames; the space is the same whoever does.
     progress : callable, optional
@@ -144,11 +172,10 @@ def make_space(
     SegmentationError
         If given parts do not fit the mesh.
     """
-    settings = settings or SpaceSettings()
-    check_space(name, settings, settings)
+    settings = settings or _SETTINGS[name]()
+    if isinstance(settings, MixedSettings):
+        return _mixed(frames, settings, workers, Stages(progress, MAKING, len(frames.points)))
     header, points = frames.header, frames.points
-    if name == "mixed":
-        return _mixed(frames, settings, workers, Stages(progress, MAKING, len(points)))
     first = points[:1][0].astype(np.float64)
     scale = bounding_diagonal(first) or 1.0
     if name == "vertex":
@@ -158,17 +185,18 @@ def make_space(
         return GradientSpace(topology, scale, reference)
     if name == "lri":
         return LRISpace(topology, scale, reference)
-    shell, edge = settings.shell or ShellSettings(), settings.edge or EdgeSettings()
-    if settings.shell is not None and edge.projection != "dso":
+    assert isinstance(settings, EdgeSettings)
+    if settings.shell is not None and settings.projection != "dso":
         raise SettingsError(
-            f"projection {edge.projection!r} has no use for shell; leave it out, or choose "
-            "edge=EdgeSettings('dso')"
+            f"projection {settings.projection!r} has no use for shell; leave it out, or choose projection='dso'"
         )
     lengths = mean_lengths(points, topology.edges, scale, workers, progress)
-    return EdgeSpace(topology, scale, reference, lengths, shell, edge)
+    return EdgeSpace(
+        topology, scale, reference, lengths, replace(settings, shell=settings.shell or ShellSettings())
+    )
 
 
-def part_of_faces(frames: FrameStore | MeshSequence, settings: SpaceSettings) -> NDArray[np.int64]:
+def part_of_faces(frames: FrameStore | MeshSequence, settings: MixedSettings) -> NDArray[np.int64]:
     """Return the part ``(F,)`` of every triangle in the mixed space: given, or found.
 
     Raises
@@ -188,7 +216,7 @@ def part_of_faces(frames: FrameStore | MeshSequence, settings: SpaceSettings) ->
 
 
 def _mixed(
-    frames: FrameStore | MeshSequence, settings: SpaceSettings, workers: Executor, stages: Stages
+    frames: FrameStore | MeshSequence, settings: MixedSettings, workers: Executor, stages: Stages
 ) -> MixedSpace:
     """Find the parts, grow the joints between them, register the parts."""
     header, points = frames.header, frames.points
@@ -198,7 +226,8 @@ def _mixed(
     looked_at = points[frames_to_look_at(len(points))]
     watched = Watched.of(topology, labels, looked_at)
     observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
-    softening = None if settings.shrink is None else Softening(looked_at, settings.shrink)
+    tolerance = settings.stretch_tolerance
+    softening = None if tolerance is None else Softening(looked_at, tolerance)
     decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
     return mixed_space(
         points, topology, decomposition, settings.placement, settings.settling_from, workers, stages.at(2)

@@ -16,7 +16,6 @@ import numpy as np
 import mixseq
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
 from mixseq.operations.interpolation import Blend
-from mixseq.spaces import EdgeSettings
 
 PAIRS = (
     ("lion_poses", 2, 5),
@@ -61,9 +60,9 @@ def measure(path: Path, first: int, second: int) -> None:
     show("vertices", ends.mean(axis=0), 0.0, [])
     spaces: tuple[tuple[str, dict[str, Any]], ...] = (
         ("interpolate", {}),
-        ("interpolate, free", {"placement": "free", "shrink": 0.03}),
+        ("interpolate, free", {"placement": "free", "stretch_tolerance": 0.03}),
         ("interpolate, edge", {"space": "edge"}),
-        ("interpolate, edge, DSO", {"space": "edge", "edge": EdgeSettings("dso")}),
+        ("interpolate, edge, DSO", {"space": "edge", "projection": "dso"}),
     )
     for method, told in spaces:
         blend = Blend.of(sequence, among=[first, second], **told)

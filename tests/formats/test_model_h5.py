@@ -29,7 +29,6 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import Curve, Model
 from mixseq.spaces import (
     AnchoredSpace,
-    EdgeSettings,
     EdgeSpace,
     FreeSpace,
     GradientSpace,
@@ -143,7 +142,6 @@ def models() -> dict[str, Model]:
     """Models of seven frames with three key shapes and five knots, in all spaces."""
     sequence = bar(sides=5, rings=13, frames=7)
     shell = ShellSettings(bending=0.4, iterations=77)
-    volume = EdgeSettings("dso", volume=0.5)
     return {
         "mixed": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3),
         "free": mixseq.fit(sequence, rank=2, knots=1, parts=2, joint_width=3, placement="free"),
@@ -151,7 +149,9 @@ def models() -> dict[str, Model]:
         "gradient": mixseq.fit(sequence, rank=2, knots=1, space="gradient"),
         "lri": mixseq.fit(sequence, rank=2, knots=1, space="lri"),
         "edge": mixseq.fit(sequence, rank=2, knots=1, space="edge"),
-        "volume": mixseq.fit(sequence, rank=2, knots=1, space="edge", shell=shell, edge=volume),
+        "volume": mixseq.fit(
+            sequence, rank=2, knots=1, space="edge", shell=shell, projection="dso", volume=0.5
+        ),
     }
 
 
@@ -313,7 +313,7 @@ def test_header_and_settings_are_kept(tmp_path: Path) -> None:
     )
     sequence = replace_fields(sequence, surface=surface)
     shell = ShellSettings(bending=1 / 3, iterations=5, tolerance=1e-3, exact=1e-7)
-    original = mixseq.fit(sequence, shell=shell, space="edge", edge=EdgeSettings("dso"))
+    original = mixseq.fit(sequence, shell=shell, space="edge", projection="dso")
     mixseq.save(tmp_path / "model.h5", original)
     loaded = mixseq.load(str(tmp_path / "model.h5"))
     assert_equal(original, loaded)

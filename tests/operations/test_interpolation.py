@@ -14,7 +14,7 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES, EdgeSettings, SpaceName
+from mixseq.spaces import SPACES, SpaceName
 from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, PlacementName
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
 
@@ -23,8 +23,8 @@ POSES = bar(sides=5, rings=13, frames=4)
 KINDS: list[tuple[SpaceName, dict[str, Any]]] = [
     *((space, {}) for space in SPACES),
     ("mixed", {"placement": "free"}),
-    ("edge", {"edge": EdgeSettings("dso")}),
-    ("edge", {"edge": EdgeSettings("dso", volume=1.0)}),
+    ("edge", {"projection": "dso"}),
+    ("edge", {"projection": "dso", "volume": 1.0}),
 ]
 
 
@@ -205,7 +205,7 @@ def test_poses_to_blend_are_checked() -> None:
         ({"space": "vertex", "placement": "free"}, "the vertex space has no use for placement"),
         ({"space": "lri", "parts": 2}, "the lri space has no use for parts"),
         ({"placement": "loose"}, "placement is 'loose'"),
-        ({"edge": EdgeSettings()}, "the mixed space has no use for edge"),
+        ({"volume": 1.0}, "the mixed space has no use for volume"),
     ],
 )
 def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:

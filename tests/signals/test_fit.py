@@ -42,7 +42,8 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"segmentation": "skin"}, r"segmentation is 'skin'; one of motion, silhouettes, spanning-tree"),
         ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='edge'"),
         ({"placement": "free", "shell": ShellSettings()}, r"the mixed space has no use for shell"),
-        ({"edge": EdgeSettings()}, r"the mixed space has no use for edge; .* space='edge'"),
+        ({"projection": "dso"}, r"the mixed space has no use for projection; .* space='edge'"),
+        ({"shrinkage": 1}, r"there is no setting shrinkage; settings of spaces are joint_width, "),
         ({"knots": 1}, r"knots is 1; 3 frames can tell of 0 to 0 inner knots"),
     ],
 )
@@ -119,10 +120,18 @@ def test_all_spaces_move(space: SpaceName) -> None:
 
 
 def test_settings_of_the_edge_space_are_used() -> None:
-    shell, edge = ShellSettings(bending=0.7), EdgeSettings("dso")
-    space = fit(SMALL, exact=True, space="edge", shell=shell, edge=edge).space
+    shell = ShellSettings(bending=0.7)
+    space = fit(SMALL, exact=True, space="edge", shell=shell, projection="dso").space
     assert isinstance(space, EdgeSpace)
-    assert (space.shell, space.settings) == (shell, edge)
+    assert (space.shell, space.settings) == (shell, EdgeSettings("dso", shell=shell))
+
+
+def test_settings_of_the_edge_space_may_come_together() -> None:
+    with pytest.warns(DeprecationWarning, match="edge=.* is now projection=") as heard:
+        space = fit(SMALL, exact=True, space="edge", edge=EdgeSettings("dso", volume=0.5)).space  # type: ignore[call-arg]
+    assert heard[0].filename == __file__
+    assert isinstance(space, EdgeSpace)
+    assert space.settings.volume == 0.5
 
 
 @pytest.mark.parametrize("space", ["vertex", "gradient", "lri", "edge"])

@@ -9,7 +9,7 @@ import pytest
 from mixseq.mapping import on_threads, serially
 from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSpace, SpaceName, SpaceSettings, make_space
+from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSettings, MixedSpace, SpaceName, make_space
 from tests.meshes import bar, bending, tube
 
 LONG = bar(sides=4, rings=9, frames=19)
@@ -81,7 +81,7 @@ def test_reference_lengths_are_means_over_all_frames() -> None:
     """A tube that is twice as large in one of four frames: lengths are 1.25 times those of the first."""
     points, faces = tube(4, 5)
     sequence = MeshSequence.from_arrays(np.stack([points, points, 2 * points, points]), faces)
-    space = make_space(sequence, "edge", SpaceSettings(edge=EdgeSettings("dso", volume=0.25)))
+    space = make_space(sequence, "edge", EdgeSettings("dso", volume=0.25))
     assert isinstance(space, EdgeSpace)
     ends = points[space.topology.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / sequence.diagonal
@@ -92,12 +92,12 @@ def test_reference_lengths_are_means_over_all_frames() -> None:
 @pytest.mark.parametrize(
     ("settings", "check"),
     [
-        (SpaceSettings(parts=3), lambda space: len(space.decomposition.parts) == 3),
-        (SpaceSettings(placement="free"), lambda space: space.placement == "free"),
-        (SpaceSettings(joint_width=1), lambda space: space.decomposition.widths.max() == 1),
+        (MixedSettings(parts=3), lambda space: len(space.decomposition.parts) == 3),
+        (MixedSettings(placement="free"), lambda space: space.placement == "free"),
+        (MixedSettings(joint_width=1), lambda space: space.decomposition.widths.max() == 1),
     ],
 )
-def test_settings_of_the_mixed_space_are_used(settings: SpaceSettings, check: Any) -> None:
+def test_settings_of_the_mixed_space_are_used(settings: MixedSettings, check: Any) -> None:
     space = make_space(LONG, "mixed", settings)
     assert isinstance(space, MixedSpace)
     assert check(space)

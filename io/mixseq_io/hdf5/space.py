@@ -35,6 +35,9 @@ Blocks = dict[str, tuple[int, ...]]
 FIRST_WITH_QUATERNIONS = 5
 """Version from which on rotations in placements are quaternions; before they were rotation vectors."""
 
+EDGE = ("projection", "volume")
+"""Settings of the edge space in the group of that name; those of the fits have their own."""
+
 GONE = ("coarse", "steps")
 """Settings of the edge space in older files: of a coarse mesh, whose lengths and angles are not read any more."""
 
@@ -101,7 +104,8 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
     if isinstance(space, AnchoredSpace | FreeSpace):
         settings = {"relaxation": asdict(space.relaxation)}
     if isinstance(space, EdgeSpace):
-        settings = {"shell": asdict(space.shell), "edge": asdict(space.settings)}
+        edge = {name: getattr(space.settings, name) for name in EDGE}
+        settings = {"shell": asdict(space.shell), "edge": edge}
     write_settings(file, settings)
     file.attrs["space"] = space.name
     file.require_group("space").attrs["scale"] = space.scale
@@ -159,14 +163,15 @@ def _read_edge_space(
     lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
         raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
-    return EdgeSpace(topology, scale, reference, lengths, read_shell(path, file), _edge_settings(path, file))
+    return EdgeSpace(topology, scale, reference, lengths, _edge_settings(path, file))
 
 
 def _edge_settings(path: Path, file: h5py.File) -> EdgeSettings:
     """Read the settings of the edge space; projections that are no more were ways to what steps find."""
-    known = {*EdgeSettings.__dataclass_fields__, *GONE}
+    known = {*EDGE, *GONE}
     found = {
         name: value for name, value in read_settings(path, file, "edge", known).items() if name not in GONE
     }
     projection = found.pop("projection", "dso")  # what it was where nobody chose one
-    return EdgeSettings("steps" if projection == "msgi" else projection, **found)
+    shell = read_shell(path, file)
+    return EdgeSettings("steps" if projection == "msgi" else projection, **found, shell=shell)

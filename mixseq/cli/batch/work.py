@@ -17,7 +17,6 @@ import mixseq
 from mixseq.cli.batch.plan import Asset
 from mixseq.cli.batch.report import Entry, Report, write_report
 from mixseq.cli.files import Decoded, options_of
-from mixseq.cli.options import as_settings
 from mixseq.errors import GivenUpError, MixseqError, MixseqWarning, OutputError
 from mixseq.progress import Progress, silent
 
@@ -170,7 +169,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
 
     mapped = workers or serially
     reading = options_of(asset.source, settings["reading"])
-    fitting = as_settings({name: value for name, value in settings.items() if name != "reading"})
+    fitting = {name: value for name, value in settings.items() if name != "reading"}
     unfinished = asset.target.parent / UNFINISHED
     unfinished.mkdir(exist_ok=True)
     with (

@@ -45,6 +45,8 @@ class EdgeSettings:
     volume : float
         DSO: weight of a relative change of volume against that of a length; 0 for no volume term. There are thousands
         of lengths for one volume: half way between poses of animals 10 halves its error, 100 leaves less than 0.1 %.
+    shell : ShellSettings, optional
+        DSO: weight of the angles, and when Gauss-Newton stops.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class EdgeSettings:
 
     projection: ProjectionName = "steps"
     volume: float = 0.0
+    shell: ShellSettings | None = None
 
     def __post_init__(self) -> None:
         if self.projection not in PROJECTIONS:
@@ -77,16 +80,18 @@ class EdgeSpace(PosedSpace):
     ----------
     reference_lengths : (E,) float64
         Mean lengths of all edges; their inverses weigh lengths in the fits.
-    shell : ShellSettings
-        DSO: weight of the angles, and when Gauss-Newton stops.
     settings : EdgeSettings
         Which projection, and what else it is told.
     """
 
     reference_lengths: Float
-    shell: ShellSettings
     settings: EdgeSettings
     name = "edge"
+
+    @property
+    def shell(self) -> ShellSettings:
+        """How lengths and angles are fitted."""
+        return self.settings.shell or ShellSettings()
 
     @cached_property
     def projection(self) -> EdgeProjection:

@@ -30,7 +30,10 @@ PAIRS = (
 )
 """Animation, its two frames, how many times faster MixIT should be. The second pair of each is the farthest."""
 
-SPACES: dict[str, dict[str, Any]] = {"MixIT": {}, "MixIT, free": {"placement": "free", "shrink": 0.03}}
+SPACES: dict[str, dict[str, Any]] = {
+    "MixIT": {},
+    "MixIT, free": {"placement": "free", "stretch_tolerance": 0.03},
+}
 """What `mixseq.interpolate` is told."""
 
 WEIGHTS = (0.25, 0.5, 0.75)
@@ -66,7 +69,7 @@ def measure(say: Say) -> Section:
     section.notes.append(
         "`MixIT` is what `mixseq.interpolate` does: poses agree with what neighbours see of each other, and lengths "
         "and angles are made to agree from there. `MixIT, free` is the paper's placement, with joints inside parts "
-        "(`shrink=0.03`). Both take a fixed number of steps with constant matrices. "
+        "(`stretch_tolerance=0.03`). Both take a fixed number of steps with constant matrices. "
         "`vertex means` takes no time worth measuring and shows the errors of no method at all. "
         "`full mesh` is Gauss-Newton on all lengths and angles with the kernels, the solver and the criteria of the "
         "joints, from the mean of the vertices or from the linear start, on one thread and on two; the fastest of them "

@@ -86,9 +86,7 @@ class Edge:
     def space(self) -> EdgeSpace:
         poses, scale = self.poses, self.poses.diagonal
         typical = poses.lengths.mean(axis=0) / scale
-        return EdgeSpace(
-            poses.topology, scale, poses.points[0] / scale, typical, ShellSettings(), self.settings
-        )
+        return EdgeSpace(poses.topology, scale, poses.points[0] / scale, typical, self.settings)
 
     @cached_property
     def vectors(self) -> Float:

@@ -50,7 +50,7 @@ def space_of(
     points = sequence.points.astype(np.float64)
     topology, scale = Topology(sequence.faces, sequence.vertex_count), bounding_diagonal(points[0])
     lengths = edge_lengths(points / scale, topology.edges).mean(axis=0)
-    return EdgeSpace(topology, scale, points[0] / scale, lengths, shell or ShellSettings(), settings)
+    return EdgeSpace(topology, scale, points[0] / scale, lengths, replace(settings, shell=shell))
 
 
 def two(first: Float, second: Float, faces: Any) -> MeshSequence:
@@ -135,7 +135,7 @@ def test_velocities_are_those_of_meshes_that_fit_best() -> None:
     mesh = tube(8, 17)
     sequence = two(mesh[0], bent(mesh[0], 2.5) * [1.3, 0.8, 1.0], mesh[1])
     early = space_of(sequence, DSO, ShellSettings(accuracy=1e-2, tolerance=0.1))
-    best = replace(early, shell=ShellSettings(accuracy=1e-12, tolerance=1e-12))
+    best = space_of(sequence, DSO, ShellSettings(accuracy=1e-12, tolerance=1e-12))
     first, last = early.encode(sequence.points)
     middle, rate, step = (first + last)[None] / 2, (last - first)[None], 1e-5
     _, velocities = early.decode_moving(middle, rate)
