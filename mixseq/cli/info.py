@@ -118,7 +118,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
         "placement_knots": len(model.placement.times),
         "dim": model.space.dim,
     }
-    if model.space.name != "mixed":
+    if model.space.decomposed is None:
         return signals
     decomposition = model.decomposition
     return signals | {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,17 +18,24 @@ MOVED, MOST = 1e-3, 0.9
 """A vertex has moved if it did by more than this, in diagonals; an edit is doubtful if more than this share has."""
 
 
-def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> Float:
-    """Return what the edit of a frame adds to key shapes ``(S,)``; zeros if nothing was moved.
+def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequence) -> tuple[Model, Float]:
+    """Return what the edit of a frame adds to key shapes, and the same motion in a space that has the edit.
 
     Parameters
     ----------
     model : Model
-        The motion.
+        The motion. A compressed one has only the shapes of its basis; its space gets more.
     time : float
         Time of the frame in seconds.
     points : (V, 3) array_like or MeshSequence of one frame
         ``model(time)`` with vertices moved. Faces of a mesh tell whether its vertices are in the model's order.
+
+    Returns
+    -------
+    model : Model
+        The motion, with as many numbers S in a key shape as it takes.
+    difference : (S,) float64
+        To be added to key shapes; zeros if nothing was moved.
 
     Raises
     ------
@@ -41,10 +49,11 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     MixseqWarning
         If nearly all vertices moved.
     """
-    edited = checked_points(points, model.header)
-    space, vector, before = model.space, model.curve([time]), model(time)
+    edited, before = checked_points(points, model.header), model(time)
+    space, carry = model.space.with_shape(edited - before)
+    model = replace(model, space=space, shapes=carry(model.shapes))
     _doubt(before, edited, time)
-    return space.shape_difference(vector[0], before, edited)
+    return model, space.shape_difference(model.curve([time])[0], before, edited)
 
 
 def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:

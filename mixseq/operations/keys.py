@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from mixseq.errors import SettingsError
 from mixseq.operations.edited import edited_difference
-from mixseq.operations.room import with_room
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 
@@ -44,7 +43,7 @@ def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
             f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
         )
     time = float(model.times[frame])
-    model = with_room(model, time, points)
+    model, difference = edited_difference(model, time, points)
     shapes = np.array(model.shapes)
-    shapes[key] += edited_difference(model, time, points)
+    shapes[key] += difference
     return replace(model, shapes=shapes)

@@ -29,7 +29,6 @@ from mixseq.errors import SettingsError
 from mixseq.operations.edited import edited_difference
 from mixseq.operations.passes import snapped
 from mixseq.operations.pieces import breakpoints, refined, sites_of
-from mixseq.operations.room import with_room
 from mixseq.operations.sampling import sampled, shape_measure
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
@@ -86,8 +85,7 @@ def sculpt(
     """
     _check(where, start, end, radius)
     time = snapped(model, time)
-    model = with_room(model, time, points)
-    difference = edited_difference(model, time, points)
+    model, difference = edited_difference(model, time, points)
     if where == "window":
         return _added(model, difference, _window(model, time, start, end))
     if where == "similar":

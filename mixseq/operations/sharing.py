@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from mixseq.errors import InvalidSequenceError
-from mixseq.operations.room import joined
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread
 
 
@@ -33,8 +31,9 @@ def into(model: Model, space: ShapeSpace) -> Model:
     """
     if model.space is space:
         return model
-    if isinstance(space, BasisSpace) and _same_basis(space, model.space):
-        return replace(model, space=space)
+    common, _, carry = space.joined(model.space)
+    if common is space and carry is not None:
+        return replace(model, space=space, shapes=carry(model.shapes))
     with one_blas_thread():
         return build(encode(model.sample(), space), Detail())
 
@@ -52,10 +51,11 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
         If they are models of different meshes.
     """
     _check_meshes(first, second)
-    if isinstance(first.space, BasisSpace) and not _same_basis(first.space, second.space):
-        basis = isinstance(second.space, BasisSpace)
-        first, second = joined(first, second) if basis else (into(first, second.space), second)
-    second = into(second, first.space)
+    space, *carries = first.space.joined(second.space)
+    first, second = (
+        into(model, space) if carry is None else replace(model, space=space, shapes=carry(model.shapes))
+        for model, carry in zip((first, second), carries, strict=True)
+    )
     if _same_shapes(first, second):
         return first, replace(second, pose=first.pose, shapes=first.shapes)
     counts = len(first.shapes), len(second.shapes)
@@ -67,12 +67,6 @@ def together(first: Model, second: Model) -> tuple[Model, Model]:
         for model, start in zip((first, second), starts, strict=True)
     ]
     return both[0], both[1]
-
-
-def _same_basis(first: BasisSpace, second: ShapeSpace) -> bool:
-    if not isinstance(second, BasisSpace) or first.scale != second.scale:
-        return False
-    return np.array_equal(first.fields, second.fields)
 
 
 def _weights_of(model: Model, start: int, count: int) -> Curve:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from mixseq.shells.gauss_newton import ShellReport
     from mixseq.spaces.mixed.anchored import AnchoredSpace
     from mixseq.spaces.mixed.space import MixedSpace
+
+Carry = Callable[[Float], Float]
+"""From shapes ``(K, S)`` in one space to the same shapes in another one."""
 
 DIFFERENCE = 1e-4
 """Step of difference quotients, relative to the size of a vector's metric."""
@@ -156,6 +160,20 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """
         return np.asarray(weights @ placements)
 
+    def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
+        """Return a space that has all shapes of this one and another one ``(V, 3)``, and how shapes get there.
+
+        Here that is this space: it has all shapes of the mesh.
+        """
+        return self, unchanged
+
+    def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
+        """Return a space for the shapes of this one and of another one of the same mesh, and how they get there.
+
+        Nothing tells how shapes get there if frames must be decoded and encoded again. Here it is this space.
+        """
+        return self, unchanged, unchanged if other is self else None
+
     def encode(self, points: FloatArray, previous: Float | None = None) -> Float:
         """Turn frames into vectors.
 
@@ -256,3 +274,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         ahead, behind = (self.decode_for_differences(v) for v in (vectors + change, vectors - change))
         inverse = np.divide(0.5, step, out=np.zeros_like(step), where=step > 0)
         return here, (ahead - behind) * inverse[:, None, None]
+
+
+def unchanged(shapes: Float) -> Float:
+    """Return shapes as they are: they are the same vectors in the other space."""
+    return shapes

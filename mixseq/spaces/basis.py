@@ -6,12 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
-from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.base import Carry, ShapeSpace, unchanged
 from mixseq.threads import one_blas_thread
+
+NEGLIGIBLE = 1e-9
+"""Fields below this share of a shape are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,39 @@ class BasisSpace(ShapeSpace):
         norms = self.weights[::3]
         products = (self.fields @ self.fields.T) / np.outer(norms, norms)
         return np.asarray(np.linalg.pinv(products, hermitian=True) / np.outer(norms, norms))
+
+    def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
+        """Implement `ShapeSpace.with_shape`: what the fields do not span becomes fields, one for x, y and z each."""
+        rest = points - self.decode(self.encode(points[None]))[0]
+        norms = np.linalg.norm(rest, axis=0)
+        new = (rest / np.where(norms > 0, norms, 1.0)).T[norms > NEGLIGIBLE * np.linalg.norm(points)]
+        wider = BasisSpace(np.concatenate([self.fields, new]), self.scale)
+        return wider, lambda shapes: np.pad(shapes, [(0, 0), (0, 3 * len(new))])
+
+    def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
+        """Implement `ShapeSpace.joined`: two bases become one, orthonormal; a space of another kind has all shapes."""
+        if not isinstance(other, BasisSpace):
+            return other, None, unchanged
+        if self.scale == other.scale and np.array_equal(self.fields, other.fields):
+            return self, unchanged, unchanged
+        normalised = [
+            each.fields / np.linalg.norm(each.fields, axis=1, keepdims=True) for each in (self, other)
+        ]
+        with one_blas_thread():
+            orthonormal, triangle, _ = linalg.qr(np.concatenate(normalised).T, mode="economic", pivoting=True)
+            rank = int(np.count_nonzero(np.abs(np.diagonal(triangle)) > NEGLIGIBLE))
+            both = BasisSpace(orthonormal.T[:rank], self.scale)
+            return both, self._changed(both), other._changed(both)
+
+    def _changed(self, new: BasisSpace) -> Carry:
+        """How shapes get to a space whose fields are orthonormal, and span those of this one."""
+        change = (new.fields @ self.fields.T) * (self.scale / new.scale)
+
+        def carry(shapes: Float) -> Float:
+            coefficients = shapes.reshape(len(shapes), -1, 3)
+            return np.asarray(np.einsum("nk,jki->jni", change, coefficients).reshape(len(shapes), -1))
+
+        return carry
 
     def encode_apart(self, points: FloatArray) -> Float:
         """Implement `ShapeSpace.encode_apart`: the coefficients nearest to the frames, in the least-squares sense."""

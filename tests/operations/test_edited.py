@@ -12,7 +12,7 @@ from mixseq.coding.decode import to_model
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError
 from mixseq.operations import concatenate, cut, reverse, shift
-from mixseq.operations.room import with_room
+from mixseq.operations.edited import edited_difference
 from mixseq.operations.sculpt import sculpt
 from mixseq.operations.sharing import together
 from mixseq.sequence import MeshSequence
@@ -31,7 +31,7 @@ def test_room_changes_nothing_but_the_space(model: Model) -> None:
     time = float(model.times[3])
     edited = model(time)
     edited[5] += (0.3, -0.2, 0.1)
-    roomy = with_room(model, time, edited)
+    roomy, _ = edited_difference(model, time, edited)
     assert roomy.space.dim == model.space.dim + 9
     for t in (model.times[0], 0.5 * (model.times[2] + model.times[3])):
         np.testing.assert_allclose(roomy(t), model(t), atol=1e-12 * model.space.scale)
@@ -40,7 +40,7 @@ def test_room_changes_nothing_but_the_space(model: Model) -> None:
 def test_displacement_along_one_axis_takes_one_field(model: Model) -> None:
     edited = model(model.times[3])
     edited[5, 1] += 0.3
-    assert with_room(model, model.times[3], edited).space.dim == model.space.dim + 3
+    assert edited_difference(model, model.times[3], edited)[0].space.dim == model.space.dim + 3
 
 
 def test_sculpted_vertex_is_where_it_was_put(model: Model) -> None:
@@ -56,12 +56,12 @@ def test_sculpted_vertex_is_where_it_was_put(model: Model) -> None:
 
 def test_other_spaces_have_room() -> None:
     fitted = mixseq.fit(walk_cycle(frames=4), space="vertex")
-    assert with_room(fitted, 0.0, fitted(0.0)) is fitted
+    assert edited_difference(fitted, 0.0, fitted(0.0))[0].space is fitted.space
 
 
 def test_points_of_another_mesh_are_refused(model: Model) -> None:
     with pytest.raises(InvalidSequenceError, match="shape"):
-        with_room(model, 0.0, np.zeros((3, 3)))
+        edited_difference(model, 0.0, np.zeros((3, 3)))
 
 
 def test_residual_layers_stay_with_their_times(model: Model) -> None:
