@@ -6,6 +6,9 @@ the area-weighted squared distance of u from the planes of all faces that v and 
 surface is flat: flat now, it may bend in another frame. Refused is what would change the topology (the link
 condition), turn a face over or make a sliver. Vertices of edges with three or more faces stay; the border shrinks
 along itself only.
+
+Our own because libraries (fast-simplification, Open3D) make new vertices where the error is least: of those only one
+frame is known, but an animation needs vertices that all frames have.
 """
 
 from __future__ import annotations

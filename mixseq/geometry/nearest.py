@@ -1,4 +1,9 @@
-"""The closest points of a triangle mesh to given points, exactly, optionally only where the mesh faces the same way."""
+"""The closest points of a triangle mesh to given points, exactly, optionally only where the mesh faces the same way.
+
+Our own because `trimesh.proximity.closest_point` knows no directions, needs rtree, and takes 17 times as long (from
+one frame of horse_gallop to another, 8431 points, making the tree counted in; distances differ by
+3e-6 diagonals at most).
+"""
 
 from __future__ import annotations
 

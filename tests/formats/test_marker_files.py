@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.correspondence.markers import Markers
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, MissingExtraError, OutputError
 from mixseq_io.correspondence.markers import read_markers, write_markers
 
 FILES = {
@@ -158,6 +159,13 @@ def test_two_files_of_one_correspondence_are_each_others_reverse(data: Path) -> 
     assert set(zip(one.source.tolist(), one.target.tolist(), strict=True)) == set(
         zip(two.source.tolist(), two.target.tolist(), strict=True)
     )
+
+
+def test_without_pyyaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (file := tmp_path / "pairs.yaml").write_text("- [1, 2]\n")
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(MissingExtraError, match=r"pairs.yaml: .* pip install 'mixseq\[yaml\]'"):
+        read_markers(file)
 
 
 def test_a_map_is_no_list_of_markers(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.correspondence.markers import Markers
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, MissingExtraError
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.text import parse_json, read_text
 from mixseq_io.reader import brief
@@ -149,8 +149,12 @@ def _lines(file: Path, text: str) -> list[_Entry]:
 
 def _yaml(file: Path, text: str) -> list[_Entry]:
     """Numbers stay text, so that ``12:34`` is no time of day; comments are found by their lines."""
-    import yaml
-
+    try:
+        import yaml
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"{file}: markers in YAML need PyYAML; get it with: pip install 'mixseq[yaml]'"
+        ) from error
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         values = _listed(file, _plain(root))
