@@ -105,7 +105,7 @@ def test_as_triangle_by_triangle(count: int) -> None:
 def test_trimesh_finds_the_same(mesh: Mesh) -> None:
     queries = 2 * np.random.default_rng(7).normal(size=(50, 3)) * np.abs(mesh[0]).max()
     found = Nearest.of(*mesh).query(queries)
-    points, distances, _ = closest_point_naive(trimesh.Trimesh(*mesh, process=False), queries)
+    points, distances, _ = closest_point_naive(trimesh.Trimesh(*mesh, process=False), queries)  # type: ignore[no-untyped-call]
     np.testing.assert_allclose(found.distances, distances, atol=1e-12)
     np.testing.assert_allclose(places(mesh, found), points, atol=1e-9)
 
