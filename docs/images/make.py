@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 
 import mixseq
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, Index, evenly
 from mixseq.cli.transfer import command as transfer_command
 from mixseq.coding.decode import decode_basis
 from mixseq.coding.graph import mesh_graph
@@ -51,7 +51,6 @@ from mixseq.plots.layout import Sheet, matplotlib_module
 from mixseq.plots.shading import area_normals
 from mixseq.plots.transfers import transfer_sheet
 from mixseq.plots.two_sides import height_per_width, two_sides
-from mixseq.retargeting.report import evenly
 from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.segmentation import METHODS
 from mixseq.signals import Curve, Model

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mixseq.correspondence.quality import Quality
-    from mixseq.retargeting.contacts import ContactReport
     from mixseq.retargeting.coverage import Coverage
+    from mixseq.retargeting.footskate import ContactReport
     from mixseq.retargeting.report import Counts, TransferReport
     from mixseq.retargeting.transfer import Transfer
     from mixseq.statistics import Statistics
@@ -52,12 +52,8 @@ def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str,
 
 def _part_counts(made: Transfer) -> dict[str, int]:
     """Parts and joints of the target, if there are any."""
-    from mixseq.retargeting.mixed import MixedTransfer
-
-    if not isinstance(made.mover, MixedTransfer):
-        return {}
-    decomposition = made.mover.carried.decomposition
-    return {"parts": len(decomposition.parts), "joints": len(decomposition.joints)}
+    parts = made.method.parts
+    return {} if parts is None else {"parts": len(parts.target.parts), "joints": len(parts.target.joints)}
 
 
 def _coverage_rows(covered: Coverage) -> list[tuple[str, str]]:

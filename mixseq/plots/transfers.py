@@ -85,13 +85,11 @@ def parts_of_both(transfer: Transfer) -> tuple[Index, Index]:
 
     Gradients know no parts: those of the source are what its motion tells, and they are carried to the target.
     """
-    from mixseq.retargeting.carried import carry_labels
-    from mixseq.retargeting.mixed import MixedTransfer
+    from mixseq.retargeting.part_correspondence import carry_labels
 
-    mover = transfer.mover
-    if isinstance(mover, MixedTransfer):
-        carried = mover.carried
-        return mover.source.part_of_face, carried.sources[carried.decomposition.part_of_face]
+    parts = transfer.method.parts
+    if parts is not None:
+        return parts.part_of_face
     labels = transfer.source.part_of_face()
     return labels, carry_labels(labels, transfer.correspondence, transfer.header.faces)
 

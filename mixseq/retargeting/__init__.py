@@ -1,9 +1,9 @@
-"""The motion of one mesh on another: deformation transfer.
+"""Transfer the motion of one mesh to another: deformation transfer.
 
-`transfer` is the way in: `sources` gets hold of the motion and its shape at rest, `making` prepares one of two methods.
-`gradients` moves triangles as those of the source, and pieces by their `bridges`; `mixed` carries parts (`carried`),
-puts them where they meet (`meetings`, `linkage`, `pivots`), and changes `joints`. Both take the `alignment` of the two
-meshes. `planting` keeps named vertices from sliding: `contacts` finds when they are at rest
-(`stance`), moves the body (`footing`), then turns `limbs` (`reach`). `report` measures what came of it (`coverage`,
-`expected`, `acceleration`).
+`transfer` is the way in: `sources` reads the motion and its shape at rest, `alignment` how the target stands to it.
+There are two methods. `gradients` moves triangles as those of the source, and pieces by their `attachments`. `mixed`
+cuts the target into parts as the source is cut (`part_correspondence`), puts them together at their `pivots`, carries
+over how joints bend (`joint_changes`), and solves for these (`joint_solver`, on `free_joints`). `planting` keeps
+named vertices from sliding: `footskate` finds when they are at rest (`stance`), moves the body (`footing`), then the
+limbs of the `articulated_body` (`inverse_kinematics`). `report` says what came of it (`measures`, `coverage`).
 """

@@ -1,4 +1,4 @@
-r"""How the target stands to the source as a whole: a rotation and a scale.
+r"""Align source and target as a whole: by a rotation and a scale.
 
 Motions are carried by it: what moves the source by F moves the target by :math:`G F G^T`, and a shift d is s G d. The
 scale is the ratio of radii, not that of least squares: with source and target exchanged it is the inverse.

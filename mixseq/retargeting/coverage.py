@@ -1,8 +1,8 @@
-"""How much of a target has a counterpart on the source, and what follows instead."""
+"""Measure how much of a target has a counterpart on the source, and name what follows instead."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,7 @@ class Coverage:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         shares = {"vertices": self.vertices, "area": self.area, "source_area": self.source_area}
-        return shares | {"followers": [vars(follower) for follower in self.followers]}
+        return shares | {"followers": [asdict(follower) for follower in self.followers]}
 
 
 def coverage(transfer: Transfer) -> Coverage:

@@ -1,4 +1,4 @@
-r"""Footing: where the feet shall be while they rest, how far the body goes along, and what is left to the limbs.
+r"""Find where feet shall stay while they rest: how far the body goes along, and what is left to the limbs.
 
 Let x be the path of the middle of a contact as it was transferred. In every stance s it shall stay at an anchor, and
 misses it by :math:`d = \bar x - x`, with the mean :math:`\bar x` over the stance. What the feet agree on is a shift r

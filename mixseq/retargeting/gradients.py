@@ -1,4 +1,4 @@
-r"""Transfer in the space of deformation gradients S_f (Sumner and Popović 2004): the reference method.
+r"""Transfer by deformation gradients (S_f; Sumner and Popović 2004), the reference method.
 
 The deformation gradient :math:`J_f` of every source triangle, from rest to a frame, moves the target triangles that
 correspond to it. The target's vertices are those whose gradients are closest (`mixseq.spaces.gradient`):
@@ -6,7 +6,8 @@ correspond to it. The target's vertices are those whose gradients are closest (`
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
 Gradients tell nothing of where a piece is. The largest moves as the points of the source do that it corresponds to, on
-average; every other piece is held by the vertex next to it (`mixseq.retargeting.bridges`), which it turns with:
+average; every other piece is held by the vertex next to it (`mixseq.retargeting.attachments`), which it
+turns with:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
 
@@ -25,11 +26,14 @@ from scipy import sparse
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.pickling import PickledWithoutCaches
-from mixseq.retargeting.alignment import Alignment
-from mixseq.retargeting.bridges import Bridges, bridges
+from mixseq.retargeting.alignment import Alignment, align
+from mixseq.retargeting.attachments import Attachments, attach
+from mixseq.sequence import bounding_diagonal
 from mixseq.spaces.gradient import GradientSpace
+from mixseq.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +54,18 @@ class GradientTransfer(PickledWithoutCaches):
     target: GradientSpace
     correspondence: Correspondence
     alignment: Alignment
+    parts = None
+    """Gradients know no parts."""
 
     @cached_property
-    def bridges(self) -> Bridges:
+    def attachments(self) -> Attachments:
         """What holds the pieces of the target."""
-        return bridges(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
+        return attach(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
     def _at_holders(self) -> sparse.csr_array:
         """Matrix ``(n, F)`` of means over the source triangles around the points that hold pieces."""
-        return self.around(self.bridges.other)
+        return self.around(self.attachments.other)
 
     @cached_property
     def _led(self) -> tuple[Index, sparse.csr_array]:
@@ -83,16 +89,16 @@ class GradientTransfer(PickledWithoutCaches):
         target, faces = self.target, self.correspondence.faces
         x = x.astype(np.float64)
         gradients = self.gradients(x)
-        turns = nearest_rotations(mixed(self._at_holders, gradients))
+        turns = nearest_rotations(combined(self._at_holders, gradients))
         moved = self.alignment.turned(gradients[np.maximum(faces, 0)])
         led, around = self._led
-        moved[led] = self.alignment.turned(nearest_rotations(mixed(around, gradients)))
+        moved[led] = self.alignment.turned(nearest_rotations(combined(around, gradients)))
         rows = target.integration.vertices(np.swapaxes(moved @ target.sides, 1, 2).reshape(-1, 3))
         return self._placed(rows, x, turns) * target.scale
 
     def _placed(self, rows: Float, x: FloatArray, turns: Float) -> Float:
         """Put the pieces, rows ``(N, 3)``, where they belong; the result is ``(V', 3)`` in the target's unit."""
-        pieces, held, rest = self.target.pieces, self.bridges, self.target.reference
+        pieces, held, rest = self.target.pieces, self.attachments, self.target.reference
         correspondence = self.correspondence
         shift = self.alignment.scale * self.source.scale / self.target.scale * self.alignment.rotation
         own = pieces.vertices[held.root]
@@ -114,7 +120,27 @@ class GradientTransfer(PickledWithoutCaches):
         return pieces.merged(placed)
 
 
-def mixed(weights: sparse.csr_array, matrices: Float) -> Float:
+def gradient_transfer(
+    source: Topology, source_rest: Float, target: Topology, target_rest: Float, correspondence: Correspondence
+) -> GradientTransfer:
+    """Make a transfer between two meshes at rest, ``(V, 3)`` and ``(V', 3)``; it raises what `align` does."""
+    own, other = _space(source, source_rest), _space(target, target_rest)
+    matched = correspondence.matched
+    whole = align(
+        correspondence.carry(own.reference)[matched],
+        other.reference[matched],
+        TriangleMesh(other.reference, target).vertex_areas[matched],
+    )
+    in_units = Alignment(whole.rotation, whole.scale * other.scale / own.scale)
+    return GradientTransfer(own, other, correspondence, in_units)
+
+
+def _space(topology: Topology, rest: Float) -> GradientSpace:
+    scale = bounding_diagonal(rest) or 1.0
+    return GradientSpace(topology, scale, rest / scale)
+
+
+def combined(weights: sparse.csr_array, matrices: Float) -> Float:
     """Return weighted sums ``(n, 3, 3)`` of matrices ``(F, 3, 3)``."""
     return np.asarray(weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
 

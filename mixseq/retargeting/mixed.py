@@ -1,88 +1,44 @@
-r"""Transfer in the mixed shape space S_m: parts, joints and poses, each carried in its own way.
+r"""Transfer by parts, joints and poses (the mixed shape space S_m), each carried over in its own way.
 
-The parts of the source are carried to the target (`carried`). A frame of the source then gives
+The target is cut into parts as the source is (`part_correspondence`). A frame of the source then gives
 
 - the shape of every part, as deformation gradients move it (`gradients`), registered to the part at rest. What a part
   does beside moving rigidly is so as large as the part, and the registration tells how the part is turned;
 - where the part is: its pivots meet as those of the source do, with the proportions of the target (`pivots`);
-- lengths and angles of the joints, as ratios and differences (`joints`), and where their free vertices are beside what
-  the parts carry along, as gradients tell.
+- lengths and angles of the joints, as ratios and differences (`joint_changes`), and, as gradients tell, where their
+  free vertices are beside what the parts carry along.
 
-The projection P_m turns that into the target's frame (`mixseq.retargeting.anchored`).
+Parts are put together and joints solved between them (`joint_solver`): that is the target's frame.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.triangle_mesh import TriangleMesh
+from mixseq.disk_array import LargeArray
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
-from mixseq.retargeting.anchored import AnchoredPlacement
-from mixseq.retargeting.carried import CarriedParts
+from mixseq.retargeting.articulated_body import ArticulatedBody
 from mixseq.retargeting.gradients import GradientTransfer
-from mixseq.retargeting.joints import JointChanges, OtherEdges, SameEdges
-from mixseq.retargeting.linkage import Linkage
-from mixseq.retargeting.meetings import Meetings
-from mixseq.retargeting.pivots import Pivots
-from mixseq.retargeting.placement import MixedFrame
-from mixseq.segmentation.joints import Decomposition
+from mixseq.retargeting.joint_changes import JointChanges, OtherEdges, SameEdges
+from mixseq.retargeting.joint_solver import JointFrame, JointSolver
+from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses, RestShapes, carry_parts
+from mixseq.retargeting.pivots import Pivots, PivotSolver
+from mixseq.segmentation.joints import Decomposition, decompose
+from mixseq.segmentation.observed import Watched, frames_to_look_at, observe
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.joint import length_weights
 from mixseq.spaces.gradient import GradientSpace
-from mixseq.spaces.registered import registered
 
-HOLD = 0.3
+OFFSET_WEIGHT = 0.3
 """Weight of where gradients put a free vertex against a length of its edges, both relative to these: enough to choose
 between solutions, too little to stretch joints. Ours."""
-
-
-class PartPoses(NamedTuple):
-    """Where the parts of the target are: rotations ``(..., p', 3, 3)`` from rest, and centres ``(..., p', 3)``.
-
-    Centres are in the unit of the target's space.
-    """
-
-    rotations: Float
-    centres: Float
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """Parts of a mesh at rest, in the unit of its space.
-
-    Attributes
-    ----------
-    vertices : tuple of (n_p,) int64
-        Their vertices.
-    shapes : (N, 3) float64
-        These at rest, part by part, each part about its centre.
-    centres : (p, 3) float64
-        The centres.
-    """
-
-    vertices: tuple[Index, ...]
-    shapes: Float
-    centres: Float
-
-    @classmethod
-    def of(cls, decomposition: Decomposition, rest: Float) -> Parts:
-        """Take the parts of a mesh ``(V, 3)``."""
-        centres = np.stack([rest[part].mean(axis=0) for part in decomposition.parts])
-        pairs = zip(decomposition.parts, centres, strict=True)
-        shapes = np.concatenate([rest[part] - centre for part, centre in pairs])
-        return cls(decomposition.parts, shapes, centres)
-
-    def register(self, x: Float) -> tuple[Float, PartPoses]:
-        """Return a frame's parts as aligned to their shapes ``(N, 3)``, and their poses."""
-        aligned, rotations, centres = registered(self.shapes, self.vertices, x)
-        return aligned, PartPoses(rotations, centres)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +49,8 @@ class MixedTransfer(PickledWithoutCaches):
     ----------
     gradients : GradientTransfer
         The two meshes at rest, and how they correspond.
-    source : Decomposition
-        Parts and joints of the source.
-    carried : CarriedParts
-        Parts and joints of the target.
+    parts : PartCorrespondence
+        Parts and joints of both.
     settings : ShellSettings
         Settings of the joint solves.
     stride : float
@@ -104,8 +58,7 @@ class MixedTransfer(PickledWithoutCaches):
     """
 
     gradients: GradientTransfer
-    source: Decomposition
-    carried: CarriedParts
+    parts: PartCorrespondence
     settings: ShellSettings
     stride: float = 1.0
 
@@ -125,54 +78,54 @@ class MixedTransfer(PickledWithoutCaches):
         return Alignment(whole.rotation, whole.scale * ratio)
 
     @cached_property
-    def parts(self) -> Parts:
-        """The parts of the target."""
-        return Parts.of(self.carried.decomposition, self._rest)
+    def shapes(self) -> RestShapes:
+        """The parts of the target at rest."""
+        return RestShapes.of(self.parts.target, self._rest)
 
     @cached_property
-    def _source_parts(self) -> Parts:
-        """The parts of the source."""
-        return Parts.of(self.source, self.gradients.source.reference)
+    def _source_shapes(self) -> RestShapes:
+        """The parts of the source at rest."""
+        return RestShapes.of(self.parts.source, self.gradients.source.reference)
 
     @cached_property
-    def placement(self) -> AnchoredPlacement:
+    def solver(self) -> JointSolver:
         """What puts the target's parts and joints together."""
         topology = self.gradients.target.topology
-        return AnchoredPlacement(topology, self.carried.decomposition, self.parts.shapes, self._rest)
+        return JointSolver(topology, self.parts.target, self.shapes.shapes, self._rest)
 
     @cached_property
-    def _meetings(self) -> Meetings:
-        return Meetings.of(self.gradients, self.carried.decomposition)
+    def _pivots(self) -> Pivots:
+        return Pivots.of(self.gradients, self.parts.target)
 
     @cached_property
-    def linkage(self) -> Linkage:
+    def body(self) -> ArticulatedBody:
         """The target's parts, and where they meet at rest.
 
         The root has the largest product of areas on both meshes: it is the same back.
         """
-        areas = _part_areas(self.gradients.target, self.carried.decomposition)
-        others = _part_areas(self.gradients.source, self.source)
-        root = int((areas * others[self.carried.sources[: len(areas)]]).argmax())
-        meetings = self._meetings
-        return Linkage(self.parts.centres, meetings.parts, meetings.points(self._rest), root)
+        areas = _part_areas(self.gradients.target, self.parts.target)
+        others = _part_areas(self.gradients.source, self.parts.source)
+        root = int((areas * others[self.parts.sources[: len(areas)]]).argmax())
+        pivots = self._pivots
+        return ArticulatedBody(self.shapes.centres, pivots.pairs, pivots.points(self._rest), root)
 
     @cached_property
-    def source_linkage(self) -> Linkage:
+    def source_body(self) -> ArticulatedBody:
         """The same on the source: the parts that move those of the target, and the points that their pivots are."""
-        points = self._meetings.points(self._correspondence.carry(self.gradients.source.reference))
-        return replace(self.linkage, pivots=points, centres=self._source_parts.centres[self.carried.sources])
+        points = self._pivots.points(self._correspondence.carry(self.gradients.source.reference))
+        return replace(self.body, pivots=points, centres=self._source_shapes.centres[self.parts.sources])
 
     @cached_property
-    def _pivots(self) -> Pivots:
-        return Pivots(self.linkage, *self._meetings.sizes(self._rest))
+    def _pivot_solver(self) -> PivotSolver:
+        return PivotSolver(self.body, *self._pivots.sizes(self._rest))
 
     @cached_property
-    def joints(self) -> JointChanges:
+    def joint_changes(self) -> JointChanges:
         """What tells how the joints change."""
-        source, target, rows = self.gradients.source, self.gradients.target, self.placement.rows
-        if self.carried.decomposition is self.source:
-            return SameEdges(target.topology, rows, source.reference, target.reference)
-        return OtherEdges(self.gradients, rows)
+        source, target, free = self.gradients.source, self.gradients.target, self.solver.free
+        if self.parts.target is self.parts.source:
+            return SameEdges(target.topology, free, source.reference, target.reference)
+        return OtherEdges(self.gradients, free)
 
     def by_gradients(self, x: FloatArray) -> Float:
         """Return the target ``(V', 3)`` as gradients move it in a frame ``(V, 3)``, in its unit."""
@@ -189,44 +142,99 @@ class MixedTransfer(PickledWithoutCaches):
             The target's parts as gradients move them (`by_gradients`).
         """
         points = x.astype(np.float64) / self.gradients.source.scale
-        _, own = self._source_parts.register(points)
-        rotations, centres = (values[self.carried.sources] for values in own)
-        gaps = self._alignment.shifted(self.source_linkage.gaps(rotations, centres))
-        root = self.linkage.root
-        travel = self.stride * self._alignment.shifted(centres[root] - self.source_linkage.centres[root])
-        near = self._pivots.within_reach(gaps, self.linkage.gaps(*moved))
-        placed = self._pivots.place(moved.rotations, near, self.linkage.centres[root] + travel)
+        _, own = self._source_shapes.register(points)
+        rotations, centres = (values[self.parts.sources] for values in own)
+        gaps = self._alignment.shifted(self.source_body.gaps(rotations, centres))
+        root = self.body.root
+        travel = self.stride * self._alignment.shifted(centres[root] - self.source_body.centres[root])
+        near = self._pivot_solver.within_reach(gaps, self.body.gaps(*moved))
+        placed = self._pivot_solver.place(moved.rotations, near, self.body.centres[root] + travel)
         return PartPoses(moved.rotations, placed)
 
     def frame(self, x: FloatArray, poses: PartPoses | None = None) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``; its parts may have other poses."""
         smooth = self.by_gradients(x)
-        aligned, moved = self.parts.register(smooth)
+        aligned, moved = self.shapes.register(smooth)
         placed = self.poses(x, moved) if poses is None else poses
-        lengths, angles = self.joints.of(x.astype(np.float64) / self.gradients.source.scale)
-        frame = MixedFrame(
+        lengths, angles = self.joint_changes.of(x.astype(np.float64) / self.gradients.source.scale)
+        frame = JointFrame(
             lengths=lengths,
             angles=angles,
             weights=length_weights(self._rest_lengths),
             parts=aligned,
             rotations=placed.rotations,
             translations=placed.centres,
-            offsets=self.placement.offsets(moved.rotations, moved.centres, smooth),
-            holds=self._holds,
+            offsets=self.solver.offsets(moved.rotations, moved.centres, smooth),
+            offset_weights=self._offset_weights,
         )
-        return self.placement.assemble(frame, self.settings)[0] * self.gradients.target.scale
+        return self.solver.assemble(frame, self.settings)[0] * self.gradients.target.scale
 
     @cached_property
     def _rest_lengths(self) -> Float:
         """Lengths ``(E',)`` at rest of the edges of the joints."""
-        edges = self.gradients.target.topology.edges[self.placement.edge_ids]
+        edges = self.gradients.target.topology.edges[self.solver.free.edge_ids]
         return np.asarray(np.linalg.norm(self._rest[edges[:, 1]] - self._rest[edges[:, 0]], axis=1))
 
     @cached_property
-    def _holds(self) -> Float:
+    def _offset_weights(self) -> Float:
         """Weights ``(F,)`` of the offsets of free vertices."""
-        spacing = self.placement.rows.spacing(self._rest_lengths)
-        return np.asarray(HOLD / np.maximum(spacing, np.finfo(np.float64).tiny))
+        spacing = self.solver.free.spacing(self._rest_lengths)
+        return np.asarray(OFFSET_WEIGHT / np.maximum(spacing, np.finfo(np.float64).tiny))
+
+
+def mixed_transfer(
+    gradients: GradientTransfer,
+    points: LargeArray,
+    part_of_face: Index,
+    joint_width: int,
+    settings: ShellSettings,
+) -> MixedTransfer:
+    """Make a transfer of the motion of parts.
+
+    Parameters
+    ----------
+    gradients : GradientTransfer
+        The two meshes at rest, and how they correspond.
+    points : (T, V, 3) array, perhaps on disk
+        The frames of the source, in its units.
+    part_of_face : (F,) int64
+        Its parts.
+    joint_width : int
+        Largest width of joints in strips of triangles.
+    settings : ShellSettings
+        Settings of the joint solves.
+
+    Raises
+    ------
+    SettingsError
+        If the width is below 1.
+    """
+    source, target = gradients.source, gradients.target
+    looked_at = points[frames_to_look_at(len(points))]
+    watched = Watched.of(source.topology, part_of_face, source.reference[None])
+    observed = observe(watched, np.concatenate([source.reference[None] * source.scale, looked_at]))
+    decomposition = decompose(source.topology, part_of_face, joint_width, observed)
+    if _same_mesh(gradients):
+        parts = PartCorrespondence(decomposition, decomposition, np.arange(len(decomposition.parts)))
+    else:
+        parts = carry_parts(
+            decomposition,
+            observed.rotations,
+            gradients.correspondence,
+            target.topology,
+            target.reference,
+            joint_width,
+        )
+    return MixedTransfer(gradients, parts, settings)
+
+
+def _same_mesh(gradients: GradientTransfer) -> bool:
+    """Whether both meshes have the same triangles, and every vertex and triangle corresponds to itself."""
+    source, target, given = gradients.source.topology, gradients.target.topology, gradients.correspondence
+    if not np.array_equal(source.faces, target.faces):
+        return False
+    own = np.where(given.corners == np.arange(len(given.corners))[:, None], given.weights, 0.0).sum(axis=1)
+    return bool(np.allclose(own, 1.0) and np.array_equal(given.faces, np.arange(len(target.faces))))
 
 
 def _part_areas(space: GradientSpace, decomposition: Decomposition) -> Float:

@@ -1,4 +1,4 @@
-r"""Where parts go: about the pivots of the target, with the gaps of the source.
+r"""Put the parts of a target together at its pivots, with the gaps of the source.
 
 Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
 point on the source. With the rotations R' of the target's parts (as gradients turn them, `mixseq.retargeting.mixed`)
@@ -11,7 +11,7 @@ where M is the rigid motion of a part of the source, and g' is s G g, up to what
 `mixseq.retargeting.alignment`). That is the articulated body with the proportions of the target, which opens and slides
 where the source's does. Where there are no loops of parts all terms vanish;
 otherwise those weigh most that have the longest boundaries, by the squares of their lengths. The root moves as the
-source's does, by s G. Pieces that no edge connects are linked through the vertices that hold them.
+source's does, by s G. Pieces that no edge connects meet the others at the vertices that hold them.
 
 Flesh is not rigid. What gaps make up for on the source they do not with other proportions, and where a boundary is
 short a small difference tears the joint. Deformation gradients tell gaps too, those of the parts as they move them
@@ -32,7 +32,12 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.arrays import Float, Index
-from mixseq.retargeting.linkage import Linkage
+from mixseq.retargeting.articulated_body import ArticulatedBody
+from mixseq.retargeting.attachments import Attachments
+from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.retargeting.part_correspondence import vertex_parts
+from mixseq.segmentation.boundaries import Boundaries
+from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import Factor, factorise
 
 SHORTEST = 1e-3
@@ -45,31 +50,72 @@ poses and for accelerations of three pairs of animals."""
 
 @dataclass(frozen=True, eq=False)
 class Pivots:
-    """Where the parts of a linkage go.
+    """Where the parts of a mesh meet: at the boundaries between them first, then where its pieces are attached.
 
     Attributes
     ----------
-    linkage : Linkage
-        The parts at rest, all of them linked to the root, whose place is given.
+    pairs : (n, 2) int64
+        The parts that meet. They connect all parts.
+    boundaries : Boundaries
+        Edges between parts.
+    attachments : Attachments
+        What holds pieces that no edge connects.
+    """
+
+    pairs: Index
+    boundaries: Boundaries
+    attachments: Attachments
+
+    @classmethod
+    def of(cls, gradients: GradientTransfer, decomposition: Decomposition) -> Pivots:
+        """Find where the parts of a target meet."""
+        held = gradients.attachments
+        boundaries = Boundaries.of(gradients.target.topology, decomposition.part_of_face)
+        ends = ((held.pieces, held.own), (held.holders, held.other))
+        attached = np.stack([_parts_at(gradients, decomposition, *end) for end in ends], axis=1)
+        return cls(np.concatenate([boundaries.parts, attached]), boundaries, held)
+
+    def points(self, x: Float) -> Float:
+        """Where parts meet ``(n, 3)``: in the middle of boundaries, at vertices that are held; x is ``(V', 3)``."""
+        return np.concatenate([self.boundaries.middles(x), x[self.attachments.own]])
+
+    def sizes(self, x: Float) -> tuple[Float, Float]:
+        """Lengths ``(n,)`` of boundaries and their root mean square distances from the middles; 0 of attachments."""
+        ends, pair, middles = x[self.boundaries.edges], self.boundaries.pair, self.points(x)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        away = np.square(ends.mean(axis=1) - middles[pair]).sum(axis=1)
+        whole, squares = (np.bincount(pair, each, len(middles)) for each in (lengths, lengths * away))
+        squared = np.divide(squares, whole, out=np.zeros(len(middles)), where=whole > 0)
+        return whole.astype(np.float64), np.sqrt(squared)
+
+
+@dataclass(frozen=True, eq=False)
+class PivotSolver:
+    """Finds where the parts of an articulated body go.
+
+    Attributes
+    ----------
+    body : ArticulatedBody
+        The parts at rest, all of them joined to the root, whose place is given.
     lengths, radii : (n,) float64
         How long the boundary at every pivot is, and its root mean square distance from the pivot.
     """
 
-    linkage: Linkage
+    body: ArticulatedBody
     lengths: Float
     radii: Float
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:
         """Matrix ``(n, p)``: 1 at the first part of every pair, -1 at its second."""
-        number = len(self.linkage.links)
-        places = (np.repeat(np.arange(number), 2), self.linkage.links.reshape(-1))
+        number = len(self.body.pairs)
+        places = (np.repeat(np.arange(number), 2), self.body.pairs.reshape(-1))
         values = np.tile([1.0, -1.0], number)
-        return sparse.coo_array((values, places), shape=(number, len(self.linkage.centres))).tocsr()
+        return sparse.coo_array((values, places), shape=(number, len(self.body.centres))).tocsr()
 
     @cached_property
     def _others(self) -> Index:
-        return np.delete(np.arange(len(self.linkage.centres)), self.linkage.root)
+        return np.delete(np.arange(len(self.body.centres)), self.body.root)
 
     @cached_property
     def _weighted(self) -> sparse.csr_array:
@@ -101,11 +147,25 @@ class Pivots:
         root : (3,) float64
             Centre of the root.
         """
-        result = np.empty_like(self.linkage.centres)
-        result[self.linkage.root] = root
+        result = np.empty_like(self.body.centres)
+        result[self.body.root] = root
         if not self._others.size:
             return result
-        away = gaps - self.linkage.gaps(rotations, np.zeros_like(self.linkage.centres))
-        away -= self._incidence[:, [self.linkage.root]].toarray() * root
+        away = gaps - self.body.gaps(rotations, np.zeros_like(self.body.centres))
+        away -= self._incidence[:, [self.body.root]].toarray() * root
         result[self._others] = self._factor.solve(self._weighted @ away)
         return result
+
+
+def _parts_at(
+    gradients: GradientTransfer, decomposition: Decomposition, pieces: Index, vertices: Index
+) -> Index:
+    """A part ``(n,)`` at each vertex, of the piece that is meant: several may share the vertex."""
+    topology = gradients.target.topology
+    result = vertex_parts(decomposition, topology)[vertices]
+    for row, (piece, vertex) in enumerate(zip(pieces.tolist(), vertices.tolist(), strict=True)):
+        faces = gradients.target.pieces.faces[piece]
+        here = faces[(topology.faces[faces] == vertex).any(axis=1)]
+        if here.size:  # vertices of no face have none
+            result[row] = decomposition.part_of_face[here].min()
+    return result

@@ -1,9 +1,9 @@
-"""Contacts of a transfer: from named vertices of the target to poses of its parts that keep them from sliding."""
+"""Keep named vertices of the target from sliding: find poses of its parts in which contacts stay where they rest."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,28 +15,47 @@ from mixseq.frame_store import blocks_of
 from mixseq.geometry.rigid import turned
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
-from mixseq.retargeting.carried import vertex_parts
-from mixseq.retargeting.contacts import ContactReport, plant
-from mixseq.retargeting.linkage import Contact, leg_ratio
-from mixseq.retargeting.mixed import MixedTransfer, PartPoses
+from mixseq.retargeting.articulated_body import Contact, leg_ratio
+from mixseq.retargeting.footskate import ContactReport, remove_footskate
+from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.part_correspondence import PartPoses, vertex_parts
 from mixseq.sequence import SequenceHeader
 
 
-def planted(
-    mover: MixedTransfer,
+@dataclass(frozen=True, eq=False)
+class Planting:
+    """A transfer whose contacts do not slide.
+
+    Attributes
+    ----------
+    method : MixedTransfer
+        The transfer, with the stride of the target's legs.
+    poses : PartPoses
+        Of the target's parts in all frames, rotations ``(T, p', 3, 3)`` and centres ``(T, p', 3)``.
+    report : ContactReport
+        What was done.
+    """
+
+    method: MixedTransfer
+    poses: PartPoses
+    report: ContactReport
+
+
+def plant_contacts(
+    method: MixedTransfer,
     points: LargeArray,
     header: SequenceHeader,
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
     progress: Progress = silent,
-) -> tuple[MixedTransfer, PartPoses, ContactReport]:
+) -> Planting:
     """Keep contacts from sliding where those of the source rest.
 
     The root travels farther, or less far, as the target's legs are longer or shorter than those of a copy.
 
     Parameters
     ----------
-    mover : MixedTransfer
+    method : MixedTransfer
         The transfer.
     points : (T, V, 3) array, perhaps on disk
         The frames of the source.
@@ -49,36 +68,27 @@ def planted(
     progress : callable, optional
         Told about every block.
 
-    Returns
-    -------
-    MixedTransfer
-        With the stride of its legs.
-    PartPoses
-        Of the target's parts in all frames, rotations ``(T, p', 3, 3)`` and centres ``(T, p', 3)``.
-    ContactReport
-        What was done.
-
     Raises
     ------
     SettingsError
         If a contact has no vertices, or they are none of the target, or on no limb.
     """
     target, source, correspondence = (
-        mover.gradients.target,
-        mover.gradients.source,
-        mover.gradients.correspondence,
+        method.gradients.target,
+        method.gradients.source,
+        method.gradients.correspondence,
     )
     vertices = {name: _vertices(name, given, header.vertex_count) for name, given in contacts.items()}
-    part = vertex_parts(mover.carried.decomposition, target.topology)
+    part = vertex_parts(method.parts.target, target.topology)
     on_source = correspondence.carry(source.reference)
     own = [Contact(name, target.reference[chosen], part[chosen]) for name, chosen in vertices.items()]
     theirs = [Contact(name, on_source[chosen], part[chosen]) for name, chosen in vertices.items()]
-    ratio = mover.gradients.alignment.scale * source.scale / target.scale
-    striding = replace(mover, stride=leg_ratio(mover.source_linkage, mover.linkage, theirs, own) / ratio)
+    ratio = method.gradients.alignment.scale * source.scale / target.scale
+    striding = replace(method, stride=leg_ratio(method.source_body, method.body, theirs, own) / ratio)
 
     chosen = np.concatenate(list(vertices.values()))
     rotations, centres, paths, soles, done = [], [], [], [], 0
-    for poses, path, sole in workers(_look, (striding, chosen, part[chosen]), blocks_of(points)):
+    for poses, path, sole in workers(_measure, (striding, chosen, part[chosen]), blocks_of(points)):
         rotations.append(poses.rotations)
         centres.append(poses.centres)
         paths.append(path)
@@ -87,32 +97,32 @@ def planted(
         progress(done, len(points), "placing feet")
     ends = np.cumsum([len(each) for each in vertices.values()])[:-1]
     ways = np.split(np.concatenate(paths) * ratio / source.scale, ends, axis=1)
-    seen = np.split(np.concatenate(soles), ends, axis=1)
-    found = plant(
-        mover.linkage,
+    local = np.split(np.concatenate(soles), ends, axis=1)
+    found = remove_footskate(
+        method.body,
         np.concatenate(rotations),
         np.concatenate(centres),
-        [replace(contact, seen=each) for contact, each in zip(own, seen, strict=True)],
-        [mover.gradients.alignment.turned_points(way) for way in ways],
+        [replace(contact, local=each) for contact, each in zip(own, local, strict=True)],
+        [method.gradients.alignment.turned_points(way) for way in ways],
         header.up_axis,
         header.fps,
         1.0,
     )
-    return striding, PartPoses(found.rotations, found.centres), found.report
+    return Planting(striding, PartPoses(found.rotations, found.centres), found.report)
 
 
-def _look(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
+def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:
     """Poses of all parts in some frames ``(B, V, 3)``; and vertices on the source, and as their parts see them."""
-    mover, vertices, parts = shared
+    method, vertices, parts = shared
     poses, soles = [], []
     for x in block:
-        smooth = mover.by_gradients(x)
-        _, moved = mover.parts.register(smooth)
-        poses.append(mover.poses(x, moved))
+        smooth = method.by_gradients(x)
+        _, moved = method.shapes.register(smooth)
+        poses.append(method.poses(x, moved))
         # A paw may bend although it is one with its leg.
         back = np.swapaxes(moved.rotations[parts], 1, 2)
-        soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + mover.parts.centres[parts])
-    path = np.stack([mover.gradients.correspondence.carry(x)[vertices] for x in block])
+        soles.append(turned(back, smooth[vertices] - moved.centres[parts]) + method.shapes.centres[parts])
+    path = np.stack([method.gradients.correspondence.carry(x)[vertices] for x in block])
     return PartPoses(*(np.stack(values) for values in zip(*poses, strict=True))), path, np.stack(soles)
 
 

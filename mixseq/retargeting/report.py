@@ -1,8 +1,8 @@
-r"""How good a transfer is: strain, smoothness, triangles turned over, and self-intersections.
+r"""Measure how good a transfer is: strain, smoothness, triangles turned over, and self-intersections.
 
 - *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
 - *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` that the
-  source says it should have (`mixseq.retargeting.expected`), on average over the triangles at the edge: what the target
+  source says it should have (`mixseq.retargeting.measures`), on average over the triangles at the edge: what the target
   is strained and the source is not, or the other way round. What has no counterpart should not be strained.
 - a triangle is *turned over* if it faces away from where the source says that it should face to,
 - *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
@@ -25,9 +25,8 @@ from mixseq.arrays import Float, FloatArray, evenly
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
-from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import Coverage, coverage
-from mixseq.retargeting.expected import Expected
+from mixseq.retargeting.measures import Acceleration, Expected, Smoothness
 from mixseq.retargeting.transfer import Transfer
 from mixseq.sequence import bounding_diagonal, check_block
 from mixseq.statistics import RunningStatistics, Statistics
@@ -35,32 +34,6 @@ from mixseq.topology import Topology
 
 FRAMES = 8
 """In so many frames at most self-intersections are counted."""
-
-
-@dataclass(frozen=True)
-class Smoothness:
-    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex.
-
-    Attributes
-    ----------
-    rms, max : float
-        Of the target.
-    source_rms, source_max : float
-        Of the source, as large as the target is.
-    worst_frame : int
-        Frame of the target's largest.
-    """
-
-    rms: float
-    max: float
-    source_rms: float
-    source_max: float
-    worst_frame: int
-
-    @property
-    def ratio(self) -> float | None:
-        """Root mean square of the target relative to the source's; None if the source does not accelerate."""
-        return self.rms / self.source_rms if self.source_rms > 0 else None
 
 
 @dataclass(frozen=True)
@@ -275,26 +248,19 @@ class Meter:
             for mesh in ((transfer.target, expected.topology), (transfer.source.rest, expected.source))
         ]
         every = tuple(range(self._count))
+        diagonal = bounding_diagonal(transfer.target) or 1.0
+        source_diagonal = diagonal / expected.gradients.alignment.scale
+        moved, own = self._acceleration
         return TransferReport(
             coverage=coverage(transfer),
             strain=self._strain.result(),
             source_strain=self._source_strain.result(),
             excess=self._excess.result(),
-            smoothness=self._smoothness(),
+            smoothness=Smoothness.of(moved, diagonal, own, source_diagonal) if self._count > 2 else None,
             intersections=Counts(at_rest[0], self._looked_at, target),
             source_intersections=Counts(at_rest[1], self._looked_at, source),
             turned_over=Counts(0, every, tuple(self._turned_over)),
             flat=Counts(int(expected.flat.sum()), every, tuple(self._flat)),
-        )
-
-    def _smoothness(self) -> Smoothness | None:
-        target, source = self._acceleration
-        if self._count < 3:
-            return None
-        own = bounding_diagonal(self._transfer.target) or 1.0
-        other = own / self._expected.gradients.alignment.scale
-        return Smoothness(
-            target.rms / own, target.max / own, source.rms / other, source.max / other, target.worst_frame
         )
 
 

@@ -1,4 +1,4 @@
-"""The source of a transfer: its motion, and its shape at rest."""
+"""Read the source of a transfer: its motion, its shape at rest, and its parts."""
 
 from __future__ import annotations
 

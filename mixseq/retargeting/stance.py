@@ -1,4 +1,4 @@
-r"""Stances: when the feet of the source are on the ground.
+r"""Find stances: when the feet of the source are on the ground.
 
 From frame to frame every point of a contact moves at a speed v, the mean over its points. A *step* between two frames
 is at rest if both its speed and its height z above the lowest are small,

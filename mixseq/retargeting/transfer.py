@@ -1,4 +1,4 @@
-"""Deformation transfer: one character's motion on another's body."""
+"""Transfer one character's motion to another's body."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import block_size
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, silent
-from mixseq.retargeting.contacts import ContactReport
-from mixseq.retargeting.making import gradient_transfer, mixed_transfer
-from mixseq.retargeting.mixed import MixedTransfer, PartPoses
-from mixseq.retargeting.planting import planted
+from mixseq.retargeting.footskate import ContactReport
+from mixseq.retargeting.gradients import gradient_transfer
+from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
+from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses
+from mixseq.retargeting.planting import Planting, plant_contacts
 from mixseq.retargeting.sources import SourceMotion, source_motion
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames, collect
 from mixseq.shells.fitting import ShellSettings
@@ -32,8 +33,12 @@ MethodName = Literal["mixed", "gradients"]
 METHODS: tuple[MethodName, ...] = ("mixed", "gradients")
 
 
-class Mover(Protocol):
+class TransferMethod(Protocol):
     """A way to transfer, made for two meshes."""
+
+    @property
+    def parts(self) -> PartCorrespondence | None:
+        """Parts and joints of both meshes; None if the method knows none."""
 
     def frame(self, x: FloatArray) -> Float:
         """Move the target ``(V', 3)`` as the source is moved in a frame ``(V, 3)``."""
@@ -53,50 +58,60 @@ class Transfer:
         The target at rest.
     correspondence : Correspondence
         Where the target is on the source.
-    mover : Mover
+    method : TransferMethod
         What moves the target.
     quality : Quality or None
         How good the correspondence is, if it was found from markers.
-    poses : PartPoses or None
-        Poses of the target's parts in all frames, where contacts are kept from sliding.
-    contacts : ContactReport
-        What became of the contacts.
+    planting : Planting or None
+        Where the parts go so that contacts do not slide, if there are any.
     """
 
     header: SequenceHeader
     source: SourceMotion
     target: Float
     correspondence: Correspondence
-    mover: Mover
+    method: TransferMethod
     quality: Quality | None = None
-    poses: PartPoses | None = None
-    contacts: ContactReport = ContactReport()  # noqa: RUF009 - frozen all the way down
+    planting: Planting | None = None
+
+    @property
+    def contacts(self) -> ContactReport:
+        """What became of the contacts."""
+        return ContactReport() if self.planting is None else self.planting.report
 
     def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
         done, count = 0, len(self.source.points)
-        for block in (workers or on_threads())(_moved, self.mover, self._frames()):
+        work, frames = workers or on_threads(), (self.source.points[some] for some in self._slices())
+        if self.planting is None:
+            made = work(_moved, self.method, frames)
+        else:
+            made = work(_posed, self.planting.method, zip(frames, self._poses(self.planting), strict=True))
+        for block in made:
             yield block
             done += len(block)
             progress(done, count, "transferring frames")
 
-    def _frames(self) -> Iterator[tuple[FloatArray, PartPoses | None]]:
-        """Yield blocks of frames of the source, with poses for the target's parts where these are known."""
-        points, vertices = self.source.points, max(self.source.header.vertex_count, self.header.vertex_count)
-        size = block_size(vertices)
-        for start in range(0, len(points), size):
-            frames = slice(start, start + size)
-            poses = None if self.poses is None else PartPoses(*(values[frames] for values in self.poses))
-            yield points[frames], poses
+    def _slices(self) -> Iterator[slice]:
+        """Yield which frames are a block."""
+        size = block_size(max(self.source.header.vertex_count, self.header.vertex_count))
+        for start in range(0, len(self.source.points), size):
+            yield slice(start, start + size)
+
+    def _poses(self, planting: Planting) -> Iterator[PartPoses]:
+        """Yield the poses of the target's parts in every block."""
+        for some in self._slices():
+            yield PartPoses(*(values[some] for values in planting.poses))
 
 
-def _moved(mover: Mover, item: tuple[FloatArray, PartPoses | None]) -> Float:
+def _moved(method: TransferMethod, block: FloatArray) -> Float:
+    return np.stack([method.frame(x) for x in block])
+
+
+def _posed(method: MixedTransfer, item: tuple[FloatArray, PartPoses]) -> Float:
     block, poses = item
-    if poses is None:
-        return np.stack([mover.frame(x) for x in block])
-    assert isinstance(mover, MixedTransfer)
     each = zip(block, *poses, strict=True)
-    return np.stack([mover.frame(x, PartPoses(turns, centres)) for x, turns, centres in each])
+    return np.stack([method.frame(x, PartPoses(turns, centres)) for x, turns, centres in each])
 
 
 def plan(
@@ -145,8 +160,8 @@ def plan(
         if not contacts:
             return Transfer(header, motion, shape, found, mixed, quality)
         work = workers or on_threads()
-        mover, poses, report = planted(mixed, motion.points, header, contacts, work, progress)
-        return Transfer(header, motion, shape, found, mover, quality, poses, report)
+        planting = plant_contacts(mixed, motion.points, header, contacts, work, progress)
+        return Transfer(header, motion, shape, found, planting.method, quality, planting)
 
 
 def correspondence_of(

@@ -23,7 +23,7 @@ from mixseq.errors import FormatError, OutputError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rotations import continuous_vectors
-from mixseq.retargeting.anchored import AnchoredPlacement
+from mixseq.retargeting.joint_solver import JointSolver
 from mixseq.sequence import MeshSequence, Polygons
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import Curve, Model
@@ -1086,8 +1086,8 @@ def as_version_1(path: Path, model: Model) -> None:
     """Store an exact model in the anchored placement as version 1 did: lengths, angles and parts of all frames."""
     space, points = anchored(model), model.sample().points
     mixseq.save(path, model)
-    placement = AnchoredPlacement(space.topology, space.decomposition, space.shapes, space.reference)
-    edges, hinges = space.topology.edges[placement.edge_ids], space.topology.hinges[placement.hinge_ids]
+    free = JointSolver(space.topology, space.decomposition, space.shapes, space.reference).free
+    edges, hinges = space.topology.edges[free.edge_ids], space.topology.hinges[free.hinge_ids]
     x = points / space.scale
     parts, turns, centres = zip(*(space.registered(frame) for frame in x), strict=True)
     lengths = edge_lengths(x, edges)

@@ -53,8 +53,8 @@ def led(mesh: Mesh, follower: Mesh, leader: int) -> Correspondence:
 def test_onto_itself_nothing_changes(name: str) -> None:
     sequence: MeshSequence = SEQUENCES[name]()
     mesh = sequence.points[0].astype(np.float64), sequence.faces.astype(np.int64)
-    mover = gradients(mesh, mesh)
-    moved = np.stack([mover.frame(x) for x in sequence.points])
+    method = gradients(mesh, mesh)
+    moved = np.stack([method.frame(x) for x in sequence.points])
     assert furthest(moved, sequence.points) <= 1e-9 * sequence.diagonal
 
 
@@ -66,13 +66,13 @@ def test_a_rigid_motion_of_the_source_is_one_of_the_target(motion: tuple[Float, 
     source = joined(tube(6, 9), (0.3 * tetrahedron()[0] + [1.0, 0.0, 2.0], tetrahedron()[1]))
     lying = rotation((np.pi / 2, 0, 0))
     target = shaped(source[0]) @ lying.T, source[1]
-    mover = gradients(source, target)
-    assert np.array_equal(mover.alignment.rotation, lying.round())
-    moved = mover.frame(source[0] @ turn.T + shift)
+    method = gradients(source, target)
+    assert np.array_equal(method.alignment.rotation, lying.round())
+    moved = method.frame(source[0] @ turn.T + shift)
     about = lying.round() @ turn @ lying.round().T
     root = np.arange(len(tube(6, 9)[0]))
     middle, way = target[0][root].mean(axis=0), (source[0] @ turn.T + shift - source[0])[root].mean(axis=0)
-    expected = (target[0] - middle) @ about.T + middle + mover.alignment.shifted(way)
+    expected = (target[0] - middle) @ about.T + middle + method.alignment.shifted(way)
     np.testing.assert_allclose(moved[root], expected[root], atol=1e-9)
     # The other piece turns along; the gap between the two is as wide as the source's, turned.
     np.testing.assert_allclose(moved, expected, atol=1e-9)
@@ -82,14 +82,14 @@ def test_a_linear_map_of_the_source_is_applied_to_the_target() -> None:
     """A longer tube has its triangles in the planes of the shorter one's, where a gradient is the map."""
     source = tube(8, 12)
     target = source[0] * [1.0, 1.0, 1.7], source[1]
-    mover = gradients(source, target)
-    np.testing.assert_array_equal(mover.alignment.rotation, np.eye(3))
+    method = gradients(source, target)
+    np.testing.assert_array_equal(method.alignment.rotation, np.eye(3))
     matrix = rotation((0.4, 1.0, -0.3)) @ [[1.3, 0.2, 0.1], [0.0, 0.8, -0.3], [0.0, 0.0, 1.1]]
-    moved, expected = mover.frame(source[0] @ matrix.T), target[0] @ matrix.T
+    moved, expected = method.frame(source[0] @ matrix.T), target[0] @ matrix.T
     np.testing.assert_allclose(moved - moved.mean(axis=0), expected - expected.mean(axis=0), atol=1e-9)
     way = (source[0] @ matrix.T - source[0]).mean(axis=0)
     np.testing.assert_allclose(
-        moved.mean(axis=0) - target[0].mean(axis=0), mover.alignment.scale * way, atol=1e-9
+        moved.mean(axis=0) - target[0].mean(axis=0), method.alignment.scale * way, atol=1e-9
     )
 
 
@@ -97,18 +97,18 @@ def test_a_linear_map_of_the_source_is_applied_to_the_target() -> None:
 def test_a_copy_of_any_size_moves_as_the_source(size: float) -> None:
     source, turn = tube(6, 9), rotation((0.5, -1.1, 2.0))
     target = size * source[0] @ turn.T + [4.0, 5.0, 6.0], source[1]
-    mover = gradients(source, target)
+    method = gradients(source, target)
     for x in bending(source):
         expected = size * x @ turn.T + [4.0, 5.0, 6.0]
-        assert furthest(mover.frame(x), expected) <= 1e-9 * size * 4
+        assert furthest(method.frame(x), expected) <= 1e-9 * size * 4
 
 
 def test_gradients_of_a_coarse_mesh_move_its_subdivision() -> None:
     """Where triangles are cut, the pieces move as the whole does: exactly."""
     source = tube(6, 9)
-    mover = gradients(source, subdivided(source), to_subdivided(source))
+    method = gradients(source, subdivided(source), to_subdivided(source))
     for x in bending(source):
-        assert furthest(mover.frame(x), subdivided((x, source[1]))[0]) <= 1e-9
+        assert furthest(method.frame(x), subdivided((x, source[1]))[0]) <= 1e-9
 
 
 def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
@@ -120,13 +120,13 @@ def test_a_gap_that_opens_opens_as_much_for_the_size() -> None:
     apart = shaped(source[0])
     apart[count:] += [0.0, 0.0, 1.0]
     target = apart @ turn.T, source[1]
-    mover = gradients(source, target)
-    assert np.array_equal(mover.alignment.rotation, turn)
+    method = gradients(source, target)
+    assert np.array_equal(method.alignment.rotation, turn)
     opened, away = source[0].copy(), np.array([0.3, -0.2, 0.9])
     opened[count:] += away
-    moved = mover.frame(opened)
+    moved = method.frame(opened)
     np.testing.assert_allclose(moved[:count], target[0][:count], atol=1e-9)
-    np.testing.assert_allclose(moved[count:], target[0][count:] + mover.alignment.shifted(away), atol=1e-9)
+    np.testing.assert_allclose(moved[count:], target[0][count:] + method.alignment.shifted(away), atol=1e-9)
 
 
 def test_what_is_held_turns_with_its_holder() -> None:
@@ -134,9 +134,9 @@ def test_what_is_held_turns_with_its_holder() -> None:
     body, lid = tube(6, 25), tetrahedron()
     source = joined(body, (0.2 * lid[0] + [0.0, 0.0, 4.5], lid[1]))
     target = source[0] * [1.0, 1.0, 1.4], source[1]
-    mover = gradients(source, target)
-    moved = mover.frame(bent(source[0], 1.2))
-    (tip,), count = mover.bridges.other, len(body[0])
+    method = gradients(source, target)
+    moved = method.frame(bent(source[0], 1.2))
+    (tip,), count = method.attachments.other, len(body[0])
     turn = rotation((1.2, 0.0, 0.0))
     expected = (target[0][count:] - target[0][tip]) @ turn.T + moved[tip]
     np.testing.assert_allclose(moved[count:], expected, atol=1e-9)
@@ -146,8 +146,8 @@ def test_followers_go_as_if_stuck_to_their_leaders() -> None:
     body, hat = tube(6, 25), (0.3 * tetrahedron()[0] + [0.0, 0.7, 3.8], tetrahedron()[1])
     leader = 6 * 23 + 1  # near the upper end
     target = joined(body, hat)
-    mover = gradients(body, target, led(body, hat, leader))
-    moved = mover.frame(bent(body[0], 1.2))
+    method = gradients(body, target, led(body, hat, leader))
+    moved = method.frame(bent(body[0], 1.2))
     count = len(body[0])
     np.testing.assert_allclose(moved[:count], bent(body[0], 1.2), atol=1e-9)
     turn = rotation((1.2, 0.0, 0.0))
@@ -172,8 +172,8 @@ def test_a_patch_that_is_on_nothing_goes_along() -> None:
 
 def test_means_are_over_triangles_around_a_point() -> None:
     sheet = grid(1, 2)  # vertex 1 is in three triangles of equal area, 0 in two
-    mover = gradients(sheet, sheet)
-    weights = mover.around(np.array([0, 1])).toarray()
+    method = gradients(sheet, sheet)
+    weights = method.around(np.array([0, 1])).toarray()
     around = Topology(sheet[1], 6).faces
     np.testing.assert_allclose(weights, [np.any(around == v, axis=1) / np.sum(around == v) for v in (0, 1)])
 
@@ -186,7 +186,7 @@ def test_rows_of_weights_add_to_one() -> None:
 
 def test_a_source_in_single_precision_is_computed_in_double() -> None:
     mesh = tube(6, 9)
-    mover = gradients(mesh, mesh)
+    method = gradients(mesh, mesh)
     single = bending(mesh)[2].astype(np.float32)
-    np.testing.assert_array_equal(mover.frame(single), mover.frame(single.astype(np.float64)))
-    assert topology_of(mesh).vertex_count == len(mover.frame(single))
+    np.testing.assert_array_equal(method.frame(single), method.frame(single.astype(np.float64)))
+    assert topology_of(mesh).vertex_count == len(method.frame(single))

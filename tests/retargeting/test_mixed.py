@@ -10,8 +10,8 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import kabsch
-from mixseq.retargeting.making import mixed_transfer
-from mixseq.retargeting.mixed import MixedTransfer, PartPoses, Parts
+from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
+from mixseq.retargeting.part_correspondence import PartPoses, RestShapes
 from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import decompose
 from mixseq.shells.fitting import ShellSettings
@@ -39,8 +39,8 @@ def moving(
     return mixed_transfer(made, frames, labels, 3, ShellSettings())
 
 
-def placed(mover: MixedTransfer, x: Float) -> PartPoses:
-    return mover.poses(x, mover.parts.register(mover.by_gradients(x))[1])
+def placed(method: MixedTransfer, x: Float) -> PartPoses:
+    return method.poses(x, method.shapes.register(method.by_gradients(x))[1])
 
 
 @pytest.mark.parametrize("finer", [False, True], ids=["same triangles", "finer"])
@@ -50,8 +50,8 @@ def test_bones_keep_their_lengths_and_take_the_angle(finer: bool, thicker: float
     target, correspondence = (lengthened(TUBE[0], thicker), TUBE[1]), same(TUBE)
     if finer:
         target, correspondence = subdivided(target), to_subdivided(TUBE)
-    mover = moving(TUBE, target, np.stack([TUBE[0], x]), correspondence)
-    moved, rest = mover.frame(x), target[0]
+    method = moving(TUBE, target, np.stack([TUBE[0], x]), correspondence)
+    moved, rest = method.frame(x), target[0]
     bones = np.flatnonzero(rest[:, 2] < 2.4), np.flatnonzero(rest[:, 2] > 3.4)
     turns, shifts = zip(*(kabsch(rest[bone], moved[bone]) for bone in bones), strict=True)
     between = turns[0].T @ turns[1]
@@ -74,19 +74,19 @@ def test_a_part_that_slides_out_slides_out_for_the_size() -> None:
     x = TUBE[0] + np.clip((TUBE[0][:, 2:] - 1.9) / 0.2, 0.0, 1.0) * [0.0, 0.0, 0.4]
     size, turn = 3.0, rotation((0.4, -1.0, 2.0))
     target = size * TUBE[0] @ turn.T, TUBE[1]
-    mover = moving(TUBE, target, np.stack([TUBE[0], x]))
-    poses, rest = placed(mover, x), mover.linkage.centres
-    away = (poses.centres - rest) * mover.gradients.target.scale
+    method = moving(TUBE, target, np.stack([TUBE[0], x]))
+    poses, rest = placed(method, x), method.body.centres
+    away = (poses.centres - rest) * method.gradients.target.scale
     np.testing.assert_allclose(away[1] - away[0], size * turn @ [0.0, 0.0, 0.4], atol=0.05 * 0.4 * size)
 
 
 def test_the_root_goes_as_far_as_its_stride() -> None:
-    mover = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
+    method = moving(TUBE, (lengthened(TUBE[0]), TUBE[1]), TUBE[0][None])
     way = np.array([0.3, 1.0, -2.0])
-    rest = mover.parts.centres
+    rest = method.shapes.centres
     for stride in (1.0, 1.7):
-        centres = placed(replace(mover, stride=stride), TUBE[0] + way).centres
-        expected = stride * mover.gradients.alignment.scale * way / mover.gradients.target.scale
+        centres = placed(replace(method, stride=stride), TUBE[0] + way).centres
+        expected = stride * method.gradients.alignment.scale * way / method.gradients.target.scale
         np.testing.assert_allclose(centres - rest, np.tile(expected, (2, 1)), atol=1e-9)
 
 
@@ -94,13 +94,13 @@ def test_parts_go_where_they_are_told() -> None:
     """Other poses move the target rigidly with them: the whole, if all parts move as one."""
     target = lengthened(TUBE[0]), TUBE[1]
     x = bent(TUBE[0], ELBOW, blend=0.3)
-    mover = moving(TUBE, target, np.stack([TUBE[0], x]))
-    own = placed(mover, x)
-    np.testing.assert_array_equal(mover.frame(x, own), mover.frame(x))
+    method = moving(TUBE, target, np.stack([TUBE[0], x]))
+    own = placed(method, x)
+    np.testing.assert_array_equal(method.frame(x, own), method.frame(x))
     turn, shift = rotation((0.3, 2.0, -0.5)), np.array([1.0, 2.0, 3.0])
     told = PartPoses(turn @ own.rotations, own.centres @ turn.T + shift)
-    expected = mover.frame(x) @ turn.T + shift * mover.gradients.target.scale
-    assert furthest(mover.frame(x, told), expected) < 1e-7
+    expected = method.frame(x) @ turn.T + shift * method.gradients.target.scale
+    assert furthest(method.frame(x, told), expected) < 1e-7
 
 
 def test_pieces_that_no_edge_joins_are_linked() -> None:
@@ -109,11 +109,11 @@ def test_pieces_that_no_edge_joins_are_linked() -> None:
     source = joined(TUBE, eye)
     target = lengthened(source[0]), source[1]
     x = bent(source[0], ELBOW, blend=0.3)
-    mover = moving(source, target, np.stack([source[0], x]))
-    assert mover.linkage.links.tolist()[0] == [0, 1]
-    assert len(mover.linkage.links) == 2
-    assert 2 in mover.linkage.links[1]
-    moved = mover.frame(x)
+    method = moving(source, target, np.stack([source[0], x]))
+    assert method.body.pairs.tolist()[0] == [0, 1]
+    assert len(method.body.pairs) == 2
+    assert 2 in method.body.pairs[1]
+    moved = method.frame(x)
     upper = np.flatnonzero(target[0][:, 2] > 3.6)
     turn, shift = kabsch(target[0][upper], moved[upper])
     assert furthest(target[0][upper] @ turn.T + shift, moved[upper]) < 5e-3
@@ -124,14 +124,14 @@ def test_a_mesh_of_one_part_moves_as_gradients_move_it() -> None:
     x = bent(TUBE[0], 0.2, blend=3.0)
     made = gradients(TUBE, target)
     alone = np.zeros(len(TUBE[1]), dtype=np.int64)
-    mover = mixed_transfer(made, x[None], alone, 3, ShellSettings())
-    moved, other = mover.frame(x), made.frame(x)
+    method = mixed_transfer(made, x[None], alone, 3, ShellSettings())
+    moved, other = method.frame(x), made.frame(x)
     np.testing.assert_allclose(moved - moved.mean(axis=0), other - other.mean(axis=0), atol=1e-9)
 
 
 def test_parts_are_registered_to_their_shapes() -> None:
     labels = (TUBE[0][TUBE[1]].mean(axis=1)[:, 2] > 2).astype(np.int64)
-    parts = Parts.of(decompose(topology_of(TUBE), labels, 3), TUBE[0])
+    parts = RestShapes.of(decompose(topology_of(TUBE), labels, 3), TUBE[0])
     turn, shift = rotation((1.0, 2.0, -0.5)), np.array([3.0, 1.0, 0.0])
     aligned, poses = parts.register(TUBE[0] @ turn.T + shift)
     np.testing.assert_allclose(aligned, parts.shapes, atol=1e-9)

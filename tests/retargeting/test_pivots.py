@@ -8,12 +8,14 @@ import numpy as np
 from hypothesis import given, settings
 
 from mixseq.arrays import Float
-from mixseq.retargeting.linkage import Linkage
-from mixseq.retargeting.pivots import REACH, Pivots
-from tests.meshes import rigid_motions, rotation, seeds
+from mixseq.retargeting.articulated_body import ArticulatedBody
+from mixseq.retargeting.pivots import REACH, Pivots, PivotSolver
+from mixseq.segmentation.joints import decompose
+from tests.meshes import joined, rigid_motions, rotation, seeds, tetrahedron, topology_of, tube
+from tests.retargeting.pairs import gradients
 
 
-def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Float]:
+def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[PivotSolver, Float, Float]:
     """A random tree of parts, with some loops; rotations of its parts and gaps at its pivots."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(parts)
@@ -21,8 +23,8 @@ def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Floa
     pairs += [tuple(rng.choice(parts, 2, replace=False)) for _ in range(extra)]
     count = len(pairs)
     pivots, centres = rng.normal(size=(count, 3)), rng.normal(size=(parts, 3))
-    made = Pivots(
-        Linkage(centres, np.array(pairs), pivots, int(rng.integers(parts))),
+    made = PivotSolver(
+        ArticulatedBody(centres, np.array(pairs), pivots, int(rng.integers(parts))),
         rng.uniform(0.5, 2.0, count),
         rng.uniform(0.1, 1.0, count),
     )
@@ -32,7 +34,9 @@ def body(seed: int, extra: int = 0, parts: int = 7) -> tuple[Pivots, Float, Floa
 
 def test_an_elbow_by_hand() -> None:
     ends = np.array([[0.5, 0, 0], [1.75, 0, 0]])
-    arm = Pivots(Linkage(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1))
+    arm = PivotSolver(
+        ArticulatedBody(ends, np.array([[0, 1]]), np.array([[1.0, 0, 0]]), 0), np.ones(1), np.ones(1)
+    )
     turns = np.stack([np.eye(3), rotation((0, 0, np.pi / 2))])
     bent = arm.place(turns, np.zeros((1, 3)), np.array([0.5, 0, 0]))
     np.testing.assert_allclose(bent, [[0.5, 0, 0], [1.0, 0.75, 0]], atol=1e-12)
@@ -47,8 +51,8 @@ def test_a_tree_has_exactly_the_gaps_it_should(seed: int) -> None:
     tree, turns, gaps = body(seed)
     root = np.array([5.0, -2.0, 1.0])
     placed = tree.place(turns, gaps, root)
-    assert np.array_equal(placed[tree.linkage.root], root)
-    np.testing.assert_allclose(tree.linkage.gaps(turns, placed), gaps, atol=1e-10)
+    assert np.array_equal(placed[tree.body.root], root)
+    np.testing.assert_allclose(tree.body.gaps(turns, placed), gaps, atol=1e-10)
 
 
 @given(seeds)
@@ -60,20 +64,20 @@ def test_loops_are_solved_by_least_squares(seed: int) -> None:
     placed = loops.place(turns, gaps, root)
     # Gaps are affine in the centres: of these the matrix and the rest, one number at a time.
     still = np.zeros((7, 3))
-    still[loops.linkage.root] = root
-    others = [part for part in range(7) if part != loops.linkage.root]
+    still[loops.body.root] = root
+    others = [part for part in range(7) if part != loops.body.root]
     matrix = np.stack(
         [
-            loops.linkage.gaps(turns, still + np.outer(np.arange(7) == part, [1.0, 0, 0]))[:, 0]
-            - loops.linkage.gaps(turns, still)[:, 0]
+            loops.body.gaps(turns, still + np.outer(np.arange(7) == part, [1.0, 0, 0]))[:, 0]
+            - loops.body.gaps(turns, still)[:, 0]
             for part in others
         ],
         axis=1,
     )
     weights = loops.lengths[:, None]
-    wanted = np.linalg.lstsq(
-        weights * matrix, weights * (gaps - loops.linkage.gaps(turns, still)), rcond=None
-    )[0]
+    wanted = np.linalg.lstsq(weights * matrix, weights * (gaps - loops.body.gaps(turns, still)), rcond=None)[
+        0
+    ]
     np.testing.assert_allclose(placed[others], wanted, atol=1e-9)
 
 
@@ -91,25 +95,25 @@ def test_a_rigid_motion_of_the_world_moves_all_parts(seed: int, motion: tuple[Fl
 def test_at_rest_parts_are_at_rest() -> None:
     loops, turns, gaps = body(3, extra=3)
     turns = np.tile(np.eye(3), (7, 1, 1))
-    np.testing.assert_allclose(loops.linkage.gaps(turns, loops.linkage.centres), 0.0, atol=1e-12)
-    placed = loops.place(turns, np.zeros_like(gaps), loops.linkage.centres[loops.linkage.root])
-    np.testing.assert_allclose(placed, loops.linkage.centres, atol=1e-10)
+    np.testing.assert_allclose(loops.body.gaps(turns, loops.body.centres), 0.0, atol=1e-12)
+    placed = loops.place(turns, np.zeros_like(gaps), loops.body.centres[loops.body.root])
+    np.testing.assert_allclose(placed, loops.body.centres, atol=1e-10)
 
 
 def test_one_part_is_where_it_is_put() -> None:
     none = np.zeros(0)
-    one = Linkage(np.ones((1, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 0)
-    alone = Pivots(one, none, none)
+    one = ArticulatedBody(np.ones((1, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 0)
+    alone = PivotSolver(one, none, none)
     placed = alone.place(np.eye(3)[None], np.zeros((0, 3)), np.array([3.0, 4, 5]))
     assert placed.tolist() == [[3.0, 4, 5]]
-    assert alone.linkage.gaps(np.eye(3)[None], placed).shape == (0, 3)
+    assert alone.body.gaps(np.eye(3)[None], placed).shape == (0, 3)
 
 
 def test_boundaries_of_no_length_still_hold() -> None:
     tree, turns, gaps = body(4)
     thin = replace(tree, lengths=tree.lengths * (np.arange(6) % 2), radii=np.zeros(6))
     placed = thin.place(turns, gaps, np.ones(3))
-    np.testing.assert_allclose(thin.linkage.gaps(turns, placed), gaps, atol=1e-9)
+    np.testing.assert_allclose(thin.body.gaps(turns, placed), gaps, atol=1e-9)
 
 
 def test_gaps_stay_within_the_reach_of_their_boundaries() -> None:
@@ -129,3 +133,19 @@ def test_gaps_stay_within_the_reach_of_their_boundaries() -> None:
     # Pieces that nothing but a vertex holds may be far away.
     np.testing.assert_allclose(rigid.within_reach(1e6 * gaps, smooth), smooth)
     np.testing.assert_array_equal(rigid.within_reach(smooth, smooth), smooth)
+
+
+def test_two_bones_and_an_eye() -> None:
+    """The bones meet in an octagon, the eye is held by a vertex."""
+    mesh = joined(tube(8, 33, radius=0.3), (0.1 * tetrahedron()[0] + [0.0, 0.45, 3.5], tetrahedron()[1]))
+    points, faces = mesh
+    labels = (points[faces].mean(axis=1)[:, 2] > 2).astype(np.int64)
+    labels[-4:] = 2
+    pivots = Pivots.of(gradients(mesh, mesh), decompose(topology_of(mesh), labels, 3))
+    assert pivots.pairs.tolist() == [[0, 1], [2, 1]]
+    middle, held = pivots.points(points)
+    np.testing.assert_allclose(middle, [0.0, 0.0, 2.0], atol=1e-12)
+    assert (points[-4:] == held).all(axis=1).any()
+    lengths, radii = pivots.sizes(points)
+    np.testing.assert_allclose(lengths, [8 * 0.6 * np.sin(np.pi / 8), 0.0])
+    np.testing.assert_allclose(radii, [0.3 * np.cos(np.pi / 8), 0.0])

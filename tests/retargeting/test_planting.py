@@ -11,8 +11,8 @@ from mixseq.arrays import Float, Index
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.creature.gait import DUTY, STEP
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.retargeting.contacts import ContactReport
-from mixseq.retargeting.linkage import Contact, Linkage
+from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
+from mixseq.retargeting.footskate import ContactReport
 from mixseq.retargeting.mixed import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
@@ -33,7 +33,7 @@ class Walk(NamedTuple):
     free: Float
     planted: Float
     report: ContactReport
-    mover: MixedTransfer
+    method: MixedTransfer
 
 
 def taller(points: Float) -> Float:
@@ -66,8 +66,8 @@ def walk() -> Walk:
     with_contacts = plan(motion, target, contacts=soles)
     free = np.concatenate(list(plan(motion, target).blocks()))
     planted = np.concatenate(list(with_contacts.blocks()))
-    assert isinstance(with_contacts.mover, MixedTransfer)
-    return Walk(source, target, soles, free, planted, with_contacts.contacts, with_contacts.mover)
+    assert isinstance(with_contacts.method, MixedTransfer)
+    return Walk(source, target, soles, free, planted, with_contacts.contacts, with_contacts.method)
 
 
 def slides(walk: Walk, points: Float) -> list[float]:
@@ -132,7 +132,7 @@ def test_the_body_travels_as_its_legs_are_long(walk: Walk) -> None:
     own = walk.source.points[-1].mean(axis=0) - walk.source.points[0].mean(axis=0)
     assert 1.1 < way[0] / own[0] < LONGER
     assert way[0] / own[0] == pytest.approx(
-        walk.mover.stride * walk.mover.gradients.alignment.scale, rel=0.03
+        walk.method.stride * walk.method.gradients.alignment.scale, rel=0.03
     )
 
 
@@ -154,7 +154,9 @@ def test_one_contact_is_on_one_leg(walk: Walk) -> None:
 
 def test_a_contact_may_bend_within_its_part() -> None:
     """Its way is that of its vertices as the part sees them in every frame."""
-    linkage = Linkage(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0, 1]]), np.array([[0.5, 0, 0]]), 0)
+    walker = ArticulatedBody(
+        np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0, 1]]), np.array([[0.5, 0, 0]]), 0
+    )
     points = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     stiff = Contact("foot", points, np.array([1, 1]))
     turns = np.stack([[np.eye(3), rotation((0, 0, 0.1 * t))] for t in range(4)])
@@ -162,11 +164,11 @@ def test_a_contact_may_bend_within_its_part() -> None:
     seen = points + np.arange(4)[:, None, None] * [0.0, 0.0, 0.1]
     soft = Contact("foot", points, np.array([1, 1]), seen)
     np.testing.assert_allclose(
-        linkage.path(soft, turns, centres)[0], linkage.path(stiff, turns, centres)[0], atol=1e-12
+        walker.path(soft, turns, centres)[0], walker.path(stiff, turns, centres)[0], atol=1e-12
     )
-    up = linkage.path(soft, turns, centres) - linkage.path(stiff, turns, centres)
+    up = walker.path(soft, turns, centres) - walker.path(stiff, turns, centres)
     np.testing.assert_allclose(up, seen - points, atol=1e-12)  # z is not turned
     some = np.array([1, 3])
     np.testing.assert_array_equal(
-        linkage.path(soft, turns[some], centres[some], some), linkage.path(soft, turns, centres)[some]
+        walker.path(soft, turns[some], centres[some], some), walker.path(soft, turns, centres)[some]
     )

@@ -11,8 +11,8 @@ from mixseq.arrays import FloatArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare
-from mixseq.retargeting.acceleration import Acceleration
 from mixseq.retargeting.coverage import component_names, coverage
+from mixseq.retargeting.measures import Acceleration
 from mixseq.retargeting.report import Counts, Meter, TransferReport, measure
 from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence import MeshSequence

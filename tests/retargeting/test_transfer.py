@@ -74,7 +74,7 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
     turn, shift = motion
     source = bar(sides=5, rings=15, frames=3)
     rest, target = first(source), one(shaped(source.points[0]), source)
-    mover = plan(source, target, method=method, rest=rest, workers=serially).mover
+    mover = plan(source, target, method=method, rest=rest, workers=serially).method
     still = mixseq.transfer(source, target, method=method, rest=rest, workers=serially).points
     away = source.with_points(source.points @ turn.T + shift)
     moved = mixseq.transfer(away, target, method=method, rest=rest, workers=serially).points
@@ -83,9 +83,9 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
     made = mover.gradients if isinstance(mover, MixedTransfer) else mover
     assert isinstance(made, GradientTransfer)
     if isinstance(mover, MixedTransfer):
-        root = mover.linkage.root
-        own = mover.linkage.centres[root] * made.target.scale
-        theirs = mover.source_linkage.centres[root] * made.source.scale
+        root = mover.body.root
+        own = mover.body.centres[root] * made.target.scale
+        theirs = mover.source_body.centres[root] * made.source.scale
     np.testing.assert_array_equal(made.alignment.rotation, np.eye(3))
     size = made.alignment.scale
     offset = (np.eye(3) - turn) @ (own - size * theirs) + size * shift
@@ -162,7 +162,8 @@ def test_a_model_moves_as_its_frames_do_with_its_own_parts(bent_bar: MeshSequenc
     expected = mixseq.transfer(bent_bar, target, parts=parts)
     assert furthest(moved.points, expected.points) <= 1e-6 * bent_bar.diagonal
     planned = plan(bar_model, target)
-    np.testing.assert_array_equal(planned.mover.source.part_of_face, parts)  # type: ignore[attr-defined]
+    assert planned.method.parts is not None
+    np.testing.assert_array_equal(planned.method.parts.source.part_of_face, parts)
 
 
 @both
@@ -260,11 +261,11 @@ def test_a_map_of_the_same_triangles_may_exchange_them() -> None:
         faces=triangles,
     )
     parts = lower((source.points[0], source.faces.astype(np.int64)), 1.0)
-    mover = plan(source, first(source), mapping=mapping, parts=parts).mover
+    mover = plan(source, first(source), mapping=mapping, parts=parts).method
     assert isinstance(mover, MixedTransfer)
-    carried = mover.carried.sources[mover.carried.decomposition.part_of_face]
-    np.testing.assert_array_equal(carried, mover.source.part_of_face[mapping.faces])
-    assert (carried != mover.source.part_of_face).any()
+    own, carried = mover.parts.part_of_face
+    np.testing.assert_array_equal(carried, own[mapping.faces])
+    assert (carried != own).any()
 
 
 @both
@@ -275,8 +276,8 @@ def test_what_was_used_goes_to_other_processes(method: MethodName) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MixseqWarning)  # never at rest
         planned = plan(source, one(shaped(source.points[0]), source), method=method, contacts=contacts)
-    own = planned.mover.frame(source.points[2])
-    again = pickle.loads(pickle.dumps(planned.mover))
+    own = planned.method.frame(source.points[2])
+    again = pickle.loads(pickle.dumps(planned.method))
     np.testing.assert_array_equal(again.frame(source.points[2]), own)
 
 

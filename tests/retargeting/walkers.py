@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.retargeting.contacts import Planted, plant
-from mixseq.retargeting.linkage import Contact, Linkage
+from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
+from mixseq.retargeting.footskate import Planted, remove_footskate
 
 CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.5, 0.08
 BONES = {"thigh": 0.5, "shank": 0.45, "foot": 0.06}
@@ -21,8 +21,8 @@ PHASES = (0.0, 0.5)
 class Walk:
     """A source, and its motion carried to a target."""
 
-    source: Linkage
-    target: Linkage
+    source: ArticulatedBody
+    target: ArticulatedBody
     source_contacts: list[Contact]
     contacts: list[Contact]
     rotations: Float
@@ -33,7 +33,7 @@ class Walk:
     diagonal: float = 2.0
 
     def planted(self) -> Planted:
-        return plant(
+        return remove_footskate(
             self.target,
             self.rotations,
             self.centres,
@@ -47,7 +47,7 @@ class Walk:
     def joints(self, rotations: Float, centres: Float) -> Float:
         """Where both parts of every link have their pivot, ``(2, T, n, 3)``."""
         places = (
-            self.target.placed(self.target.pivots, side, rotations, centres) for side in self.target.links.T
+            self.target.placed(self.target.pivots, side, rotations, centres) for side in self.target.pairs.T
         )
         return np.stack(list(places))
 
@@ -81,7 +81,7 @@ def about_z(angle: Float) -> Float:
     return np.asarray(rows)
 
 
-def body(legs: float) -> tuple[Linkage, list[Contact]]:
+def body(legs: float) -> tuple[ArticulatedBody, list[Contact]]:
     """The walker at rest on straight legs: parts 0, and 1 to 3, 4 to 6."""
     lengths = legs * np.array(list(BONES.values()))
     top = lengths.sum()
@@ -96,7 +96,7 @@ def body(legs: float) -> tuple[Linkage, list[Contact]]:
             height -= length
         sole = np.array([[-0.05, 0.0, side], [0.05, 0.0, side - 0.02], [0.05, 0.0, side + 0.02]])
         contacts.append(Contact("right" if leg else "left", sole, np.full(3, 3 * leg + 3)))
-    return Linkage(np.array(centres), np.array(links), np.array(pivots), 0), contacts
+    return ArticulatedBody(np.array(centres), np.array(links), np.array(pivots), 0), contacts
 
 
 def walk(legs: float = 1.4, travel: float = 1.0, frames: int = 100) -> Walk:
@@ -126,11 +126,11 @@ def walk(legs: float = 1.4, travel: float = 1.0, frames: int = 100) -> Walk:
     return Walk(source, target, source_contacts, contacts, rotations, centres, paths)
 
 
-def hung(linkage: Linkage, rotations: Float, root: Float) -> Float:
+def hung(walker: ArticulatedBody, rotations: Float, root: Float) -> Float:
     """Centres of parts that hang together, by their rotations and the centre of the root."""
-    centres = np.repeat(root[:, None], len(linkage.centres), axis=1)
-    for part, (above, link) in linkage.hung.items():
-        pivot = linkage.placed(linkage.pivots[link], [above], rotations, centres)[:, 0]
-        arm = linkage.centres[part] - linkage.pivots[link]
+    centres = np.repeat(root[:, None], len(walker.centres), axis=1)
+    for part, (above, number) in walker.parents.items():
+        pivot = walker.placed(walker.pivots[number], [above], rotations, centres)[:, 0]
+        arm = walker.centres[part] - walker.pivots[number]
         centres[:, part] = pivot + rotations[:, part] @ arm
     return centres

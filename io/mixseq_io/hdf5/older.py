@@ -16,8 +16,7 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.errors import FormatError
 from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.anchored import AnchoredPlacement
-from mixseq.retargeting.placement import MixedFrame
+from mixseq.retargeting.joint_solver import JointFrame, JointSolver
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.shells.joint import length_weights
 from mixseq.signals.curve import Curve
@@ -59,7 +58,7 @@ def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     placement = Curve(places, anchored.poses(path, file, len(places)))
     check_frames(path, header, time=time, placement=placement)
-    blocks = {**anchored.blocks(), "offsets": (len(anchored.placement.rows.free), 3)}
+    blocks = {**anchored.blocks(), "offsets": (len(anchored.solver.free.vertices), 3)}
     shapes = read_shapes(path, file, blocks, len(pose.offset))
     times = _frames_and_knots(header, time, placement)
     return anchored.model(times, pose.weights(time(times)) @ shapes, placement(times))
@@ -85,31 +84,31 @@ class _Anchored:
         self.header, self.scale, self.settings = header, read_scale(path, file), read_shell(path, file)
         self.shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
         reference = floats(path, file, "space/reference", (header.vertex_count, 3))
-        self.placement = AnchoredPlacement(topology, decomposition, self.shapes, reference)
-        rows = self.placement.rows
-        self.lengths = floats(path, file, "space/reference_lengths", (len(rows.edge_ids),))
+        self.solver = JointSolver(topology, decomposition, self.shapes, reference)
+        free = self.solver.free
+        self.lengths = floats(path, file, "space/reference_lengths", (len(free.edge_ids),))
         if (self.lengths < 0).any():
             raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
-        self.holds = np.zeros(0)
+        self.offset_weights = np.zeros(0)
         if int(file.attrs["version"]) > 1:
-            trust = floats(path, file, "space/trust", (len(rows.joints),))
-            if (trust <= 0).any():
+            weights = floats(path, file, "space/trust", (len(free.joints),))
+            if (weights <= 0).any():
                 raise FormatError(f"{path}: space/trust has weights that are not positive")
-            spacing = np.maximum(rows.spacing(self.lengths), np.finfo(np.float64).tiny)
-            self.holds = np.repeat(trust, [len(patch.free) for patch in rows.patches]) / spacing
+            spacing = np.maximum(free.spacing(self.lengths), np.finfo(np.float64).tiny)
+            self.offset_weights = np.repeat(weights, [len(patch.free) for patch in free.patches]) / spacing
 
     def blocks(self) -> dict[str, tuple[int, ...]]:
         """Return what a key shape consists of."""
-        rows = self.placement.rows
+        free = self.solver.free
         return {
-            "lengths": (len(rows.edge_ids),),
-            "angles": (len(rows.hinge_ids),),
+            "lengths": (len(free.edge_ids),),
+            "angles": (len(free.hinge_ids),),
             "parts": (len(self.shapes), 3),
         }
 
     def poses(self, path: Path, file: h5py.File, count: int) -> Float:
         """Read rotation vectors, then centres ``(count, 6 p)``."""
-        shape = (count, len(self.placement.posed), 3)
+        shape = (count, len(self.solver.decomposition.parts), 3)
         both = [
             floats(path, file, f"signals/placement/{name}", shape) for name in ("rotations", "translations")
         ]
@@ -117,10 +116,10 @@ class _Anchored:
 
     def model(self, times: Float, shapes: Float, poses: Float) -> Model:
         """Return the model of frames with shapes ``(N, S)`` and poses ``(N, 6 p)`` at times ``(N,)``."""
-        placement, header = self.placement, self.header.with_times(times)
+        solver, header = self.solver, self.header.with_times(times)
         with one_blas_thread():
             points = np.stack([self._frame(*each) for each in zip(shapes, poses, strict=True)]) * self.scale
-            space = mixed_space(points, placement.topology, placement.decomposition)
+            space = mixed_space(points, solver.topology, solver.decomposition)
             model = build(encode(MeshSequence.from_header(header, points), space), Detail())
         return Model(self.header, space, model.time, model.pose, model.shapes, model.placement)
 
@@ -129,7 +128,7 @@ class _Anchored:
         lengths, angles, rest = np.split(shape, np.cumsum(sizes[:2]))
         parts, offsets = np.split(rest.reshape(-1, 3), [len(self.shapes)])
         vectors, centres = poses.reshape(2, -1, 3)
-        frame = MixedFrame(
+        frame = JointFrame(
             lengths=lengths,
             angles=angles,
             weights=length_weights(self.lengths),
@@ -137,6 +136,6 @@ class _Anchored:
             rotations=matrices(vectors),
             translations=centres,
             offsets=offsets,
-            holds=self.holds,
+            offset_weights=self.offset_weights,
         )
-        return self.placement.assemble(frame, self.settings)[0]
+        return self.solver.assemble(frame, self.settings)[0]

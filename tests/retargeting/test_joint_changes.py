@@ -10,9 +10,8 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.nearest import Nearest
 from mixseq.geometry.rigid import kabsch
-from mixseq.retargeting.joints import OtherEdges, SameEdges
-from mixseq.retargeting.making import mixed_transfer
-from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.joint_changes import OtherEdges, SameEdges
+from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
 from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
@@ -59,10 +58,10 @@ def joined_in_the_middle(source: Mesh, target: Mesh, correspondence: Corresponde
     return mixed_transfer(made, frames, halves, 40, ShellSettings())
 
 
-def hinges_of(mover: MixedTransfer) -> tuple[Float, Float]:
+def hinges_of(method: MixedTransfer) -> tuple[Float, Float]:
     """Sides ``(H', 3)`` of the stored hinges, and the way ``(H', 3)`` from the centre of one face to the other's."""
-    topology, rest = mover.gradients.target.topology, mover.gradients.target.reference
-    a, b, c, d = (rest[corner] for corner in topology.hinges[mover.placement.hinge_ids].T)
+    topology, rest = method.gradients.target.topology, method.gradients.target.reference
+    a, b, c, d = (rest[corner] for corner in topology.hinges[method.solver.free.hinge_ids].T)
     return b - a, (d - c) / 3
 
 
@@ -73,13 +72,13 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
     Turns of faces are averaged around their corners, so the triangles of a square no longer turn as one.
     """
     source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
-    mover = joined_in_the_middle(source, target, on(source, target))
-    joints, scale = OtherEdges(mover.gradients, mover.placement.rows), mover.gradients.source.scale
+    method = joined_in_the_middle(source, target, on(source, target))
+    joints, scale = OtherEdges(method.gradients, method.solver.free), method.gradients.source.scale
     change = joints.of(arched(source[0], 0.125) / scale)[1] - joints.of(source[0] / scale)[1]
-    topology = mover.gradients.target.topology
-    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[mover.placement.hinge_ids]]
+    topology = method.gradients.target.topology
+    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[method.solver.free.hinge_ids]]
     width = np.linalg.norm(target[0][1] - target[0][0])
-    lengths = np.linalg.norm(hinges_of(mover)[0], axis=1) * mover.gradients.target.scale
+    lengths = np.linalg.norm(hinges_of(method)[0], axis=1) * method.gradients.target.scale
     for top in (-1, 1):
         chosen = (np.abs(middles[:, 0]) < 1e-9) & (top * middles[:, 1] > 0)
         total = np.sum((lengths * change)[chosen]) / width
@@ -97,8 +96,8 @@ def test_a_tube_bends_as_much_in_all_as_its_source(
     source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
     correspondence = on(source, target)
     longer = target[0] * [1.0, 1.0, length / 4]
-    mover = joined_in_the_middle(source, (longer, target[1]), correspondence)
-    moved = mover.frame(arched(source[0], share))
+    method = joined_in_the_middle(source, (longer, target[1]), correspondence)
+    moved = method.frame(arched(source[0], share))
     ends = (np.flatnonzero(some) for some in (target[0][:, 2] < 0.6, target[0][:, 2] > 3.4))
     first, last = (kabsch(longer[end], moved[end])[0] for end in ends)
     turn = np.arccos((np.trace(first.T @ last) - 1) / 2)
@@ -113,18 +112,18 @@ def test_a_tube_bends_as_much_in_all_as_its_source(
 def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     """Faces turn about x by how far apart their centres are, hinges by what of that is about them."""
     source, target = tube(18, 33, radius=0.3), tube(sides, rings, radius=0.3)
-    mover = joined_in_the_middle(source, target, on(source, target))
-    joints = OtherEdges(mover.gradients, mover.placement.rows)
-    lengths, angles = joints.of(arched(source[0]) / mover.gradients.source.scale)
-    rest_lengths, rest_angles = joints.of(mover.gradients.source.reference)
-    sides_of, ways = hinges_of(mover)
-    curvature = BEND / 4 * mover.gradients.target.scale
+    method = joined_in_the_middle(source, target, on(source, target))
+    joints = OtherEdges(method.gradients, method.solver.free)
+    lengths, angles = joints.of(arched(source[0]) / method.gradients.source.scale)
+    rest_lengths, rest_angles = joints.of(method.gradients.source.reference)
+    sides_of, ways = hinges_of(method)
+    curvature = BEND / 4 * method.gradients.target.scale
     wanted = -curvature * ways[:, 2] * sides_of[:, 0] / np.linalg.norm(sides_of, axis=1)
     wrong = angles - rest_angles - wanted
     assert np.sqrt(np.mean(wrong**2)) < 0.3 * np.sqrt(np.mean(wanted**2))  # 0.26 at most
     # Edges along the tube are as much shorter as they are on its inner side.
-    rest, topology = mover.gradients.target.reference, mover.gradients.target.topology
-    edges = rest[topology.edges[mover.placement.edge_ids]]
+    rest, topology = method.gradients.target.reference, method.gradients.target.topology
+    edges = rest[topology.edges[method.solver.free.edge_ids]]
     along = np.linalg.norm(np.diff(edges, axis=1)[:, 0, :2], axis=1) < 1e-9
     stretch = (lengths / rest_lengths)[along] - 1
     bent_in = -curvature * edges[along, 0, 1]
@@ -134,51 +133,53 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
 def test_at_rest_other_edges_are_at_rest() -> None:
     source, target = tube(10, 33), tube(6, 20)
     turned = target[0] * [1.0, 1.0, 1.5] @ rotation((0.0, np.pi / 2, 0.0)).T
-    mover = joined_in_the_middle(source, (turned, target[1]), on(source, target))
-    assert isinstance(mover.joints, OtherEdges)
-    lengths, angles = mover.joints.of(mover.gradients.source.reference)
-    topology, rest = mover.gradients.target.topology, mover.gradients.target.reference
-    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[mover.placement.edge_ids]))
+    method = joined_in_the_middle(source, (turned, target[1]), on(source, target))
+    assert isinstance(method.joint_changes, OtherEdges)
+    lengths, angles = method.joint_changes.of(method.gradients.source.reference)
+    topology, rest = method.gradients.target.topology, method.gradients.target.reference
+    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[method.solver.free.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(rest, topology.hinges[mover.placement.hinge_ids]), atol=1e-9
+        angles, dihedral_angles(rest, topology.hinges[method.solver.free.hinge_ids]), atol=1e-9
     )
 
 
 def test_a_rigid_motion_changes_no_joint_and_a_size_all_lengths() -> None:
     source, target = tube(10, 33), tube(6, 20)
-    mover = joined_in_the_middle(source, target, on(source, target))
-    rest = mover.joints.of(mover.gradients.source.reference)
-    moved = mover.joints.of(2.0 * mover.gradients.source.reference @ rotation((1.0, -2.0, 0.4)).T + 3.0)
+    method = joined_in_the_middle(source, target, on(source, target))
+    rest = method.joint_changes.of(method.gradients.source.reference)
+    moved = method.joint_changes.of(
+        2.0 * method.gradients.source.reference @ rotation((1.0, -2.0, 0.4)).T + 3.0
+    )
     np.testing.assert_allclose(moved[0], 2.0 * rest[0])
     np.testing.assert_allclose(moved[1], rest[1], atol=1e-9)
 
 
 def same_edges(source: Mesh, target: Mesh) -> tuple[SameEdges, MixedTransfer]:
-    mover = joined_in_the_middle(source, target, same(source))
-    assert isinstance(mover.joints, SameEdges)
-    return mover.joints, mover
+    method = joined_in_the_middle(source, target, same(source))
+    assert isinstance(method.joint_changes, SameEdges)
+    return method.joint_changes, method
 
 
 def test_on_the_same_mesh_joints_are_the_sources() -> None:
     mesh = tube(10, 33)
-    joints, mover = same_edges(mesh, mesh)
-    x = arched(mesh[0]) / mover.gradients.source.scale
+    joints, method = same_edges(mesh, mesh)
+    x = arched(mesh[0]) / method.gradients.source.scale
     lengths, angles = joints.of(x)
-    topology = mover.gradients.target.topology
-    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[mover.placement.edge_ids]))
+    topology = method.gradients.target.topology
+    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[method.solver.free.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(x, topology.hinges[mover.placement.hinge_ids]), atol=1e-12
+        angles, dihedral_angles(x, topology.hinges[method.solver.free.hinge_ids]), atol=1e-12
     )
 
 
 def test_on_the_same_triangles_lengths_are_ratios_and_angles_are_differences() -> None:
     source = tube(10, 33)
     target = source[0] * [2.0, 1.5, 1.2], source[1]
-    joints, mover = same_edges(source, target)
-    topology = mover.gradients.target.topology
-    edges, hinges = topology.edges[mover.placement.edge_ids], topology.hinges[mover.placement.hinge_ids]
-    theirs, ours = mover.gradients.source.reference, mover.gradients.target.reference
-    x = arched(source[0]) / mover.gradients.source.scale
+    joints, method = same_edges(source, target)
+    topology = method.gradients.target.topology
+    edges, hinges = topology.edges[method.solver.free.edge_ids], topology.hinges[method.solver.free.hinge_ids]
+    theirs, ours = method.gradients.source.reference, method.gradients.target.reference
+    x = arched(source[0]) / method.gradients.source.scale
     lengths, angles = joints.of(x)
     np.testing.assert_allclose(
         lengths / edge_lengths(ours, edges), edge_lengths(x, edges) / edge_lengths(theirs, edges)
@@ -221,12 +222,12 @@ def test_a_sharp_fold_shrinks_nothing() -> None:
     sheet = sheet[0] - [0.0, 8.0, 0.0], sheet[1]
     lower = (sheet[0][sheet[1]].mean(axis=1)[:, 1] > 2).astype(np.int64)
     x = folded(sheet[0], np.radians(150.0))
-    mover = mixed_transfer(gradients(sheet, sheet), np.stack([sheet[0], x]), lower, 3, ShellSettings())
-    joints = OtherEdges(mover.gradients, mover.placement.rows)
-    edges = mover.gradients.target.topology.edges[mover.placement.edge_ids]
+    method = mixed_transfer(gradients(sheet, sheet), np.stack([sheet[0], x]), lower, 3, ShellSettings())
+    joints = OtherEdges(method.gradients, method.solver.free)
+    edges = method.gradients.target.topology.edges[method.solver.free.edge_ids]
     assert len(edges)
-    lengths = joints.of(x / mover.gradients.source.scale)[0]
-    np.testing.assert_allclose(lengths, edge_lengths(mover.gradients.target.reference, edges))
+    lengths = joints.of(x / method.gradients.source.scale)[0]
+    np.testing.assert_allclose(lengths, edge_lengths(method.gradients.target.reference, edges))
 
 
 def test_an_edge_without_a_length_keeps_the_targets() -> None:

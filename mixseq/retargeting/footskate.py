@@ -1,8 +1,8 @@
-"""Feet that do not slide: where contacts rest in the source, those of the target rest too.
+"""Keep feet from sliding (footskate): where contacts rest in the source, those of the target rest too.
 
 When they rest tells `mixseq.retargeting.stance`. Then the whole body is moved as far as its feet agree
-(`mixseq.retargeting.footing`), and limbs turn by what is left (`mixseq.retargeting.limbs`). A foot in the air keeps to
-its path, although its limb may share parts with others.
+(`mixseq.retargeting.footing`), and limbs turn by what is left (`mixseq.retargeting.inverse_kinematics`). A foot in the
+air keeps to its path, although its limb may share parts with others.
 
 The scheme (constraints found in the motion, the root first, then the limbs, blends in between) is that of Kovar,
 Schreiner and Gleicher 2002, "Footskate cleanup for motion capture editing".
@@ -18,9 +18,9 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
 from mixseq.retargeting.footing import faded, misses, shared
-from mixseq.retargeting.limbs import reached
-from mixseq.retargeting.linkage import Contact, Linkage
+from mixseq.retargeting.inverse_kinematics import move_contacts
 from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
 
 NEGLIGIBLE = 1e-9
@@ -88,8 +88,8 @@ class Planted:
     report: ContactReport
 
 
-def plant(
-    linkage: Linkage,
+def remove_footskate(
+    body: ArticulatedBody,
     rotations: Float,
     centres: Float,
     contacts: Sequence[Contact],
@@ -103,7 +103,7 @@ def plant(
 
     Parameters
     ----------
-    linkage : Linkage
+    body : ArticulatedBody
         The target's parts.
     rotations, centres : (T, p, 3, 3), (T, p, 3) float64
         Their motions as transferred.
@@ -143,22 +143,22 @@ def plant(
             f"{', '.join(map(str, lengths)) or 'no'} frames; give one path for each contact, over all frames"
         )
     for contact in contacts:
-        linkage.limb(contact)
+        body.limb(contact)
     axis = axis_of(up)
     found = tuple(
         stances(contact.name, path, up, fps, diagonal, settings)
         for contact, path in zip(contacts, trajectories, strict=True)
     )
     _warn_of_restless(contacts, found)
-    before = _paths(linkage, contacts, rotations, centres)
+    before = _paths(body, contacts, rotations, centres)
     missed = misses(before, found, NEGLIGIBLE * diagonal)
     if not missed.any():
         groups = _groups(contacts, found, before, before, np.zeros(len(contacts)), diagonal)
         return Planted(rotations, centres, ContactReport(groups))
     shift, left = shared(missed, found, axis, fps)
     moves = np.stack([faded(*pair, fps) for pair in zip(left, found, strict=True)], axis=1)
-    result = reached(linkage, rotations, centres + shift[:, None], contacts, moves)
-    after = _paths(linkage, contacts, result.rotations, result.centres)
+    result = move_contacts(body, rotations, centres + shift[:, None], contacts, moves)
+    after = _paths(body, contacts, result.rotations, result.centres)
     residuals = np.linalg.norm(result.left, axis=2).max(axis=0)
     groups = _groups(contacts, found, before, after, residuals, diagonal)
     report = ContactReport(
@@ -178,9 +178,9 @@ def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stan
             )
 
 
-def _paths(linkage: Linkage, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
+def _paths(body: ArticulatedBody, contacts: Sequence[Contact], rotations: Float, centres: Float) -> Float:
     """Middles ``(g, T, 3)`` of contacts."""
-    paths = [linkage.path(each, rotations, centres).mean(axis=1) for each in contacts]
+    paths = [body.path(each, rotations, centres).mean(axis=1) for each in contacts]
     return np.array(paths).reshape(len(contacts), len(centres), 3)
 
 

@@ -1,4 +1,4 @@
-"""Bridges: what holds the pieces of a mesh together that no edge connects, such as eyes, teeth and shoes.
+"""Attach the pieces of a mesh that no edge connects, such as eyes, teeth and shoes, to each other.
 
 Every piece but the first is held at one vertex by one vertex of another piece: by the nearest of those that are held
 already, as in the shortest spanning tree (Prim 1957). Pieces that follow a leader are held by it.
@@ -16,8 +16,8 @@ from mixseq.arrays import Float, Index
 
 
 @dataclass(frozen=True, eq=False)
-class Bridges:
-    """A tree of pieces.
+class Attachments:
+    """What holds the pieces of a mesh: a tree.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Bridges:
         return len(self.pieces)
 
 
-def bridges(pieces: Sequence[Index], points: Float, leaders: Index) -> Bridges:
+def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
     """Find what holds the pieces of a mesh.
 
     Parameters
@@ -55,7 +55,7 @@ def bridges(pieces: Sequence[Index], points: Float, leaders: Index) -> Bridges:
 
     Returns
     -------
-    Bridges
+    Attachments
         The piece with the largest bounding box that follows nobody is the root.
     """
     led = np.array([bool((leaders[each] != each).all()) for each in pieces])
@@ -71,7 +71,7 @@ def bridges(pieces: Sequence[Index], points: Float, leaders: Index) -> Bridges:
         near = np.linalg.norm(points[pieces[number]] - points[other], axis=1).argmin()
         rows.append((number, int(pieces[number][near]), other, int(home[other])))
     table = np.array(rows, dtype=np.int64).reshape(-1, 4)
-    return Bridges(root, *table.T)
+    return Attachments(root, *table.T)
 
 
 def _spanning_tree(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.geometry.rotations import matrices, vectors
-from mixseq.retargeting.reach import reach
+from mixseq.retargeting.inverse_kinematics import turn_limbs
 
 FADE = np.sin(np.linspace(0.0, np.pi, 81)) ** 2
 
@@ -29,7 +29,7 @@ ANKLE = np.array([1.0, 1.0, 0.0])
 )
 def test_a_bent_leg_reaches_its_goal(move: list[float]) -> None:
     levers = leg(0.6)
-    turns, left = reach(levers, np.array([[move]]), ANKLE)
+    turns, left = turn_limbs(levers, np.array([[move]]), ANKLE)
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), [[move]], atol=1e-12)
     np.testing.assert_array_equal(turns[:, 2], np.eye(3)[None])  # the sole stays level
@@ -42,7 +42,7 @@ def test_one_bone_swings_like_a_pendulum() -> None:
     angle = 0.3
     levers = np.array([[[[0.0, -2.0, 0.0]]]])
     swung = 2.0 * np.array([np.sin(angle), -np.cos(angle), 0.0])
-    turns, left = reach(levers, (swung - levers[0, 0])[None], np.ones(1))
+    turns, left = turn_limbs(levers, (swung - levers[0, 0])[None], np.ones(1))
     direction = ends(levers, turns)[0, 0] / 2.0
     # The move along the bone is not made by turning it; across it, all is.
     assert np.degrees(np.arccos(direction @ swung / 2.0)) < 3.0
@@ -52,21 +52,21 @@ def test_one_bone_swings_like_a_pendulum() -> None:
 
 
 def test_nothing_turns_for_nothing() -> None:
-    turns, left = reach(leg(0.3), np.zeros((1, 1, 3)), ANKLE)
+    turns, left = turn_limbs(leg(0.3), np.zeros((1, 1, 3)), ANKLE)
     np.testing.assert_array_equal(turns, np.tile(np.eye(3), (1, 3, 1, 1)))
     np.testing.assert_array_equal(left, 0.0)
 
 
 def test_a_contact_without_a_limb_stays() -> None:
     moves = np.array([[[1.0, 2, 3]]])
-    np.testing.assert_array_equal(reach(np.zeros((1, 1, 2, 3)), moves, np.ones(2))[1], moves)
+    np.testing.assert_array_equal(turn_limbs(np.zeros((1, 1, 2, 3)), moves, np.ones(2))[1], moves)
 
 
 def test_turns_with_the_world() -> None:
     rng = np.random.default_rng(0)
     levers, moves, world = leg(0.4, 5), 0.05 * rng.normal(size=(5, 1, 3)), matrices(rng.normal(size=3))
-    turns, left = reach(levers, moves, ANKLE)
-    turned, other = reach(levers @ world.T, moves @ world.T, ANKLE)
+    turns, left = turn_limbs(levers, moves, ANKLE)
+    turned, other = turn_limbs(levers @ world.T, moves @ world.T, ANKLE)
     np.testing.assert_allclose(other, left @ world.T, atol=1e-12)
     np.testing.assert_allclose(turned, world @ turns @ world.T, atol=1e-11)
 
@@ -77,7 +77,7 @@ def test_two_limbs_share_a_part() -> None:
     levers[0, :, 0] = [0.4, 0.0, 0.0]
     levers[0, 0, 1:3] = levers[0, 1, 3:5] = leg(0.5)[0, 0, :2]
     moves = np.array([[[0.05, 0.03, 0.02], [0, 0, 0]]])
-    turns, left = reach(levers, moves, np.array([0.25, 1, 1, 1, 1]))
+    turns, left = turn_limbs(levers, moves, np.array([0.25, 1, 1, 1, 1]))
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(ends(levers, turns) - levers.sum(axis=2), moves, atol=1e-12)
     bent = np.linalg.norm(vectors(turns[0]), axis=1)
@@ -91,7 +91,7 @@ def test_two_limbs_share_a_part() -> None:
 def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
     """However straight the leg is: the knee accelerates at most four times as much as the foot is asked to."""
     levers, moves = leg(bend, len(FADE)), FADE[:, None, None] * np.array(move)
-    turns, left = reach(levers, moves, ANKLE)
+    turns, left = turn_limbs(levers, moves, ANKLE)
     knees = np.einsum("nij,nj->ni", turns[:, 0], levers[:, 0, 0])
     asked = np.linalg.norm(np.diff(moves[:, 0], 2, axis=0), axis=1).max()
     assert np.linalg.norm(np.diff(knees, 2, axis=0), axis=1).max() < 4.0 * asked
@@ -100,7 +100,7 @@ def test_knees_do_not_pop(bend: float, move: list[float]) -> None:
 
 def test_legs_that_are_too_short_stretch_out() -> None:
     levers = leg(0.6)
-    turns, left = reach(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
+    turns, left = turn_limbs(levers, np.array([[[0.0, -3.0, 0.0]]]), ANKLE)
     assert np.isfinite(turns).all()
     np.testing.assert_allclose(
         ends(levers, turns) - levers.sum(axis=2) + left, [[[0.0, -3.0, 0.0]]], atol=1e-12

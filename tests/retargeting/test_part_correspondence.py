@@ -1,4 +1,4 @@
-"""Parts carried over to another mesh."""
+"""Parts of another mesh."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.correspondence.dense import Correspondence
-from mixseq.retargeting.carried import carry_labels, carry_parts, vertex_parts, without_crumbs
+from mixseq.retargeting.part_correspondence import (
+    carry_labels,
+    carry_parts,
+    vertex_parts,
+    without_small_regions,
+)
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, topology_of, tube
@@ -41,9 +46,9 @@ def test_the_same_mesh_is_cut_the_same_way() -> None:
     mesh = tube(8, 25)
     cut = halves(mesh, 1.5, 3.0)
     found = carry_parts(cut, turning(3), same(mesh), topology_of(mesh), mesh[0], 3)
-    np.testing.assert_array_equal(found.decomposition.part_of_face, cut.part_of_face)
+    np.testing.assert_array_equal(found.target.part_of_face, cut.part_of_face)
     assert found.sources.tolist() == [0, 1, 2]
-    for own, other in zip(found.decomposition.parts, cut.parts, strict=True):
+    for own, other in zip(found.target.parts, cut.parts, strict=True):
         np.testing.assert_array_equal(own, other)
 
 
@@ -52,10 +57,10 @@ def test_a_finer_mesh_is_cut_along_the_same_lines() -> None:
     fine = subdivided(mesh)
     cut = halves(mesh, 2.0)
     found = carry_parts(cut, turning(2), to_subdivided(mesh), topology_of(fine), fine[0], 3)
-    np.testing.assert_array_equal(found.decomposition.part_of_face, np.repeat(cut.part_of_face, 4))
+    np.testing.assert_array_equal(found.target.part_of_face, np.repeat(cut.part_of_face, 4))
     assert found.sources.tolist() == [0, 1]
-    back = carry_parts(found.decomposition, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3)
-    np.testing.assert_array_equal(back.decomposition.part_of_face, cut.part_of_face)
+    back = carry_parts(found.target, turning(2), from_subdivided(mesh), topology_of(mesh), mesh[0], 3)
+    np.testing.assert_array_equal(back.target.part_of_face, cut.part_of_face)
 
 
 @pytest.mark.parametrize(("degrees", "strips"), [(5.0, 2), (170.0, 3)])
@@ -64,7 +69,7 @@ def test_joints_are_as_wide_as_they_bend(degrees: float, strips: int) -> None:
     turns = np.stack([np.eye(3), rotation((np.radians(degrees), 0, 0))])
     seen = np.stack([np.tile(np.eye(3), (2, 1, 1)), turns])
     found = carry_parts(halves(mesh, 2.0), seen, same(mesh), topology_of(mesh), mesh[0], 3)
-    (joint,) = found.decomposition.joints
+    (joint,) = found.target.joints
     assert len(joint.face_ids) == 2 * strips * 16  # a strip is a ring of sixteen triangles
 
 
@@ -79,7 +84,7 @@ def test_a_part_in_two_places_is_two_parts() -> None:
     faces[upper] = lowest
     found = carry_parts(cut, turning(2), replace(correspondence, faces=faces), topology_of(mesh), mesh[0], 3)
     assert found.sources.tolist() == [0, 0, 1]
-    assert len(found.decomposition.parts) == 3
+    assert len(found.target.parts) == 3
 
 
 def test_what_follows_a_leader_is_of_its_part() -> None:
@@ -97,7 +102,7 @@ def test_what_follows_a_leader_is_of_its_part() -> None:
     )
     found = carry_parts(halves(mesh, 2.0), turning(2), correspondence, topology_of(target), target[0], 3)
     assert found.sources.tolist() == [0, 1, 1]
-    assert set(found.decomposition.part_of_face[-4:].tolist()) == {2}
+    assert set(found.target.part_of_face[-4:].tolist()) == {2}
 
 
 def test_triangles_with_a_corner_that_follows_are_of_its_leaders_part() -> None:
@@ -120,8 +125,8 @@ def test_vertices_of_no_face_are_a_part_that_follows_the_first() -> None:
     one = Correspondence.identity(len(points), len(mesh[1]))
     found = carry_parts(decompose(topology, by_height(mesh, 2.0), 3), turning(2), one, topology, points, 3)
     assert found.sources.tolist() == [0, 1, 0]
-    assert found.decomposition.parts[2].tolist() == [len(mesh[0])]
-    assert vertex_parts(found.decomposition, topology)[-1] == 2
+    assert found.target.parts[2].tolist() == [len(mesh[0])]
+    assert vertex_parts(found.target, topology)[-1] == 2
 
 
 def test_vertices_have_a_part_of_a_face_at_them() -> None:
@@ -134,7 +139,7 @@ def test_vertices_have_a_part_of_a_face_at_them() -> None:
         assert part in cut.part_of_face[(mesh[1] == vertex).any(axis=1)]
 
 
-def test_crumbs_join_the_neighbour_they_share_most_with() -> None:
+def test_small_regions_join_the_neighbour_they_share_most_with() -> None:
     sheet = grid(6, 12)
     labels = (sheet[0][sheet[1]].mean(axis=1)[:, 0] > 6).astype(np.int64)
     clean = labels.copy()
@@ -143,31 +148,31 @@ def test_crumbs_join_the_neighbour_they_share_most_with() -> None:
     labels[100:110] = 2
     expected = clean.copy()
     expected[100:110] = 2
-    expected[[4, 5]] = 2  # two of ten are no crumb
-    np.testing.assert_array_equal(without_crumbs(topology_of(sheet), labels, areas(sheet)), expected)
+    expected[[4, 5]] = 2  # two of ten are no small_region
+    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), expected)
     assert labels[30] == 1  # what was given is as it was
 
 
-def test_a_small_part_is_no_crumb() -> None:
+def test_a_small_part_is_no_small_region() -> None:
     sheet = grid(6, 12)
     labels = np.zeros(len(sheet[1]), dtype=np.int64)
     labels[40] = 1
-    np.testing.assert_array_equal(without_crumbs(topology_of(sheet), labels, areas(sheet)), labels)
+    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), labels)
 
 
 def test_a_patch_without_a_neighbour_stays() -> None:
     mesh = joined(tube(8, 25), (0.05 * tetrahedron()[0] + [3.0, 0, 0], tetrahedron()[1]))
     labels = by_height(mesh, 2.0)
     labels[-4:] = 1
-    np.testing.assert_array_equal(without_crumbs(topology_of(mesh), labels, areas(mesh)), labels)
+    np.testing.assert_array_equal(without_small_regions(topology_of(mesh), labels, areas(mesh)), labels)
 
 
-def test_crumbs_of_crumbs_are_swept() -> None:
-    """A crumb within a crumb: the smallest goes first, then what it joined."""
+def test_small_regions_of_small_regions_are_swept() -> None:
+    """A small_region within a small_region: the smallest goes first, then what it joined."""
     sheet = grid(16, 16)
     x, y, _ = sheet[0][sheet[1]].mean(axis=1).T
     labels = (x > 8).astype(np.int64)
     clean = labels.copy()
     labels[(abs(x - 4) < 1.5) & (abs(y - 8) < 1.5)] = 1
     labels[(abs(x - 4) < 0.5) & (abs(y - 8) < 0.5)] = 0
-    np.testing.assert_array_equal(without_crumbs(topology_of(sheet), labels, areas(sheet)), clean)
+    np.testing.assert_array_equal(without_small_regions(topology_of(sheet), labels, areas(sheet)), clean)

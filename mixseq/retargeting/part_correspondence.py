@@ -1,8 +1,9 @@
-"""Parts carried over: which part of the source moves each part of the target."""
+"""Cut a target into parts as its source is cut: which part of the source moves each part of the target."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,30 +13,79 @@ from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.geometry.lengths_angles import flat_faces
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.observed import FLAT, Observed
+from mixseq.spaces.registered import registered
 from mixseq.topology import Topology, split_labels, vertices_of
 
-CRUMB = 0.1
-"""A patch with less than this share of the area of its part joins a neighbour; the value is ours."""
+SMALL = 0.1
+"""A region with less than this share of the area of its part joins a neighbour; the value is ours."""
 
 CORE = 0.1
 """Share of its vertices that a part keeps. It is less than for parts that were found on the mesh itself
 (`mixseq.segmentation.joints`): where no vertex between two parts is free, it is the mesh that gives way; ours."""
 
 
+class PartPoses(NamedTuple):
+    """Where the parts of the target are: rotations ``(..., p', 3, 3)`` from rest, and centres ``(..., p', 3)``.
+
+    Centres are in the unit of the target's space.
+    """
+
+    rotations: Float
+    centres: Float
+
+
 @dataclass(frozen=True, eq=False)
-class CarriedParts:
-    """Parts and joints of the target.
+class RestShapes:
+    """The parts of a mesh at rest, in the unit of its space.
 
     Attributes
     ----------
-    decomposition : Decomposition
-        Parts and joints.
-    sources : (p',) int64
-        The part of the source that moves every part.
+    vertices : tuple of (n_p,) int64
+        Their vertices.
+    shapes : (N, 3) float64
+        These at rest, part by part, each part about its centre.
+    centres : (p, 3) float64
+        The centres.
     """
 
-    decomposition: Decomposition
+    vertices: tuple[Index, ...]
+    shapes: Float
+    centres: Float
+
+    @classmethod
+    def of(cls, decomposition: Decomposition, rest: Float) -> RestShapes:
+        """Take the parts of a mesh ``(V, 3)``."""
+        centres = np.stack([rest[part].mean(axis=0) for part in decomposition.parts])
+        pairs = zip(decomposition.parts, centres, strict=True)
+        shapes = np.concatenate([rest[part] - centre for part, centre in pairs])
+        return cls(decomposition.parts, shapes, centres)
+
+    def register(self, x: Float) -> tuple[Float, PartPoses]:
+        """Return a frame's parts as aligned to their shapes ``(N, 3)``, and their poses."""
+        aligned, rotations, centres = registered(self.shapes, self.vertices, x)
+        return aligned, PartPoses(rotations, centres)
+
+
+@dataclass(frozen=True, eq=False)
+class PartCorrespondence:
+    """Parts and joints of source and target.
+
+    Attributes
+    ----------
+    source, target : Decomposition
+        Parts and joints of the two.
+    sources : (p',) int64
+        The part of the source that moves every part of the target.
+    """
+
+    source: Decomposition
+    target: Decomposition
     sources: Index
+
+    @property
+    def part_of_face(self) -> tuple[Index, Index]:
+        """The part of every triangle of the source ``(F,)``, and which of them moves those of the target ``(F',)``."""
+        return self.source.part_of_face, self.sources[self.target.part_of_face]
 
 
 def carry_parts(
@@ -45,7 +95,7 @@ def carry_parts(
     topology: Topology,
     rest: Float,
     joint_width: int,
-) -> CarriedParts:
+) -> PartCorrespondence:
     """Cut the target as the source is cut.
 
     Parameters
@@ -65,13 +115,13 @@ def carry_parts(
     """
     faces = topology.faces
     labels = carry_labels(source.part_of_face, correspondence, faces)
-    labels = without_crumbs(topology, labels, TriangleMesh(rest, topology).face_areas)
+    labels = without_small_regions(topology, labels, TriangleMesh(rest, topology).face_areas)
     parts = split_labels(topology, labels)
     sources = labels[np.unique(parts, return_index=True)[1]]
-    seen = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))
-    decomposition = decompose(topology, parts, joint_width, seen, core=CORE)
+    observed = Observed(rotations[:, sources], flat_faces(rest, faces, FLAT))
+    decomposition = decompose(topology, parts, joint_width, observed, core=CORE)
     loose = len(decomposition.parts) - len(sources)  # vertices of no face follow the first part
-    return CarriedParts(decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
+    return PartCorrespondence(source, decomposition, np.append(sources, np.zeros(loose, dtype=np.int64)))
 
 
 def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray) -> Index:
@@ -104,10 +154,10 @@ def carry_labels(labels: Index, correspondence: Correspondence, faces: IntArray)
     return result
 
 
-def without_crumbs(topology: Topology, labels: Index, areas: Float) -> Index:
-    """Give patches that are small beside the rest of their part the label of the neighbour they share most edges with.
+def without_small_regions(topology: Topology, labels: Index, areas: Float) -> Index:
+    """Join regions that are small beside the rest of their part to the neighbour they share most edges with.
 
-    The smallest comes first. Patches without a neighbour stay.
+    The smallest comes first. Regions without a neighbour stay.
 
     Parameters
     ----------
@@ -120,20 +170,20 @@ def without_crumbs(topology: Topology, labels: Index, areas: Float) -> Index:
     """
     labels = labels.copy()
     while True:
-        patches = split_labels(topology, labels)
-        label = labels[np.unique(patches, return_index=True)[1]]
-        size = np.bincount(patches, areas)
+        regions = split_labels(topology, labels)
+        label = labels[np.unique(regions, return_index=True)[1]]
+        size = np.bincount(regions, areas)
         largest = np.zeros(int(label.max(initial=0)) + 1)
         np.maximum.at(largest, label, size)
-        sides = patches[topology.hinge_faces]
+        sides = regions[topology.hinge_faces]
         sides = sides[sides[:, 0] != sides[:, 1]]
         bounded = np.bincount(sides.reshape(-1), minlength=len(size)) > 0
-        small = np.flatnonzero((size < CRUMB * largest[label]) & bounded)
+        small = np.flatnonzero((size < SMALL * largest[label]) & bounded)
         if not small.size:
             return labels
-        crumb = int(small[np.argmin(size[small])])
-        beside = np.concatenate([sides[sides[:, 0] == crumb, 1], sides[sides[:, 1] == crumb, 0]])
-        labels[patches == crumb] = label[np.bincount(beside).argmax()]
+        smallest = int(small[np.argmin(size[small])])
+        beside = np.concatenate([sides[sides[:, 0] == smallest, 1], sides[sides[:, 1] == smallest, 0]])
+        labels[regions == smallest] = label[np.bincount(beside).argmax()]
 
 
 def vertex_parts(decomposition: Decomposition, topology: Topology) -> Index:

@@ -1,9 +1,9 @@
-r"""Linkages: rigid parts that hang on each other by pivots, and the limbs that lead from the body to its contacts.
+r"""The articulated body of a character: rigid parts that meet in pivots, and the limbs that lead to its contacts.
 
 In frame t part p has a rotation R and a centre c and takes a rest point y to :math:`R (y - m_p) + c`, with the rest
-centre m. The parts are a tree by their links: every part hangs on the one that is a link nearer to the root. The *limb*
-of a contact are the parts from the one that hangs on the root down to the one that the contact is on. As long as a leg
-is is the way through the pivots of its limb.
+centre m. The parts are a tree: the parent of a part is the neighbour that is nearer to the root, and its *pivot* the
+point in which they meet. The *limb* of a contact are the parts from the child of the root down to the one that the
+contact is on. The length of a leg is that of the way through the pivots of its limb.
 """
 
 from __future__ import annotations
@@ -31,47 +31,47 @@ class Contact:
         The vertices at rest.
     parts : (k,) int64
         The part that carries each.
-    seen : (T, k, 3) float64, optional
-        Where they are for parts that stay at rest, frame by frame, if the parts do not only move rigidly.
+    local : (T, k, 3) float64, optional
+        The vertices frame by frame, as their parts at rest see them, if the parts do not only move rigidly.
     """
 
     name: str
     points: Float
     parts: Index
-    seen: Float | None = None
+    local: Float | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Linkage:
+class ArticulatedBody:
     """Rigid parts and the pivots in which they meet.
 
     Attributes
     ----------
     centres : (p, 3) float64
         Rest centres of the parts.
-    links : (n, 2) int64
+    pairs : (n, 2) int64
         Pairs of parts that meet.
     pivots : (n, 3) float64
         Where they meet, at rest.
     root : int
-        The part that all others hang on.
+        The part that all others hang on, the body itself.
     """
 
     centres: Float
-    links: Index
+    pairs: Index
     pivots: Float
     root: int
 
     @cached_property
-    def hung(self) -> dict[int, tuple[int, int]]:
-        """Of every part but the root that is linked to it: the part that it hangs on, and the link; roots first."""
+    def parents(self) -> dict[int, tuple[int, int]]:
+        """Parent and number of the pivot of every part that is joined to the root; from the root on."""
         result: dict[int, tuple[int, int]] = {}
         reached = [self.root]
         for part in reached:  # breadth first: the list grows
-            for link, (i, j) in enumerate(self.links.tolist()):
+            for pivot, (i, j) in enumerate(self.pairs.tolist()):
                 other = j if i == part else i
                 if part in (i, j) and other != self.root and other not in result:
-                    result[other] = part, link
+                    result[other] = part, pivot
                     reached.append(other)
         return result
 
@@ -81,7 +81,7 @@ class Linkage:
         Raises
         ------
         SettingsError
-            If the contact has no vertices, or they follow no part, or a part that is not linked to the root, or parts
+            If the contact has no vertices, or they follow no part, or a part that is not joined to the root, or parts
             of several limbs.
         """
         name, parts = contact.name, np.unique(contact.parts).tolist()
@@ -90,23 +90,23 @@ class Linkage:
                 f"contact '{name}' has {len(contact.points)} vertices and {len(contact.parts)} parts; "
                 "give at least one vertex, and the part that carries each"
             )
-        lost = [part for part in parts if part != self.root and part not in self.hung]
-        if lost:
-            what = "no part" if lost[0] < 0 else f"part {lost[0]}, which nothing links to the root"
+        loose = [part for part in parts if part != self.root and part not in self.parents]
+        if loose:
+            what = "no part" if loose[0] < 0 else f"part {loose[0]}, which nothing links to the root"
             raise SettingsError(f"vertices of contact '{name}' follow {what}; name vertices of a foot")
-        ways = [self._way(part) for part in parts]
+        chains = [self._chain(part) for part in parts]
         common = 0
-        while all(len(way) > common and way[common] == ways[0][common] for way in ways):
+        while all(len(chain) > common and chain[common] == chains[0][common] for chain in chains):
             common += 1
         if not common and parts != [self.root]:
             raise SettingsError(
                 f"vertices of contact '{name}' are on several limbs (parts {', '.join(map(str, parts))}); "
                 "name one contact for each foot"
             )
-        return ways[0][:common]
+        return chains[0][:common]
 
     def gaps(self, rotations: Float, centres: Float) -> Float:
-        """Return by how much the first part of every link is away from the second at their pivot ``(n, 3)``.
+        """Return by how much the first part of every pair is away from the second at their pivot ``(n, 3)``.
 
         Parameters
         ----------
@@ -114,13 +114,13 @@ class Linkage:
             Poses of the parts.
         """
         first, second = (
-            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.links.T
+            turned(rotations[part], self.pivots - self.centres[part]) + centres[part] for part in self.pairs.T
         )
         return np.asarray(first - second)
 
     def pivot(self, part: int) -> Float:
         """Return the rest point ``(3,)`` that a part hangs by."""
-        return np.asarray(self.pivots[self.hung[part][1]])
+        return np.asarray(self.pivots[self.parents[part][1]])
 
     def placed(
         self, points: FloatArray, parts: Sequence[int] | Index, rotations: Float, centres: Float
@@ -134,20 +134,20 @@ class Linkage:
         self, contact: Contact, rotations: Float, centres: Float, frames: Index | slice = slice(None)
     ) -> Float:
         """Return the vertices of a contact ``(T, k, 3)``, for motions of some frames."""
-        if contact.seen is None:
+        if contact.local is None:
             return self.placed(contact.points, contact.parts, rotations, centres)
-        arms = contact.seen[frames] - self.centres[contact.parts]
+        arms = contact.local[frames] - self.centres[contact.parts]
         return turned(rotations[:, contact.parts], arms) + centres[:, contact.parts]
 
-    def _way(self, part: int) -> tuple[int, ...]:
-        way: list[int] = []
+    def _chain(self, part: int) -> tuple[int, ...]:
+        chain: list[int] = []
         while part != self.root:
-            way.insert(0, part)
-            part = self.hung[part][0]
-        return tuple(way)
+            chain.insert(0, part)
+            part = self.parents[part][0]
+        return tuple(chain)
 
 
-def leg_length(linkage: Linkage, contact: Contact) -> float:
+def leg_length(body: ArticulatedBody, contact: Contact) -> float:
     """Return how far it is from the root's pivot through the pivots of its limb to the middle of a contact, at rest.
 
     From the root's centre, if the contact is on the root.
@@ -157,20 +157,23 @@ def leg_length(linkage: Linkage, contact: Contact) -> float:
     SettingsError
         If the contact is on no limb.
     """
-    limb = linkage.limb(contact)
-    joints = [linkage.pivot(part) for part in limb] or [linkage.centres[linkage.root]]
+    limb = body.limb(contact)
+    joints = [body.pivot(part) for part in limb] or [body.centres[body.root]]
     way = np.stack([*joints, contact.points.mean(axis=0)])
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def leg_ratio(
-    source: Linkage, target: Linkage, source_contacts: Sequence[Contact], target_contacts: Sequence[Contact]
+    source: ArticulatedBody,
+    target: ArticulatedBody,
+    source_contacts: Sequence[Contact],
+    target_contacts: Sequence[Contact],
 ) -> float:
     """Return how long the target's legs are, in lengths of the source's: strides are to be scaled by that.
 
     Parameters
     ----------
-    source, target : Linkage
+    source, target : ArticulatedBody
         The two bodies, each in its own units.
     source_contacts, target_contacts : sequence of Contact
         The same contacts on both.

@@ -1,4 +1,4 @@
-r"""How the joints of the source change, on the target: lengths as ratios, angles as differences.
+r"""Carry over how joints bend and stretch: lengths change as ratios, angles as differences.
 
 Where both meshes have the same connectivity every edge and hinge has its own,
 
@@ -28,16 +28,16 @@ from scipy import sparse
 from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import nearest_rotations, turned
-from mixseq.retargeting.gradients import GradientTransfer, mixed, normalised
-from mixseq.retargeting.placement import JointRows
+from mixseq.retargeting.free_joints import FreeJoints
+from mixseq.retargeting.gradients import GradientTransfer, combined, normalised
 from mixseq.topology import Topology
 
 
 class JointChanges(Protocol):
-    """What tells lengths and angles of the target's joints."""
+    """Tells lengths and angles of the target's joints in a frame of the source."""
 
     def of(self, x: Float) -> tuple[Float, Float]:
-        """Return lengths ``(E',)`` and angles ``(H',)`` of the joint rows for a frame ``(V, 3)`` of the source.
+        """Return lengths ``(E',)`` and angles ``(H',)`` of the joints for a frame ``(V, 3)`` of the source.
 
         Lengths are in the unit of the target's space, angles in radians.
         """
@@ -51,24 +51,24 @@ class SameEdges:
     ----------
     topology : Topology
         The connectivity.
-    rows : JointRows
+    free : FreeJoints
         The joints.
     source, target : (V, 3) float64
         The meshes at rest, each in the unit of its space.
     """
 
     topology: Topology
-    rows: JointRows
+    free: FreeJoints
     source: Float
     target: Float
 
     @cached_property
     def _edges(self) -> Index:
-        return self.topology.edges[self.rows.edge_ids]
+        return self.topology.edges[self.free.edge_ids]
 
     @cached_property
     def _hinges(self) -> Index:
-        return self.topology.hinges[self.rows.hinge_ids]
+        return self.topology.hinges[self.free.hinge_ids]
 
     @cached_property
     def _rest(self) -> tuple[Float, Float, Float, Float]:
@@ -95,17 +95,17 @@ class OtherEdges:
     ----------
     gradients : GradientTransfer
         The meshes and their correspondence.
-    rows : JointRows
+    free : FreeJoints
         The joints of the target.
     """
 
     gradients: GradientTransfer
-    rows: JointRows
+    free: FreeJoints
 
     @cached_property
     def _faces(self) -> Index:
         """Faces of the target's joints."""
-        ids = [joint.face_ids for joint in self.rows.joints]
+        ids = [joint.face_ids for joint in self.free.joints]
         return np.unique(np.concatenate(ids)) if ids else np.zeros(0, dtype=np.int64)
 
     @cached_property
@@ -127,8 +127,8 @@ class OtherEdges:
     def _edge_sides(self) -> tuple[Index, Index]:
         """Rows of `_faces` and stored edges: every face at each."""
         edges = self._topology.face_edges[self._faces]
-        order = np.argsort(self.rows.edge_ids, kind="stable")
-        ids = self.rows.edge_ids[order]
+        order = np.argsort(self.free.edge_ids, kind="stable")
+        ids = self.free.edge_ids[order]
         place = np.searchsorted(ids, edges)
         found = (place < len(ids)) & (ids[np.minimum(place, len(ids) - 1)] == edges)
         return np.nonzero(found)[0], order[place[found]]
@@ -136,16 +136,16 @@ class OtherEdges:
     @cached_property
     def _hinge_sides(self) -> Index:
         """Rows of `_faces` of both faces ``(H', 2)`` of every stored hinge."""
-        return np.searchsorted(self._faces, self._topology.hinge_faces[self.rows.hinge_ids])
+        return np.searchsorted(self._faces, self._topology.hinge_faces[self.free.hinge_ids])
 
     @cached_property
     def _angles(self) -> Float:
-        return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.rows.hinge_ids])
+        return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.free.hinge_ids])
 
     def of(self, x: Float) -> tuple[Float, Float]:
         """Implement `JointChanges.of`."""
         moved = self._gradients(x)
-        rest, edges = self.gradients.target.reference, self._topology.edges[self.rows.edge_ids]
+        rest, edges = self.gradients.target.reference, self._topology.edges[self.free.edge_ids]
         faces, rows = self._edge_sides
         sides = rest[edges[:, 1]] - rest[edges[:, 0]]
         stretched = np.linalg.norm(turned(moved[faces], sides[rows]), axis=1)
@@ -158,12 +158,12 @@ class OtherEdges:
         gradients = source.completed(x) @ source.inverses
         rotations = nearest_rotations(gradients)
         stretches = np.swapaxes(rotations, 1, 2) @ gradients
-        turns = nearest_rotations(mixed(self._weights, rotations))
-        return self.gradients.alignment.turned(turns @ mixed(self._weights, stretches))
+        turns = nearest_rotations(combined(self._weights, rotations))
+        return self.gradients.alignment.turned(turns @ combined(self._weights, stretches))
 
     def _bent(self, moved: Float) -> Float:
         rest = self.gradients.target.reference
-        a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.rows.hinge_ids].T)
+        a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.free.hinge_ids].T)
         first, second = (moved[side] for side in self._hinge_sides.T)
         near, far = turned(first, b - a), turned(second, b - a)
         n1, n2 = np.cross(near, turned(first, c - a)), np.cross(turned(second, d - a), far)

@@ -1,4 +1,4 @@
-r"""What the source says of the target's sides.
+r"""Measures of a transfer, frame by frame: stretches and normals against those that the source expects; accelerations.
 
 The gradients J of the source's triangles and the rotation G between the two meshes say where a side s of a target
 triangle should go, :math:`s' = G J G^T s`, as in the transfer of gradients (`mixseq.retargeting.gradients`). So its
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.lengths_angles import edge_lengths, flat_faces
-from mixseq.retargeting.gradients import GradientTransfer
-from mixseq.retargeting.making import gradient_transfer
+from mixseq.retargeting.gradients import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.topology import Topology
 
@@ -28,7 +27,7 @@ FLAT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What the source says of the target's sides.
+    """What the source expects of the triangles of the target.
 
     Attributes
     ----------
@@ -131,3 +130,74 @@ def _sides_of(points: Float, faces: NDArray[Any]) -> Float:
 
 def _or_nan(lengths: Float) -> Float:
     return np.where(lengths > 0, lengths, np.nan)
+
+
+class Acceleration:
+    """Second differences of frames that come in blocks."""
+
+    def __init__(self) -> None:
+        self._before: Float | None = None
+        self._squares, self._seen, self._largest, self._done = 0.0, 0, 0.0, 0
+        self.worst_frame = 0
+
+    def add(self, block: Float) -> None:
+        """Take the next frames ``(B, V, 3)``."""
+        whole = block if self._before is None else np.concatenate([self._before, block])
+        for number in range(1, len(whole) - 1):
+            before, here, after = whole[number - 1 : number + 2]
+            squares = np.square(after - 2.0 * here + before).sum(axis=1)
+            self._squares += float(squares.sum())
+            self._seen += len(squares)
+            self._done += 1  # the first difference is about frame 1
+            if squares.max() > self._largest:
+                self._largest, self.worst_frame = float(squares.max()), self._done
+        self._before = whole[-2:]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square over all vertices and frames."""
+        return float(np.sqrt(self._squares / max(self._seen, 1)))
+
+    @property
+    def max(self) -> float:
+        """The largest."""
+        return float(np.sqrt(self._largest))
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """Accelerations in diagonals of the target per squared frame: root mean square, and the largest of a vertex.
+
+    Attributes
+    ----------
+    rms, max : float
+        Of the target.
+    source_rms, source_max : float
+        Of the source, as large as the target is.
+    worst_frame : int
+        Frame of the target's largest.
+    """
+
+    rms: float
+    max: float
+    source_rms: float
+    source_max: float
+    worst_frame: int
+
+    @classmethod
+    def of(
+        cls, target: Acceleration, diagonal: float, source: Acceleration, source_diagonal: float
+    ) -> Smoothness:
+        """Divide the accelerations of target and source by their diagonals."""
+        return cls(
+            target.rms / diagonal,
+            target.max / diagonal,
+            source.rms / source_diagonal,
+            source.max / source_diagonal,
+            target.worst_frame,
+        )
+
+    @property
+    def ratio(self) -> float | None:
+        """Root mean square of the target relative to the source's; None if the source does not accelerate."""
+        return self.rms / self.source_rms if self.source_rms > 0 else None

@@ -8,7 +8,7 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.blend import Blend
+from mixseq.retargeting.free_joints import HarmonicSkin
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.joint import rebuild
@@ -38,24 +38,24 @@ def motions(first: Float, last: Float, shift: Float) -> tuple[Float, Float]:
 
 def test_weights_are_harmonic(patch: Patch) -> None:
     """Along a tube they fall evenly from one end to the other."""
-    blend = Blend.of(patch, OWNER, BAR)
-    assert blend.parts.tolist() == [0, 4]
+    skin = HarmonicSkin.of(patch, OWNER, BAR)
+    assert skin.parts.tolist() == [0, 4]
     expected = (RING[patch.free] - 1) / (RINGS - 3)
-    np.testing.assert_allclose(blend.weights[:, 1], expected, atol=1e-12)
-    np.testing.assert_allclose(blend.weights.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(skin.weights[:, 1], expected, atol=1e-12)
+    np.testing.assert_allclose(skin.weights.sum(axis=1), 1.0, atol=1e-12)
 
 
 def test_a_common_motion_moves_the_joint_rigidly(patch: Patch) -> None:
     turn, shift = np.array([0.3, -1.0, 0.5]), np.zeros(3)
-    placed = Blend.of(patch, OWNER, BAR).place(*motions(turn, turn, shift))
+    placed = HarmonicSkin.of(patch, OWNER, BAR).place(*motions(turn, turn, shift))
     np.testing.assert_allclose(placed, BAR[patch.free] @ matrices(turn).T, atol=1e-12)
 
 
 def test_vertices_follow_in_proportion(patch: Patch) -> None:
     shift = np.array([0.0, 2.0, 0.0])
-    blend = Blend.of(patch, OWNER, BAR)
-    placed = blend.place(*motions(np.zeros(3), np.zeros(3), shift))
-    np.testing.assert_allclose(placed - blend.rest, blend.weights[:, 1:] * shift, atol=1e-12)
+    skin = HarmonicSkin.of(patch, OWNER, BAR)
+    placed = skin.place(*motions(np.zeros(3), np.zeros(3), shift))
+    np.testing.assert_allclose(placed - skin.rest, skin.weights[:, 1:] * shift, atol=1e-12)
 
 
 def test_the_start_of_lower_energy_is_taken(patch: Patch) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.contacts import plant
-from mixseq.retargeting.linkage import Contact, Linkage, leg_ratio
+from mixseq.retargeting.articulated_body import ArticulatedBody, Contact, leg_ratio
+from mixseq.retargeting.footskate import remove_footskate
 from tests.retargeting.walkers import CYCLE, Walk, hung, walk
 
 ACCELERATION = 1.05
@@ -140,12 +140,12 @@ def test_units_do_not_matter() -> None:
 def test_toes_go_along() -> None:
     """A part below the one on the ground moves with it as one body."""
     scene = walk(1.4, 1.0)
-    linkage = scene.target
+    walker = scene.target
     toe = np.array([[0.1, 0.0, -0.1]])
-    longer = Linkage(
-        np.concatenate([linkage.centres, toe]),
-        np.concatenate([linkage.links, [[3, 7]]]),
-        np.concatenate([linkage.pivots, toe - [0.03, 0.0, 0.0]]),
+    longer = ArticulatedBody(
+        np.concatenate([walker.centres, toe]),
+        np.concatenate([walker.pairs, [[3, 7]]]),
+        np.concatenate([walker.pivots, toe - [0.03, 0.0, 0.0]]),
         0,
     )
     rotations = np.concatenate([scene.rotations, scene.rotations[:, 3:4]], axis=1)
@@ -185,12 +185,12 @@ def test_a_swinging_bar() -> None:
         rotations[:, part, 0, 0] = rotations[:, part, 1, 1] = np.cos(turn)
         rotations[:, part, 1, 0], rotations[:, part, 0, 1] = np.sin(turn), -np.sin(turn)
 
-    def chain(scale: float) -> tuple[Linkage, Contact]:
+    def chain(scale: float) -> tuple[ArticulatedBody, Contact]:
         knee, end = -scale * lengths[0], -scale * lengths.sum()
         heights = np.array([0.5, knee / 2, (knee + end) / 2])
         centres = np.stack([np.zeros(3), heights, np.zeros(3)], axis=1)
         pivots = np.array([[0.0, 0, 0], [0, knee, 0]])
-        return Linkage(centres, np.array([[0, 1], [1, 2]]), pivots, 0), Contact(
+        return ArticulatedBody(centres, np.array([[0, 1], [1, 2]]), pivots, 0), Contact(
             "end", np.array([[0.0, end, 0.0]]), np.array([2])
         )
 
@@ -201,23 +201,23 @@ def test_a_swinging_bar() -> None:
     np.testing.assert_allclose(path, 0.0, atol=1e-12)
     target, end = chain(1.4)
     ours = hung(target, rotations, root + np.array([0.0, 0.8, 0.0]))
-    result = plant(target, rotations, ours, [end], [path], "Y", 24.0, 4.0)
+    result = remove_footskate(target, rotations, ours, [end], [path], "Y", 24.0, 4.0)
     (group,) = result.report.groups
     assert [(each.start, each.stop) for each in group.stances] == [(0, frames)]
     assert group.before > 0.02
     assert group.after < 1e-9
     assert group.residual < 1e-12
-    joints = [target.placed(target.pivots, side, result.rotations, result.centres) for side in target.links.T]
+    joints = [target.placed(target.pivots, side, result.rotations, result.centres) for side in target.pairs.T]
     np.testing.assert_allclose(joints[0], joints[1], atol=1e-9)
 
 
 def test_a_contact_on_the_root_moves_the_body_only() -> None:
     frames = 30
-    linkage = Linkage(np.zeros((1, 3)), np.zeros((0, 2), np.int64), np.zeros((0, 3)), 0)
+    walker = ArticulatedBody(np.zeros((1, 3)), np.zeros((0, 2), np.int64), np.zeros((0, 3)), 0)
     rotations, centres = np.tile(np.eye(3), (frames, 1, 1, 1)), np.zeros((frames, 1, 3))
     centres[:, 0, 0] = np.linspace(0.0, 1.0, frames)
     base = Contact("base", np.zeros((1, 3)), np.zeros(1, np.int64))
-    result = plant(linkage, rotations, centres, [base], [np.zeros((frames, 1, 3))], "Z", 24.0, 1.0)
+    result = remove_footskate(walker, rotations, centres, [base], [np.zeros((frames, 1, 3))], "Z", 24.0, 1.0)
     assert result.report.groups[0].before == pytest.approx(1.0)
     assert result.report.groups[0].after < 0.05
     np.testing.assert_array_equal(result.rotations, rotations)
@@ -281,7 +281,7 @@ def fox(legs: float) -> Walk:
     rotations, _ = pose(phase)
     bones = {NAMES.index(name) for leg in LEGS for name in (leg.upper, leg.lower, leg.pastern, leg.paw)}
 
-    def at_rest(scale: float) -> tuple[Linkage, list[Contact]]:
+    def at_rest(scale: float) -> tuple[ArticulatedBody, list[Contact]]:
         sizes = np.where([bone in bones for bone in range(len(NAMES))], scale, 1.0)
         heads = HEADS.copy()
         for bone, above in enumerate(PARENTS):
@@ -289,9 +289,9 @@ def fox(legs: float) -> Walk:
                 heads[bone] = heads[above] + sizes[above] * (HEADS[bone] - HEADS[above])
         tails = heads + sizes[:, None] * (TAILS - HEADS)
         links = np.array([(PARENTS[bone], bone) for bone in range(1, len(NAMES))])
-        linkage = Linkage((heads + tails) / 2, links, heads[1:], 0)
+        walker = ArticulatedBody((heads + tails) / 2, links, heads[1:], 0)
         paws = [NAMES.index(leg.paw) for leg in LEGS]
-        return linkage, [Contact(NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
+        return walker, [Contact(NAMES[paw], tails[[paw]], np.array([paw])) for paw in paws]
 
     source, source_contacts = at_rest(1.0)
     target, contacts = at_rest(legs)

@@ -1,0 +1,138 @@
+"""The joints that are solved for: where their numbers are in a frame, and how the parts carry their free vertices.
+
+Linear blend skinning from a reference frame: every free vertex moves with all parts that hold fixed vertices of its
+joint, with harmonic weights (1 at the vertices of a part, 0 at those of the others, smooth in between). Close to the
+reference this is a start without folds, where lengths and angles between two frames do not fit together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.segmentation.joints import Decomposition, Joint
+from mixseq.shells.patch import Patch
+from mixseq.topology import Topology
+
+
+@dataclass(frozen=True, eq=False)
+class FreeJoints:
+    """The joints of a mesh that have free vertices; what frames know of them is stored joint by joint.
+
+    Attributes
+    ----------
+    joints : tuple of Joint
+        The joints.
+    patches : tuple of Patch
+        Each as a patch, in which the vertices of parts are fixed.
+    """
+
+    joints: tuple[Joint, ...]
+    patches: tuple[Patch, ...]
+
+    @classmethod
+    def of(cls, topology: Topology, decomposition: Decomposition) -> FreeJoints:
+        """Take the joints of a decomposition that have free vertices."""
+        joints = tuple(joint for joint in decomposition.joints if joint.free.any())
+        return cls(joints, tuple(Patch.of_joint(topology, joint, ~joint.free) for joint in joints))
+
+    @cached_property
+    def edge_ids(self) -> Index:
+        """Numbers ``(E',)`` in the mesh of the edges at free vertices."""
+        return _joined([j.edge_ids[p.free_edges] for j, p in zip(self.joints, self.patches, strict=True)])
+
+    @cached_property
+    def hinge_ids(self) -> Index:
+        """Numbers ``(H',)`` in the mesh of the hinges with a free vertex."""
+        return _joined([j.hinge_ids[p.free_hinges] for j, p in zip(self.joints, self.patches, strict=True)])
+
+    @cached_property
+    def vertices(self) -> Index:
+        """Numbers ``(F,)`` in the mesh of the free vertices."""
+        return _joined([j.vertices[p.free] for j, p in zip(self.joints, self.patches, strict=True)])
+
+    @cached_property
+    def edge_slices(self) -> list[slice]:
+        """Where the edges of every joint are among all."""
+        return _slices([int(np.count_nonzero(patch.free_edges)) for patch in self.patches])
+
+    @cached_property
+    def hinge_slices(self) -> list[slice]:
+        """Where the hinges of every joint are among all."""
+        return _slices([int(np.count_nonzero(patch.free_hinges)) for patch in self.patches])
+
+    @cached_property
+    def vertex_slices(self) -> list[slice]:
+        """Where the free vertices of every joint are among all."""
+        return _slices([len(patch.free) for patch in self.patches])
+
+    def spacing(self, lengths: Float) -> Float:
+        """Mean length ``(F,)`` of the edges at every free vertex, from the lengths ``(E',)``."""
+        sums, counts = np.zeros((2, len(self.vertices)))
+        for patch, edges, free in zip(self.patches, self.edge_slices, self.vertex_slices, strict=True):
+            ends = patch.free_number[patch.edges[patch.free_edges]]
+            for end in ends.T:
+                inside = end >= 0
+                np.add.at(sums[free], end[inside], lengths[edges][inside])
+                np.add.at(counts[free], end[inside], 1.0)
+        return np.asarray(sums / counts)
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicSkin:
+    """How the free vertices of a joint follow its parts.
+
+    Attributes
+    ----------
+    parts : (k,) int64
+        Parts that hold fixed vertices of the joint.
+    weights : (f, k) float64
+        Weights of the free vertices; rows add up to one.
+    rest : (f, 3) float64
+        The free vertices in the reference frame.
+    """
+
+    parts: Index
+    weights: Float
+    rest: Float
+
+    @classmethod
+    def of(cls, patch: Patch, owner: Index, rest: Float) -> HarmonicSkin:
+        """Find the weights of a patch.
+
+        Parameters
+        ----------
+        patch : Patch
+            The joint.
+        owner : (n,) int64
+            Part that holds each vertex, looked at where the vertex is fixed.
+        rest : (n, 3) float64
+            The joint in the reference frame.
+        """
+        parts, number = np.unique(owner[patch.fixed], return_inverse=True)
+        boundary = np.eye(len(parts))[number.reshape(-1)]
+        coupling = patch.laplacian[patch.free][:, patch.fixed]
+        return cls(parts, -patch.laplacian_factor.solve(coupling @ boundary), rest[patch.free])
+
+    def place(self, rotations: Float, translations: Float) -> Float:
+        """Move the free vertices ``(f, 3)`` with motions ``x -> R x + t`` of all parts from the reference frame."""
+        moved = np.einsum("kij,fj->fki", rotations[self.parts], self.rest) + translations[self.parts]
+        return np.asarray(np.einsum("fk,fki->fi", self.weights, moved))
+
+    @cached_property
+    def nearest(self) -> Index:
+        """Part ``(f,)`` that every free vertex follows most."""
+        return np.asarray(self.parts[self.weights.argmax(axis=1)])
+
+
+def _joined(ids: list[Index]) -> Index:
+    """Concatenate index arrays; none at all are an empty one."""
+    return np.concatenate(ids) if ids else np.zeros(0, dtype=np.int64)
+
+
+def _slices(sizes: list[int]) -> list[slice]:
+    ends = np.cumsum(sizes)
+    return [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True)]

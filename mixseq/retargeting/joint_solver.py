@@ -1,0 +1,172 @@
+"""Rebuild a mesh from where its parts are, and from lengths and angles of the joints between them.
+
+Parts go where their poses say. A joint between them is a boundary value problem: its free vertices are those that fit
+lengths and angles best (`mixseq.shells.joint`), near where the parts carry them (`mixseq.retargeting.free_joints`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.geometry.rigid import kabsch, turned
+from mixseq.retargeting.free_joints import FreeJoints, HarmonicSkin
+from mixseq.segmentation.joints import Decomposition, Joint
+from mixseq.shells.fitting import NO_PULL, Pull, ShellReport, ShellSettings
+from mixseq.shells.joint import rebuild
+from mixseq.shells.patch import Patch
+from mixseq.topology import Topology
+
+
+class JointFrame(NamedTuple):
+    """A frame as poses and shapes of the parts, lengths and angles of the joints.
+
+    Attributes
+    ----------
+    lengths, angles, weights : (E',), (H',), (E',) float64
+        Edge lengths, hinge angles in radians, weights of the lengths.
+    parts : (N, 3) float64
+        Aligned vertices of all parts.
+    rotations, translations : (p, 3, 3), (p, 3) float64
+        Poses of the parts.
+    offsets : (F, 3) float64
+        Offsets of the free vertices from where the parts carry them; none if empty.
+    offset_weights : (F,) float64
+        How much the offsets count: weights of soft position constraints.
+    """
+
+    lengths: Float
+    angles: Float
+    weights: Float
+    parts: Float
+    rotations: Float
+    translations: Float
+    offsets: Float
+    offset_weights: Float
+
+
+@dataclass(frozen=True, eq=False)
+class JointSolver:
+    """Puts parts where their poses say, and solves the joints between them.
+
+    Attributes
+    ----------
+    topology : Topology
+        Connectivity of the mesh.
+    decomposition : Decomposition
+        Its parts and joints.
+    shapes : (N, 3) float64
+        Mean shapes of the parts.
+    reference : (V, 3) float64
+        A frame of the sequence, from which the parts carry free vertices.
+    """
+
+    topology: Topology
+    decomposition: Decomposition
+    shapes: Float
+    reference: Float
+
+    @cached_property
+    def free(self) -> FreeJoints:
+        """The joints that are solved."""
+        return FreeJoints.of(self.topology, self.decomposition)
+
+    @cached_property
+    def _copies(self) -> tuple[Index, Index, Float]:
+        """Part and vertex of every row of part vertices, and how many copies each vertex of the mesh has."""
+        parts = self.decomposition.parts
+        vertex = np.concatenate(parts)
+        copies = np.bincount(vertex, minlength=self.topology.vertex_count)
+        part = np.repeat(np.arange(len(parts)), [len(vertices) for vertices in parts])
+        return part, vertex, np.maximum(copies, 1).astype(np.float64)
+
+    @cached_property
+    def _reference_poses(self) -> tuple[Float, Float]:
+        """Rotations ``(p, 3, 3)`` and centres ``(p, 3)`` of the parts in the reference frame."""
+        sizes = [len(vertices) for vertices in self.decomposition.parts]
+        shapes = np.split(self.shapes, np.cumsum(sizes)[:-1])
+        targets = [self.reference[vertices] for vertices in self.decomposition.parts]
+        poses = [kabsch(shape, target) for shape, target in zip(shapes, targets, strict=True)]
+        return np.stack([rotation for rotation, _ in poses]), np.stack([centre for _, centre in poses])
+
+    @cached_property
+    def _skins(self) -> tuple[HarmonicSkin, ...]:
+        owner = np.full(self.topology.vertex_count, -1, dtype=np.int64)
+        for number, vertices in reversed(list(enumerate(self.decomposition.parts))):
+            owner[vertices] = number
+        return tuple(
+            HarmonicSkin.of(patch, owner[joint.vertices], self.reference[joint.vertices])
+            for joint, patch in zip(self.free.joints, self.free.patches, strict=True)
+        )
+
+    @cached_property
+    def _solved(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
+        """The joints that are solved, with the places of their lengths, angles and free vertices."""
+        free = self.free
+        slices = free.edge_slices, free.hinge_slices, free.vertex_slices
+        return list(zip(free.joints, free.patches, *slices, self._skins, strict=True))
+
+    def assemble(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+        """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
+
+        A vertex that several parts share is where they put it on average.
+        """
+        points = self._placed(frame)
+        moves, shifts = self._moves(frame.rotations, frame.translations)
+        reports = []
+        for joint, patch, edges, hinges, free, skin in self._solved:
+            guess, pull = _expected(skin, moves, shifts, frame, free)
+            solved, report = rebuild(
+                patch,
+                frame.lengths[edges],
+                frame.angles[hinges],
+                frame.weights[edges],
+                points[joint.vertices],
+                settings,
+                guess,
+                pull,
+            )
+            points[joint.vertices[patch.free]] = solved[patch.free]
+            reports.append(report)
+        return points, reports
+
+    def offsets(self, rotations: Float, translations: Float, points: Float) -> Float:
+        """Return the offsets ``(F, 3)`` of a frame's free vertices from where the parts carry them.
+
+        Parts carry them by harmonic weights from the reference frame (`HarmonicSkin`); an offset is in the axes of the
+        part that a vertex follows most, so it turns with the body.
+        """
+        moves, shifts = self._moves(rotations, translations)
+        offsets = np.zeros((len(self.free.vertices), 3))
+        for free, skin in zip(self.free.vertex_slices, self._skins, strict=True):
+            away = points[self.free.vertices[free]] - skin.place(moves, shifts)
+            offsets[free] = turned(np.swapaxes(rotations[skin.nearest], 1, 2), away)
+        return offsets
+
+    def _placed(self, frame: JointFrame) -> Float:
+        """Where parts put the vertices ``(V, 3)``: the mean over the copies of each; zero for those that none holds."""
+        part, vertex, copies = self._copies
+        placed = turned(frame.rotations[part], frame.parts) + frame.translations[part]
+        sums = [np.bincount(vertex, column, minlength=len(copies)) for column in placed.T]
+        return np.stack(sums, axis=1) / copies[:, None]
+
+    def _moves(self, rotations: Float, translations: Float) -> tuple[Float, Float]:
+        """Motions ``x -> M x + s`` of the parts from the reference frame; linear in both."""
+        turns, centres = self._reference_poses
+        moves = rotations @ np.swapaxes(turns, 1, 2)
+        return moves, translations - turned(moves, centres)
+
+
+def _expected(
+    skin: HarmonicSkin, moves: Float, shifts: Float, frame: JointFrame, free: slice
+) -> tuple[Float, Pull]:
+    """Where the free vertices ``(f, 3)`` of a joint are to begin with, and the soft constraint that offsets give."""
+    carried = skin.place(moves, shifts)
+    if not frame.offset_weights.size:
+        return carried, NO_PULL
+    places = carried + turned(frame.rotations[skin.nearest], frame.offsets[free])
+    return places, Pull(places, frame.offset_weights[free])
