@@ -9,7 +9,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.nearest import Found, Nearest
-from mixseq.spaces.normals import unit
+from mixseq.spaces.robust_triangles import unit
 from mixseq.topology import Topology
 
 

@@ -20,6 +20,12 @@ from mixseq.arrays import Float, FloatArray, IntArray
 
 _TURN = 2.0 * np.pi
 
+SHORTEST = 1e-6
+"""Shortest length of an edge, relative to its typical length."""
+
+NO_LENGTH = 1e-12
+"""Edges that are shorter, in diagonals, have no direction to be moved along, and do not count; the value is ours."""
+
 
 def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
     """Return the lengths ``(..., E)`` of edges ``(E, 2)`` for points ``(..., V, 3)``.
@@ -31,6 +37,17 @@ def edge_lengths(points: FloatArray, edges: IntArray) -> Float:
     """
     difference = points[..., edges[:, 1], :] - points[..., edges[:, 0], :]
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", difference, difference)), dtype=np.float64)
+
+
+def length_weights(typical: Float) -> Float:
+    """Return the weights ``(e,)`` of lengths: one over the typical ones, 0 where there is none to speak of."""
+    return np.divide(1.0, typical, out=np.zeros_like(typical), where=typical > NO_LENGTH)
+
+
+def sound_lengths(lengths: Float, weights: Float) -> Float:
+    """Raise lengths that are too short: a curve that swings past its keys can ask for zero or less."""
+    shortest = np.divide(SHORTEST, weights, out=np.zeros_like(weights), where=weights > 0)
+    return np.maximum(lengths, shortest)
 
 
 def dihedral_angles(points: FloatArray, hinges: IntArray) -> Float:

@@ -1,7 +1,8 @@
 """Rebuild a mesh from where its parts are, and from lengths and angles of the joints between them.
 
 Parts go where their poses say. A joint between them is a boundary value problem: its free vertices are those that fit
-lengths and angles best (`mixseq.shells.joint`), near where the parts carry them (`mixseq.retargeting.free_joints`).
+lengths and angles best (`mixseq.shells.reconstruction`), near where the parts carry them
+(`mixseq.retargeting.free_joints`).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from mixseq.geometry.rigid import kabsch, turned
 from mixseq.retargeting.free_joints import FreeJoints, HarmonicSkin
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import NO_PULL, Pull, ShellReport, ShellSettings
-from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import rebuild
 from mixseq.topology import Topology
 
 

@@ -22,6 +22,7 @@ from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.disk_array import LargeArray
+from mixseq.geometry.lengths_angles import length_weights
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.articulated_body import ArticulatedBody
@@ -33,7 +34,6 @@ from mixseq.retargeting.pivots import Pivots, PivotSolver
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.observed import Watched, frames_to_look_at, observe
 from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.joint import length_weights
 from mixseq.spaces.gradient import GradientSpace
 
 OFFSET_WEIGHT = 0.3

@@ -10,7 +10,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.compiled import compiled, inlined
-from mixseq.shells.hinge_kernels import angle, angle_gradient, length, length_gradient, wrapped
+from mixseq.shells.shell_kernels import angle, angle_gradient, length, length_gradient, wrapped
 
 
 @compiled

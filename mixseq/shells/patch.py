@@ -15,8 +15,8 @@ from mixseq.arrays import Index, Mask
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import Joint
 from mixseq.shells.block_pattern import BlockSparsePattern
+from mixseq.shells.face_frames import Hinges
 from mixseq.shells.solvers import Factor, factorise
-from mixseq.shells.triangles import Hinges
 from mixseq.topology import Topology
 
 

@@ -26,12 +26,11 @@ import numpy as np
 
 from mixseq.arrays import Float, Index, Mask
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.geometry.lengths_angles import NO_LENGTH, dihedral_angles, edge_lengths, length_weights
 from mixseq.pickling import PickledWithoutCaches
-from mixseq.shells import relaxation_kernels as kernels
-from mixseq.shells.joint import NO_LENGTH, length_weights
+from mixseq.shells import shell_kernels as kernels
+from mixseq.shells.face_frames import flat_triangles
 from mixseq.shells.solvers import Factor, factored_laplacian
-from mixseq.shells.triangles import flat_triangles
 from mixseq.topology import Topology
 
 ROUNDS = 15
@@ -197,16 +196,12 @@ class Shell(PickledWithoutCaches):
         return float(np.median(self._side_weights)) if len(self._side_weights) else 1.0
 
     @cached_property
-    def _held(self) -> Float:
-        return np.asarray(self.holds * self._tie_weight)
-
-    @cached_property
     def factor(self) -> Factor:
         """Factor of the Laplacian."""
         i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
         j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
         weights = np.concatenate([self._side_weights.reshape(-1), np.full(len(self.ties), self._tie_weight)])
-        return factored_laplacian(np.stack([i, j], axis=1), weights, self._held)
+        return factored_laplacian(np.stack([i, j], axis=1), weights, self._tie_weight * self.holds)
 
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
         """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
@@ -220,7 +215,7 @@ class Shell(PickledWithoutCaches):
         expected : (V, 3) float64
             Where the vertices are expected that are held.
         """
-        right = self._held[:, None] * expected
+        right = (self._tie_weight * self.holds)[:, None] * expected
         kernels.gathered(self._faces, self._side_weights, sides, right)
         np.add.at(right, self.ties[:, 1], self._tie_weight * tied)
         np.add.at(right, self.ties[:, 0], -self._tie_weight * tied)
@@ -274,10 +269,7 @@ class Shell(PickledWithoutCaches):
         return self._gradient(x, lengths, _turns(angles), self._bend)[1]
 
     def _gradient(self, x: Float, lengths: Float, turns: Float, bend: Float) -> tuple[Float, float]:
-        """The gradient ``(V, 3)`` of the energy, and the energy.
-
-        Cosines and sines ``(H, 2)`` of angles are wanted, with weights ``(H,)``.
-        """
+        """Gradient ``(V, 3)`` and energy, for cosines and sines ``(H, 2)`` of angles with weights ``(H,)``."""
         topology, gradient = self.topology, np.empty_like(x)
         energy = kernels.energy(
             x, topology.edges, topology.hinges, lengths, turns, self.stretch, bend, self._smallest, gradient

@@ -18,7 +18,7 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, PoseForm, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
-from mixseq.spaces.edge.space import EdgeSettings
+from mixseq.spaces.edge.edge_space import EdgeSettings
 from mixseq.spaces.making import (
     MAKING,
     SPACES,

@@ -1,7 +1,7 @@
 """Shape spaces: encode vertex positions as vectors that combine linearly, decode vectors to positions."""
 
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
+from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.making import (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
     from mixseq.shells.gauss_newton import ShellReport
     from mixseq.spaces.mixed.anchored import AnchoredSpace
-    from mixseq.spaces.mixed.space import MixedSpace
+    from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 Carry = Callable[[Float], Float]
 """From shapes ``(K, S)`` in one space to the same shapes in another one."""

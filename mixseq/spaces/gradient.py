@@ -33,9 +33,9 @@ from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, unwrap, vectors
 from mixseq.progress import Progress, silent
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.integration import Integration
 from mixseq.spaces.pieces import Pieces
-from mixseq.spaces.triangles import completed, with_area
+from mixseq.spaces.poisson import Integration
+from mixseq.spaces.robust_triangles import completed, with_area
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 

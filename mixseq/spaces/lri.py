@@ -29,9 +29,9 @@ import numpy as np
 from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.block_pattern import BlockSparsePattern
-from mixseq.spaces.integration import Integration
-from mixseq.spaces.normals import FLAT, across, unit, vertex_normals
+from mixseq.spaces.poisson import Integration
 from mixseq.spaces.posed import PosedSpace
+from mixseq.spaces.robust_triangles import FLAT, across, unit, vertex_normals
 
 PER_EDGE = 15
 """Numbers of an edge: nine of the connection, three from either end."""

@@ -30,10 +30,10 @@ from mixseq.segmentation import (
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace, ProjectionName
+from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace, ProjectionName
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
-from mixseq.spaces.mean_lengths import mean_lengths
+from mixseq.spaces.metric import mean_lengths
 from mixseq.spaces.mixed import NEVER, MixedSpace, PlacementName, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.topology import Topology

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
-from mixseq.spaces.registered import radii_of_gyration, registered
+from mixseq.spaces.metric import radii_of_gyration
+from mixseq.spaces.registered import registered
 from mixseq.topology import Topology
 
 THIN = 1e-3

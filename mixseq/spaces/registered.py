@@ -7,10 +7,44 @@ from collections.abc import Sequence
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.compiled import compiled
 from mixseq.geometry.rigid import aligning_rotations
 
-SMALLEST = 1e-3
-"""Radius of a part that has none, in diagonals."""
+
+@compiled
+def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
+    """Return part vertices ``(N, 3)`` about their centres, these ``(p, 3)``, and products with shapes ``(p, 3, 3)``."""
+    moved = np.empty((len(vertices), 3))
+    centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
+    start = 0
+    for part in range(len(ends)):
+        for row in range(start, ends[part]):
+            for i in range(3):
+                moved[row, i] = x[vertices[row], i]
+                centres[part, i] += moved[row, i]
+        for i in range(3):
+            centres[part, i] /= ends[part] - start
+        for row in range(start, ends[part]):
+            for i in range(3):
+                moved[row, i] -= centres[part, i]
+                for j in range(3):
+                    covariances[part, i, j] += moved[row, i] * shapes[row, j]
+        start = ends[part]
+    return moved, centres, covariances
+
+
+@compiled
+def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
+    """Return part vertices ``(N, 3)``, each times the rotation ``(p, 3, 3)`` of its part: turned by its inverse."""
+    result = np.empty((len(moved), 3))
+    start = 0
+    for part in range(len(ends)):
+        r = rotations[part]
+        for row in range(start, ends[part]):
+            for i in range(3):
+                result[row, i] = moved[row, 0] * r[0, i] + moved[row, 1] * r[1, i] + moved[row, 2] * r[2, i]
+        start = ends[part]
+    return result
 
 
 def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Float, Float, Float]:
@@ -18,7 +52,7 @@ def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Fl
 
     Returns the vertices as aligned to the shapes ``(N, 3)``, rotations ``(p, 3, 3)`` and centres ``(p, 3)``.
     """
-    from mixseq.spaces.registered_kernels import centred_parts, turned_back
+    from mixseq.spaces.registered import centred_parts, turned_back
 
     ends = np.cumsum([len(vertices) for vertices in parts])
     vertices = np.concatenate(parts)
@@ -27,11 +61,3 @@ def registered(shapes: Float, parts: Sequence[Index], x: FloatArray) -> tuple[Fl
     )
     rotations = aligning_rotations(covariances)
     return turned_back(moved, ends, rotations), rotations, centres
-
-
-def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
-    """Return the radii of gyration ``(p,)`` of centred shapes ``(N, 3)``, part by part, at least `SMALLEST`."""
-    squares = np.square(shapes).sum(axis=1)
-    sizes = [len(vertices) for vertices in parts]
-    starts = np.cumsum([0, *sizes[:-1]])
-    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), SMALLEST)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.correspondence.decimation import decimate
-from mixseq.spaces.edge.volume import volume
+from mixseq.spaces.edge.discrete_shell import volume
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, pages, tetrahedron, topology_of, torus, tube
 

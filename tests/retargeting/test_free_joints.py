@@ -11,8 +11,8 @@ from mixseq.geometry.rotations import matrices
 from mixseq.retargeting.free_joints import HarmonicSkin
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import rebuild
 from tests.meshes import topology_of, tube
 
 SIDES, RINGS = 6, 9

@@ -15,8 +15,8 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import rebuild
 from tests.meshes import Mesh, bent, flipped, grid, pages, seeds, topology_of, torus, tube
 
 BAR = tube(6, 9, closed=False)

@@ -9,8 +9,7 @@ from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import kabsch
-from mixseq.shells import hinge_kernels
-from mixseq.shells import relaxation_kernels as kernels
+from mixseq.shells import shell_kernels as kernels
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.shell import Relaxation, Shell
@@ -63,7 +62,7 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
 @pytest.mark.parametrize("mesh", MESHES)
 def test_lengths_and_angles_are_those_of_the_geometry(mesh: Mesh) -> None:
     shell, x = shell_of(mesh), shaken(mesh, 0.3)
-    lengths, angles = hinge_kernels.measured(x, shell.topology.edges, shell.topology.hinges)
+    lengths, angles = kernels.measured(x, shell.topology.edges, shell.topology.hinges)
     expected = measured(shell, x)
     np.testing.assert_allclose(lengths, expected[0], rtol=1e-14)
     np.testing.assert_allclose(angles, expected[1], atol=1e-12)

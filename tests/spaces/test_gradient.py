@@ -15,7 +15,7 @@ import mixseq
 from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.spaces.gradient import FULL, GradientSpace
-from mixseq.spaces.normals import FLAT
+from mixseq.spaces.robust_triangles import FLAT
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, Mesh, bar, grid, rotation, tetrahedron, torus, tube
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError
+from mixseq.geometry.lengths_angles import length_weights
 from mixseq.geometry.rotations import matrices
 from mixseq.retargeting.joint_solver import JointFrame, JointSolver
 from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.shells.joint import length_weights
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model

@@ -1,7 +1,7 @@
 """Steps by a constant matrix: what the space S_e makes meshes of lengths and angles with.
 
 Faces are rebuilt from their lengths and turned as angles tell: frames are chained from the middle of every piece, and
-what does not fit is divided among them (`mixseq.shells.frames`). Vertices follow from their sides, and steps make
+what does not fit is divided among them (`mixseq.shells.face_frames`). Vertices follow from their sides, and steps make
 lengths and angles agree (`mixseq.shells.shell`). From there frames and steps are taken once more, a few times: frames
 pass on what is wrong over long ways, and steps do what is near. Where there is a mesh with these lengths and angles
 the first one is it. All matrices are constant.
@@ -18,13 +18,12 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
+from mixseq.geometry.lengths_angles import sound_lengths
 from mixseq.pickling import PickledWithoutCaches
-from mixseq.shells.frames import FrameGraph, bridging, connected
+from mixseq.shells.face_frame_kernels import turned_sides
+from mixseq.shells.face_frames import FrameGraph, Hinges, bridging, connected, flat_triangles, frames_of
 from mixseq.shells.gauss_newton import ShellReport, ShellSettings
-from mixseq.shells.joint import sound_lengths
-from mixseq.shells.relaxation_kernels import turned_sides
 from mixseq.shells.shell import THIN, Relaxed, Shell
-from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
 from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology

@@ -1,10 +1,9 @@
 """The mixed shape space S_m: rigid parts by their vertices, joints by lengths and angles, and poses."""
 
 from mixseq.spaces.mixed.anchored import AnchoredSpace
+from mixseq.spaces.mixed.construction import FAR, NEVER, mixed_space
 from mixseq.spaces.mixed.free import FreeSpace
-from mixseq.spaces.mixed.half_way import FAR, NEVER
-from mixseq.spaces.mixed.making import mixed_space
-from mixseq.spaces.mixed.space import PLACEMENTS, MixedSpace, PlacementName
+from mixseq.spaces.mixed.mixed_space import PLACEMENTS, MixedSpace, PlacementName
 
 __all__ = [
     "FAR",

@@ -22,21 +22,17 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
-from mixseq.geometry.quaternions import quaternions, rotations_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.quaternions import quaternions
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Neighbours, blended, predicted
 from mixseq.progress import Progress, silent
-from mixseq.segmentation.boundaries import Boundaries
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.settling import Settling
-from mixseq.spaces.mixed.sides import Sides
-from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
+from mixseq.spaces.mixed.mixed_space import MixedSpace, joined_rows, split_rows
+from mixseq.spaces.mixed.settling import Settling, Sides
 from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
 from mixseq.threads import one_blas_thread
 
@@ -227,17 +223,11 @@ class AnchoredSpace(MixedSpace):
         return self.join(
             blocks._replace(
                 angles=unwrap_angles(blocks.angles, start),
-                rotations=self._continued(blocks.rotations, None if before is None else before.rotations[:1]),
+                rotations=self.frames.continued(
+                    blocks.rotations, None if before is None else before.rotations[:1]
+                ),
             )
         )
-
-    def _continued(self, rotations: Float, before: Float | None) -> Float:
-        """Quaternions ``(T, p, 4)`` with signs that do not jump, body by body: neighbours go the same way round."""
-        previous = np.concatenate([rotations[:1] if before is None else before, rotations[:-1]])
-        cosines = np.einsum("tpi,tpi->tp", rotations, previous)
-        bodies = np.eye(int(self.frames.bodies.max(initial=-1)) + 1)[self.frames.bodies]
-        signs = np.cumprod(np.where(cosines @ bodies < 0, -1.0, 1.0), axis=0)
-        return rotations * signs[:, self.frames.bodies, None]
 
     def anchored(self) -> AnchoredSpace:
         """Implement `ShapeSpace.anchored`."""
@@ -251,30 +241,12 @@ class AnchoredSpace(MixedSpace):
     @cached_property
     def parents(self) -> Index:
         """Implement `ShapeSpace.parents`: neighbours one boundary nearer to the root, the part with most area."""
-        faces, labels = self.topology.faces, self.decomposition.part_of_face
-        a, b, c = np.moveaxis(self.reference[faces], 1, 0)
-        count = len(self.decomposition.parts)
-        areas = np.bincount(labels, np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=count)
-        i, j = self.neighbours.parts.T
-        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(count, count)).tocsr()
-        result = np.full(count, -1, dtype=np.int64)
-        reached = np.zeros(count, dtype=bool)
-        for root in np.argsort(-areas, kind="stable"):
-            if not reached[root]:
-                order, above = csgraph.breadth_first_order(graph, root, directed=False)
-                result[order[1:]] = above[order[1:]]
-                reached[order] = True
-        return result
+        return self.frames.parents(self.reference)
 
     @cached_property
     def neighbours(self) -> Neighbours:
-        """Which parts see which, across boundaries of parts: seen in the reference frame, their middles are pivots."""
-        boundaries = Boundaries.of(self.topology, self.decomposition.part_of_face)
-        pairs = np.concatenate([boundaries.parts, boundaries.parts[:, ::-1]])
-        middles = np.tile(boundaries.middles(self.reference), (2, 1))
-        rest = self.frames.rest
-        back = np.swapaxes(rotations_of(rest.rotations[0]), 1, 2)[pairs[:, 1]]
-        return Neighbours(pairs, turned(back, middles - rest.centres[0][pairs[:, 1]]), self.radii)
+        """Implement `ShapeSpace.neighbours`: across boundaries of parts."""
+        return self.frames.neighbours(self.reference, self.radii)
 
     def predicted_placements(self, operator: Operator, placements: Float, times: Float) -> Float:
         """Implement `ShapeSpace.predicted_placements`: poses that agree with what neighbours see of each other."""

@@ -1,7 +1,8 @@
 r"""The projection P_m of the free placement: where parts and joints go, from lengths, angles and aligned parts alone.
 
 1. *Frames.* Every part, and every face of a joint that no part holds, is a rotation. Across hinges they differ by what
-   lengths and angles tell. They are chained from parts whose poses are known, and averaged (`mixseq.shells.frames`).
+   lengths and angles tell. They are chained from parts whose poses are known, and averaged
+   (`mixseq.shells.face_frames`).
 2. *Vertices*, from the sides of all faces, by one back-substitution.
 3. *Relaxation*: a fixed number of steps makes lengths and angles agree, those of parts and those of joints
    (`mixseq.shells.shell`).
@@ -19,17 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float, Index, IntArray, Mask
-from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.geometry.lengths_angles import edge_lengths, sound_lengths
 from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import Decomposition
-from mixseq.shells.frames import FrameGraph, bridging, connected
-from mixseq.shells.hinge_kernels import measured
-from mixseq.shells.joint import sound_lengths
-from mixseq.shells.relaxation_kernels import turned_sides
+from mixseq.shells.face_frame_kernels import turned_sides
+from mixseq.shells.face_frames import FrameGraph, Hinges, bridging, connected, flat_triangles, frames_of
 from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
-from mixseq.shells.triangles import Hinges, flat_triangles, frames_of
+from mixseq.shells.shell_kernels import measured
 from mixseq.topology import Topology
 
 ROUNDS = 3

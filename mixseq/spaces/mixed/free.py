@@ -21,7 +21,7 @@ from mixseq.geometry.rigid import kabsch
 from mixseq.progress import Progress, silent
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
-from mixseq.spaces.mixed.space import MixedSpace, joined_rows, split_rows
+from mixseq.spaces.mixed.mixed_space import MixedSpace, joined_rows, split_rows
 from mixseq.threads import one_blas_thread
 
 

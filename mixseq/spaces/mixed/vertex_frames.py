@@ -26,7 +26,7 @@ from mixseq.arrays import Float, Index
 from mixseq.geometry.quaternions import inverse, normalised, product, quaternions, rotations_of
 from mixseq.geometry.rigid import turned
 from mixseq.pickling import PickledWithoutCaches
-from mixseq.prediction.poses import Poses
+from mixseq.prediction.poses import Neighbours, Poses
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
@@ -94,9 +94,13 @@ class VertexFrames(PickledWithoutCaches):
         return self.shares.indptr.astype(np.int64), self.shares.indices.astype(np.int64), self.shares.data
 
     @cached_property
+    def _boundaries(self) -> Boundaries:
+        return Boundaries.of(self.topology, self.decomposition.part_of_face)
+
+    @cached_property
     def _graph(self) -> sparse.csr_array:
         """Which parts are neighbours ``(p, p)``."""
-        pairs = Boundaries.of(self.topology, self.decomposition.part_of_face).parts
+        pairs = self._boundaries.parts
         count = len(self.decomposition.parts)
         return sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count)).tocsr()
 
@@ -117,6 +121,41 @@ class VertexFrames(PickledWithoutCaches):
     def signed(self, rotations: Float) -> Float:
         """Return quaternions ``(p, 4)`` of a frame with signs along the tree, from the first part of a body on."""
         return rotations * self._signs(product(rotations, inverse(self.rest.rotations[0])))
+
+    def continued(self, rotations: Float, before: Float | None) -> Float:
+        """Give quaternions ``(T, p, 4)`` signs that do not jump, body by body: neighbours go the same way round.
+
+        The first ones go on from those ``(1, p, 4)`` of the frame before, if there is one.
+        """
+        previous = np.concatenate([rotations[:1] if before is None else before, rotations[:-1]])
+        cosines = np.einsum("tpi,tpi->tp", rotations, previous)
+        bodies = np.eye(int(self.bodies.max(initial=-1)) + 1)[self.bodies]
+        signs = np.cumprod(np.where(cosines @ bodies < 0, -1.0, 1.0), axis=0)
+        return rotations * signs[:, self.bodies, None]
+
+    def neighbours(self, reference: Float, radii: Float) -> Neighbours:
+        """Return which parts see which, with radii ``(p,)``: pivots are the middles of their boundaries at rest."""
+        pairs = np.concatenate([self._boundaries.parts, self._boundaries.parts[:, ::-1]])
+        middles = np.tile(self._boundaries.middles(reference), (2, 1))
+        back = np.swapaxes(rotations_of(self.rest.rotations[0]), 1, 2)[pairs[:, 1]]
+        return Neighbours(pairs, turned(back, middles - self.rest.centres[0][pairs[:, 1]]), radii)
+
+    def parents(self, reference: Float) -> Index:
+        """Return the part ``(p,)`` that every part hangs on, -1 for roots: parts with most area in ``(V, 3)``."""
+        a, b, c = np.moveaxis(reference[self.topology.faces], 1, 0)
+        count = len(self.decomposition.parts)
+        sizes = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        areas = np.bincount(self.decomposition.part_of_face, sizes, minlength=count)
+        i, j = np.concatenate([self._boundaries.parts, self._boundaries.parts[:, ::-1]]).T
+        graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(count, count)).tocsr()
+        result = np.full(count, -1, dtype=np.int64)
+        reached = np.zeros(count, dtype=bool)
+        for root in np.argsort(-areas, kind="stable"):
+            if not reached[root]:
+                order, above = csgraph.breadth_first_order(graph, root, directed=False)
+                result[order[1:]] = above[order[1:]]
+                reached[order] = True
+        return result
 
     def _signs(self, turns: Float) -> Float:
         signs = np.ones((len(turns), 1))

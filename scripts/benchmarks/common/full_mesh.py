@@ -15,8 +15,8 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.shells.fitting import ShellProblem, ShellReport, ShellSettings, fit_shell
-from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import linear_initialisation
 from mixseq.topology import Topology
 
 

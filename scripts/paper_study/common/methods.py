@@ -27,8 +27,8 @@ from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.segmentation.softness import Softening
 from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
-from mixseq.shells.joint import rebuild
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import rebuild
 from mixseq.spaces.edge import EdgeSettings, EdgeSpace
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
 from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space

@@ -2,7 +2,7 @@ r"""The projection by many scales (after Winkler, Drieseberg, Alexa and Hormann 
 
 A mesh is cut into small patches that overlap, which are merged to larger and larger ones (`hierarchy`). From below:
 
-1. A leaf is rebuilt on its own from its lengths and angles (`joint`): linear start, then a few Gauss-Newton steps.
+1. A leaf is rebuilt on its own from its lengths and angles (`reconstruction`): linear start, a few Gauss-Newton steps.
 2. The children of a patch are registered, all at once, through the vertices they share (`registration`; Williams and
    Bennamoun 2000), and stitched by edge blending (`stitching`): an edge points where the children say, and has the
    length ``l_ij`` that is wanted,
@@ -31,11 +31,12 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import ReconstructionError
+from mixseq.geometry.lengths_angles import sound_lengths
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.shells.joint import rebuild, sound_lengths
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import rebuild
 from mixseq.spaces.edge.projection import Wanted
 from mixseq.spaces.pieces import Pieces
 from mixseq.topology import Topology

@@ -9,7 +9,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.plots import broadside
-from mixseq.spaces.edge.space import EdgeSettings
+from mixseq.spaces.edge.edge_space import EdgeSettings
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
 from scripts.paper_study.common.errors import errors, text

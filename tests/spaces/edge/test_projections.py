@@ -10,10 +10,9 @@ from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import kabsch
 from mixseq.shells.fitting import ShellSettings
-from mixseq.spaces.edge.discrete_shell import DiscreteShell
+from mixseq.spaces.edge.discrete_shell import DiscreteShell, volume
 from mixseq.spaces.edge.projection import EdgeProjection, Wanted
 from mixseq.spaces.edge.relaxed_shell import RelaxedShell
-from mixseq.spaces.edge.volume import volume
 from mixseq.spaces.pieces import Pieces
 from tests.meshes import Mesh, bent, grid, joined, pages, tetrahedron, topology_of, torus, tube
 

@@ -10,8 +10,14 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
-from mixseq.spaces.edge.discrete_shell import DiscreteShell
-from mixseq.spaces.edge.volume import VolumeTerm, is_sheet, surface_area, volume, volume_gradient
+from mixseq.spaces.edge.discrete_shell import (
+    DiscreteShell,
+    VolumeTerm,
+    is_sheet,
+    surface_area,
+    volume,
+    volume_gradient,
+)
 from mixseq.spaces.pieces import Pieces
 from tests.meshes import Mesh, flipped, grid, rotation, tetrahedron, topology_of, torus, tube
 

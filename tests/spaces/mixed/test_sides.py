@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from mixseq.arrays import Float
 from mixseq.geometry.quaternions import normalised, quaternions
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.sides import COTANGENTS, HOLD, Sides
+from mixseq.spaces.mixed.settling import COTANGENTS, HOLD_SIDES, Sides
 from tests.meshes import Mesh, grid, rotation, seeds, tube
 
 
@@ -66,7 +66,7 @@ def test_only_free_vertices_move(seed: int) -> None:
 
 
 def test_one_free_vertex_goes_most_of_the_way() -> None:
-    """It was pulled away; sides that are those of the flat sheet take it back, against `HOLD`."""
+    """It was pulled away; sides that are those of the flat sheet take it back, against `HOLD_SIDES`."""
     mesh = grid(2, 2)
     sides = sides_of(mesh, [4])
     still = np.tile([1.0, 0, 0, 0, 0, 0, 0], (9, 1))
@@ -77,7 +77,7 @@ def test_one_free_vertex_goes_most_of_the_way() -> None:
     # Legs of right triangles have cotangents of one; hypotenuses have none, but `COTANGENTS` says at least .05.
     assert weight == pytest.approx(4 * 1.0 + 2 * 0.05)
     expected = mesh[0].copy()
-    expected[4] += pull * HOLD / (HOLD + weight)
+    expected[4] += pull * HOLD_SIDES / (HOLD_SIDES + weight)
     np.testing.assert_allclose(sides.settle(still, flat, pulled), expected, atol=1e-14)
 
 
@@ -106,7 +106,7 @@ def test_it_is_the_minimum(seed: int) -> None:
     def energy(y: Float) -> float:
         corners = y[TUBE.faces]
         misfits = np.roll(corners, -1, axis=1) - corners - wanted
-        return float((TUBE.weights[:, :, None] * misfits**2).sum() + HOLD * ((y - x) ** 2).sum())
+        return float((TUBE.weights[:, :, None] * misfits**2).sum() + HOLD_SIDES * ((y - x) ** 2).sum())
 
     settled = TUBE.settle(motions, sides, x)
     least = energy(settled)

@@ -1,16 +1,32 @@
-"""Mean edge lengths of a sequence, by which lengths are weighed against each other."""
+"""How much lengths, angles and turns weigh against each other: by how far they move vertices."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.disk_array import LargeArray
 from mixseq.frame_store import blocks_of
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.mapping import Executor
 from mixseq.progress import Progress
+
+ANGLE = 0.3
+"""Weight of a radian against the length of its hinge's edge, in the metric of all spaces that have both."""
+
+SMALLEST = 1e-3
+"""Radius of a part that has none, in diagonals."""
+
+
+def radii_of_gyration(shapes: Float, parts: Sequence[Index]) -> Float:
+    """Return the radii of gyration ``(p,)`` of centred shapes ``(N, 3)``, part by part, at least `SMALLEST`."""
+    squares = np.square(shapes).sum(axis=1)
+    sizes = [len(vertices) for vertices in parts]
+    starts = np.cumsum([0, *sizes[:-1]])
+    return np.maximum(np.sqrt(np.add.reduceat(squares, starts) / sizes), SMALLEST)
 
 
 def mean_lengths(

@@ -18,15 +18,14 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, length_weights, unwrap_angles
 from mixseq.progress import Progress, silent
 from mixseq.shells.fitting import ShellReport, ShellSettings
-from mixseq.shells.joint import length_weights
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.edge.discrete_shell import DiscreteShell
 from mixseq.spaces.edge.projection import EdgeProjection, Wanted
 from mixseq.spaces.edge.relaxed_shell import RelaxedShell
-from mixseq.spaces.mixed.space import ANGLE
+from mixseq.spaces.metric import ANGLE
 from mixseq.spaces.posed import PosedSpace
 from mixseq.threads import one_blas_thread
 

@@ -13,7 +13,8 @@ from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.segmentation.joints import Decomposition
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.registered import radii_of_gyration, registered
+from mixseq.spaces.metric import ANGLE, radii_of_gyration
+from mixseq.spaces.registered import registered
 from mixseq.topology import Topology
 
 if TYPE_CHECKING:
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
 
 PlacementName = Literal["anchored", "free"]
 PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
-
-ANGLE = 0.3
-"""Weight of a radian against the length of its hinge's edge, in the metric of the space."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,6 @@
-r"""Linear reconstruction of a patch from edge lengths and dihedral angles (after Wang, Liu and Tong 2012).
+r"""Rebuild a patch from edge lengths and dihedral angles: linear initialisation, then Gauss-Newton.
 
-Every face f has a frame ``F_f``, and frames of a hinge's two faces differ by a known rotation, ``F_j = F_i T_ij``
-(`mixseq.shells.triangles`).
+The linear initialisation (after Wang, Liu and Tong 2012) knows no pose:
 
 1. Frames: minimise :math:`\sum \|F_j - F_i T_{ij}\|^2`, a sparse linear system; faces whose vertices are all fixed
    have known frames (if nothing is fixed the first face gets the identity). Project every frame to a rotation.
@@ -16,10 +15,15 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, sound_lengths
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import nearest_rotations
+from mixseq.shells.face_frames import flat_triangles, frames_of
+from mixseq.shells.fitting import NO_PULL, Pull, ShellProblem, ShellReport, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
-from mixseq.shells.triangles import flat_triangles, frames_of
+
+NEAR = 0.5
+"""A guess without a larger weighted residual is near the answer."""
 
 
 def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
@@ -41,10 +45,10 @@ def linear_initialisation(patch: Patch, lengths: Float, angles: Float, positions
     (n, 3) float64
         Positions of all vertices.
     """
-    return integrate(patch, turned_sides(patch, lengths, angles, positions), positions)
+    return integrate(patch, _sides(patch, lengths, angles, positions), positions)
 
 
-def turned_sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
+def _sides(patch: Patch, lengths: Float, angles: Float, positions: Float) -> Float:
     """Return the sides 01, 12, 20 of all faces ``(m, 3, 3)``, in their frames: before vertices are solved for."""
     local = flat_triangles(lengths[patch.face_edges])
     frames = _frames(patch, local, angles, positions)
@@ -100,3 +104,65 @@ def integrate(patch: Patch, sides: Float, positions: Float) -> Float:
     right = right[patch.integrated] - coupling @ result[patch.fixed]
     result[patch.integrated] = patch.laplacian_factor.solve(right)
     return result
+
+
+def rebuild(
+    patch: Patch,
+    lengths: Float,
+    angles: Float,
+    weights: Float,
+    positions: Float,
+    settings: ShellSettings,
+    guess: Float | None = None,
+    pull: Pull = NO_PULL,
+) -> tuple[Float, ShellReport]:
+    """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
+
+    Parameters
+    ----------
+    patch : Patch
+        The joint and which of its vertices are fixed.
+    lengths : (e',) float64
+        Lengths of `Patch.free_edges`.
+    angles : (h',) float64
+        Angles of `Patch.free_hinges`, radians.
+    weights : (e',) float64
+        Weights of the lengths: one over the typical length of every edge.
+    positions : (n, 3) float64
+        Positions of the fixed vertices; the others are not looked at.
+    settings : ShellSettings
+        Weight of the angles, and when to stop.
+    guess : (f, 3) float64, optional
+        Another start for the free vertices.
+    pull : Pull, optional
+        Where the free vertices are expected.
+
+    Returns
+    -------
+    points : (n, 3) float64
+    report : ShellReport
+
+    Notes
+    -----
+    The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
+    Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
+    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where a pull
+    tells which fold is meant.
+    """
+    lengths = sound_lengths(lengths, weights)
+    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
+    if guess is None:
+        return fit_shell(problem, _initial(problem, positions), settings)
+    start = np.array(positions, dtype=np.float64)
+    start[patch.free] = guess
+    if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
+        start = min(_initial(problem, positions), start, key=problem.energy)
+    return fit_shell(problem, start, settings)
+
+
+def _initial(problem: ShellProblem, positions: Float) -> Float:
+    """The linear start; lengths and angles between fixed vertices are those they have."""
+    patch = problem.patch
+    lengths, angles = edge_lengths(positions, patch.edges), dihedral_angles(positions, patch.hinges)
+    lengths[patch.free_edges], angles[patch.free_hinges] = problem.lengths, problem.angles
+    return linear_initialisation(patch, lengths, angles, positions)

@@ -11,8 +11,8 @@ from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rigid import kabsch, transform
 from mixseq.segmentation.joints import make_joint
-from mixseq.shells.linear_initialisation import linear_initialisation
 from mixseq.shells.patch import Patch
+from mixseq.shells.reconstruction import linear_initialisation
 from tests.meshes import (
     Mesh,
     bent,

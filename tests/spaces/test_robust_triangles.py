@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 
 from mixseq.arrays import Float
-from mixseq.spaces.normals import across, face_normals, unit, vertex_normals
+from mixseq.spaces.robust_triangles import across, face_normals, unit, vertex_normals
 from tests.meshes import grid, rigid_motions, tetrahedron, topology_of
 
 

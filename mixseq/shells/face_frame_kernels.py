@@ -1,4 +1,7 @@
-"""The inner loops of `mixseq.shells.frames`, compiled. Rotations are unit quaternions (w, x, y, z)."""
+"""The inner loops of `mixseq.shells.face_frames`, compiled: frames of faces, chained and averaged.
+
+Rotations are unit quaternions (w, x, y, z).
+"""
 
 from __future__ import annotations
 
@@ -157,3 +160,20 @@ def turned_on(frames: Float, steps: Float) -> None:
             turn[1 + c] = scale * steps[v, c]
         _product(turn, frames[v], result)
         frames[v] = result / math.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
+
+
+@compiled
+def turned_sides(frames: Float, flat: Float) -> Float:
+    """Return the sides ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)`` with frames ``(F, 4)``."""
+    sides = np.empty((len(flat), 3, 3))
+    for f in range(len(flat)):
+        w, x, y, z = frames[f]
+        a0, a1, a2 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+        b0, b1, b2 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
+        for k in range(3):
+            n = (k + 1) % 3
+            u, v = flat[f, n, 0] - flat[f, k, 0], flat[f, n, 1] - flat[f, k, 1]
+            sides[f, k, 0] = a0 * u + b0 * v
+            sides[f, k, 1] = a1 * u + b1 * v
+            sides[f, k, 2] = a2 * u + b2 * v
+    return sides

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.geometry.quaternions import inverse, normalised, product
-from mixseq.shells.frames import FrameGraph, connected
+from mixseq.shells.face_frames import FrameGraph, connected
 from tests.meshes import topology_of, torus
 
 TOPOLOGY = topology_of(torus(10, 6))

@@ -20,8 +20,8 @@ from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells import shell
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
-from mixseq.spaces.edge.space import EdgeSettings, EdgeSpace
-from mixseq.spaces.edge.volume import volume
+from mixseq.spaces.edge.discrete_shell import volume
+from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
