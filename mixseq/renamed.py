@@ -1,10 +1,11 @@
-"""Old names of parameters and attributes, which work for one more version."""
+"""Old names of parameters, attributes and of what modules have, which work for one more version."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
 from functools import wraps
+from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
 
 from mixseq.errors import SettingsError
@@ -73,3 +74,25 @@ def renamed_attributes(**names: str) -> Callable[[C], C]:
         return cls
 
     return decorate
+
+
+def moved(module: str, **names: str) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` for a module whose names are elsewhere now, each as ``"package.module:name"``.
+
+    Examples
+    --------
+    >>> find = moved("mixseq.sequence", read_sequence="mixseq:read")
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     find("read_sequence").__name__, str(told[0].message)
+    ('read', 'mixseq.sequence.read_sequence is now mixseq.read')
+    """
+
+    def find(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        where, _, new = names[name].partition(":")
+        warnings.warn(f"{module}.{name} is now {where}.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(where), new)
+
+    return find

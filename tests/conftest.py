@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -38,3 +39,12 @@ def bent_bar() -> MeshSequence:
 def bar_model(bent_bar: MeshSequence) -> Model:
     """The bar in the mixed shape space."""
     return fit(bent_bar, exact=True)
+
+
+@pytest.fixture
+def gem() -> MeshSequence:
+    """A stretching octahedron, long in x, that lasts 8 / 24 s."""
+    points = np.array([[2, 0, 0], [-2, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    stretch = 1 + 0.2 * np.sin(np.linspace(0, 2, 9))[:, None, None]
+    return MeshSequence.from_arrays(points * stretch, faces, name="gem")

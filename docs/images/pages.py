@@ -14,10 +14,10 @@ from playwright.sync_api import Page, sync_playwright
 import mixseq
 from mixseq.cli.view import command as view_command
 from mixseq.creature import walk_cycle
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.signals import Model
 from mixseq.viewing.live import ViewSettings, viewer
-from mixseq.viewing.painting import Paint
-from mixseq.viewing.shown import Item, Shot
 
 HERE = Path(__file__).parent
 SIZE = {"width": 1280, "height": 800}
@@ -36,7 +36,7 @@ def main() -> None:
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
         settings = ViewSettings(folder=Path(folder))
-        with viewer(Paint(Shot((Item("walk.h5", model),))), settings, save_model) as running:
+        with viewer(SceneColours(Scene((SceneItem("walk.h5", model),))), settings, save_model) as running:
             take_viewer(browser.new_page(viewport=SIZE), running.address)
         mixseq.save(Path(folder, "walk.h5"), model)
         exported = str(Path(folder, "walk.html"))

@@ -135,7 +135,8 @@ def make_film(
     quiet: bool,
 ) -> None:
     """Make the film of `files` that the options ask for."""
-    from mixseq.plots.video import FilmSettings, Shown, check_film, film, film_format
+    from mixseq.plots.video import FilmSettings, check_film, film, film_format
+    from mixseq.scene import SceneItem
     from mixseq_io.atomic import replacing
 
     form = film_format(target)
@@ -154,7 +155,7 @@ def make_film(
         raise SettingsError(f"none of the files is read with an option {name!r}")
     with ExitStack() as stack, progress_bar(quiet) as progress:
         shown = [
-            Shown(
+            SceneItem(
                 name,
                 mixseq.load(file)
                 if is_model(file)

@@ -24,9 +24,9 @@ from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.frame_store import FrameStore
+    from mixseq.scene.colours import SceneColours
+    from mixseq.scene.items import Scene
     from mixseq.signals import Model
-    from mixseq.viewing.painting import Paint
-    from mixseq.viewing.shown import Shot
 
 
 @click.command(
@@ -125,13 +125,13 @@ def command(
 
         check_viser()
     with progress_bar(quiet) as progress:
-        shot, original = _opened(files, against, rate, reading, progress)
-        paint = _paint(shot, original)
+        scene, original = _opened(files, against, rate, reading, progress)
+        colours = _scene_colours(scene, original)
         if page is not None:
             given = {name: value for name, value in only_page.items() if value is not None}
-            _export(page, paint, {"fps": rate, "overlaid": overlaid, **given}, threads, progress)
+            _export(page, colours, {"fps": rate, "overlaid": overlaid, **given}, threads, progress)
     if page is None:
-        _run(paint, files, {"host": host, "port": port, "overlaid": overlaid}, browser, shading, threads)
+        _run(colours, files, {"host": host, "port": port, "overlaid": overlaid}, browser, shading, threads)
 
 
 def _opened(
@@ -140,10 +140,10 @@ def _opened(
     fps: float | None,
     reading: Mapping[str, Any],
     progress: Progress,
-) -> tuple[Shot, FrameStore | None]:
+) -> tuple[Scene, FrameStore | None]:
     """Open models, and read sequences."""
     from mixseq.frame_store import frame_store
-    from mixseq.viewing.shown import Item, Shot
+    from mixseq.scene.items import Scene, SceneItem
 
     every = [*files, *([against] if against else [])]
     known = [options_of(file, reading) for file in every]
@@ -155,11 +155,11 @@ def _opened(
             return frame_store(reader, progress)
 
     items = tuple(
-        Item(name, mixseq.load(file) if is_model(file) else read(file))
+        SceneItem(name, mixseq.load(file) if is_model(file) else read(file))
         for name, file in zip(_names(files), files, strict=True)
     )
-    shot = Shot(items, fps).checked()
-    return shot, None if against is None else read(against)
+    scene = Scene(items, fps).checked()
+    return scene, None if against is None else read(against)
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -171,16 +171,16 @@ def _names(files: Sequence[Path]) -> list[str]:
     return [f"{number + 1} {file.name}" for number, file in enumerate(files)]
 
 
-def _paint(shot: Shot, original: FrameStore | None) -> Paint:
-    from mixseq.viewing.painting import Paint, check_original
+def _scene_colours(scene: Scene, original: FrameStore | None) -> SceneColours:
+    from mixseq.scene.colours import SceneColours, check_original
 
     if original is not None:
-        check_original(shot, original)
-    return Paint(shot, original)
+        check_original(scene, original)
+    return SceneColours(scene, original)
 
 
 def _run(
-    paint: Paint,
+    colours: SceneColours,
     files: Sequence[Path],
     given: Mapping[str, Any],
     browser: bool | None,
@@ -197,7 +197,7 @@ def _run(
         material="toon5" if shading == "simple" else "standard",
         **{name: value for name, value in given.items() if value is not None},
     )
-    with viewer(paint, settings, partial(_save, files)) as running:
+    with viewer(colours, settings, partial(_save, files)) as running:
         click.echo(f"mixseq view: {running.address} (Ctrl-C ends it)")
         if browser or (browser is None and _has_screen()):
             webbrowser.open(running.address)
@@ -258,34 +258,19 @@ def _check_page(page: Path, sources: Sequence[Path]) -> None:
 
 def _export(
     page: Path,
-    paint: Paint,
+    colours: SceneColours,
     chosen: Mapping[str, Any],
     threads: int | None,
     progress: Progress,
 ) -> None:
     """Write a page with all meshes."""
     from mixseq.mapping import on_threads
-    from mixseq.signals import Model
-    from mixseq.viewing.export import ExportSettings, export_page, poses_of
-    from mixseq.viewing.exporting import Exported
-    from mixseq.viewing.signals import signals_of
+    from mixseq.viewing.export import ExportSettings, export_page, page_items
     from mixseq_io.atomic import replacing
 
     settings = ExportSettings(**chosen)
-    workers = on_threads(threads)
-    shown = [
-        Exported(
-            item.name,
-            item.header,
-            poses_of(item.motion, workers),
-            item.header.times - item.header.times[0],
-            paint.each(index),
-            signals_of(item.motion) if isinstance(item.motion, Model) else None,
-        )
-        for index, item in enumerate(paint.shot.items)
-    ]
     with replacing(page) as temporary:
-        report = export_page(temporary, shown, settings, progress)
+        report = export_page(temporary, page_items(colours), settings, progress, on_threads(threads))
     announce(page)
     off = max(item.error for item in report.items)
     click.echo(f"no coordinate is off by more than {off:.2g}, of the meshes' own units")

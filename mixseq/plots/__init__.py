@@ -4,9 +4,7 @@ A mesh is one collection of shaded polygons, sorted by depth: no graphics card, 
 panels of a sheet share one camera and one set of limits, so that they can be compared.
 """
 
-from mixseq.plots.camera import Limits, View, broadside, shared_limits
 from mixseq.plots.charts import picture_format
-from mixseq.plots.colours import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
 from mixseq.plots.heat import add_error_bar, draw_vertex_errors
@@ -16,6 +14,8 @@ from mixseq.plots.parts import draw_parts, draw_parts_legend
 from mixseq.plots.sheets import contact_sheet
 from mixseq.plots.signals import draw_coefficients, draw_layout, draw_singular_values, singular_values
 from mixseq.plots.two_sides import draw_segmentation
+from mixseq.scene.camera import Limits, View, broadside, shared_limits
+from mixseq.scene.palettes import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 
 __all__ = [
     "CLAY",

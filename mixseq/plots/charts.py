@@ -13,8 +13,8 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import OutputError
-from mixseq.plots.colours import INK
 from mixseq.plots.layout import DPI, Target, matplotlib_module
+from mixseq.scene.palettes import INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
-from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
-from mixseq.plots.colours import CLAY
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.shading import area_normals, shade, smooth_normals
 from mixseq.plots.shadow import ground_shadow
+from mixseq.scene.camera import Limits, View, broadside, shared_limits, y_up
+from mixseq.scene.palettes import CLAY
 from mixseq.topology import Topology
 
 if TYPE_CHECKING:

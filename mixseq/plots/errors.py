@@ -14,8 +14,8 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.plots.charts import LINES, log_axis, time_axis
-from mixseq.plots.colours import INK
 from mixseq.progress import Progress, silent
+from mixseq.scene.palettes import INK
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 

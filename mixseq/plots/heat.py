@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixseq.arrays import Float, IntArray
-from mixseq.plots.camera import y_up
-from mixseq.plots.colours import INK
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.errors import ROUNDING, VertexErrors
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
+from mixseq.scene.camera import y_up
+from mixseq.scene.palettes import INK
 from mixseq.sequence import MeshSequence
 
 if TYPE_CHECKING:

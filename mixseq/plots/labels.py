@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.plots.camera import Limits
+from mixseq.scene.camera import Limits
 
 POINTS = 72.0  # per inch
 DISTANCE = 12.0

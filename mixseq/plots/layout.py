@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from mixseq.errors import MissingExtraError
-from mixseq.plots.colours import INK
+from mixseq.scene.palettes import INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from mixseq.arrays import Float, FloatArray, IntArray
-from mixseq.plots.camera import Limits, y_up
-from mixseq.plots.colours import JOINT_RED, part_colours, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
+from mixseq.scene.camera import Limits, y_up
+from mixseq.scene.palettes import JOINT_RED, part_colours, segmentation_colours
 from mixseq.segmentation.joints import Decomposition
 from mixseq.signals import Model
 

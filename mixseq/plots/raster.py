@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float, IntArray
-from mixseq.plots.camera import Limits, View
-from mixseq.plots.colours import CLAY
 from mixseq.plots.shading import area_normals, shade, vertex_normals
 from mixseq.plots.shadow import ground_shadow
+from mixseq.scene.camera import Limits, View
+from mixseq.scene.palettes import CLAY
 
 Picture = NDArray[np.uint8]
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from mixseq.arrays import Float, IntArray
-from mixseq.plots.camera import Limits, View
 from mixseq.plots.shading import area_normals
+from mixseq.scene.camera import Limits, View
 from mixseq.sequence import bounding_diagonal
 
 PIXELS = 240

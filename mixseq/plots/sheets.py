@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import broadside, shared_limits, y_up
-from mixseq.plots.colours import CLAY, INK, segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.frames import common_frames, frames_between
 from mixseq.plots.layout import Sheet, Target, matplotlib_module
+from mixseq.scene.camera import broadside, shared_limits, y_up
+from mixseq.scene.palettes import CLAY, INK, segmentation_colours
 from mixseq.sequence import MeshSequence
 
 

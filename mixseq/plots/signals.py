@@ -15,11 +15,11 @@ import numpy as np
 
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Limits
 from mixseq.plots.charts import FAINT, LINES, log_axis, round_frames, time_axis
-from mixseq.plots.colours import INK
 from mixseq.plots.labels import free_places
 from mixseq.plots.layout import matplotlib_module
+from mixseq.scene.camera import Limits
+from mixseq.scene.palettes import INK
 from mixseq.signals import Model
 
 if TYPE_CHECKING:

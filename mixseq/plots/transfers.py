@@ -9,10 +9,10 @@ import numpy as np
 
 from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
-from mixseq.plots.camera import Limits, View, broadside, shared_limits, y_up
-from mixseq.plots.colours import INK, part_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import Sheet, Target
+from mixseq.scene.camera import View, broadside, of_aspect, shared_limits, y_up
+from mixseq.scene.palettes import INK, part_colours
 
 if TYPE_CHECKING:
     from mixseq.retargeting.transfer import Transfer
@@ -71,7 +71,7 @@ def transfer_sheet(
     for row, (what, header) in enumerate(zip(("source", "target"), headers, strict=True)):
         sheet.label_row(row, f"{what}\n{header.vertex_count:,}\nvertices")
         ground = float(y_up(poses[row], header.up_axis)[..., 1].min())
-        look = header.up_axis, views[row], _of_aspect(limits[row], aspect), ground
+        look = header.up_axis, views[row], of_aspect(limits[row], aspect), ground
         for ax, x in zip(sheet.panels[row], poses[row], strict=True):
             draw_mesh(ax, x, header.faces, palette[labels[row]], *look)
     columns = ["at rest", *(f"{here.times[frame]:.3f} s" for frame in frames)]
@@ -107,11 +107,3 @@ def heading(transfer: Transfer) -> float:
     a, b = ((x - x.mean(axis=0))[:, [0, 2]] for x in (source, target))
     along, across = float((a * b).sum()), float((a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]).sum())
     return float(np.degrees(np.arctan2(across, along)))
-
-
-def _of_aspect(limits: Limits, aspect: float) -> Limits:
-    """Widen a rectangle about its middle until its height per width is as given."""
-    left, right, bottom, top = limits
-    width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
-    x, y = (left + right) / 2, (bottom + top) / 2
-    return x - width / 2, x + width / 2, y - height / 2, y + height / 2

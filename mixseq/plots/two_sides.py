@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import FloatArray, IntArray
-from mixseq.plots.camera import Limits, View, broadside, shared_limits
-from mixseq.plots.colours import segmentation_colours
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.layout import Sheet, Target
+from mixseq.scene.camera import Limits, View, broadside, shared_limits
+from mixseq.scene.palettes import segmentation_colours
 
 
 def draw_segmentation(

@@ -1,13 +1,15 @@
 """Meshes as one page that plays by itself: no network, no server, no other file.
 
 The page plays poses at the times that they are given at, counted from each mesh's first one, and starts again after the
-period, as films do (`mixseq.plots.video.timing`).
+period, as films do (`mixseq.scene.timeline`).
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +17,20 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore, block_size
+from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor
-from mixseq.plots.video.timing import model_times, nearest_frames
 from mixseq.progress import Progress, silent
+from mixseq.scene import Colouring, SceneItem
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.version import __version__
 from mixseq.viewing.budget import Budget
-from mixseq.viewing.exporting import Exported, ExportedItem
-from mixseq.viewing.gathering import Gathered, gather
+from mixseq.viewing.gathering import Gathered, PageItem, gather, page_items
 from mixseq.viewing.packing import Packer
-from mixseq.viewing.streaming import pack
+from mixseq.viewing.streaming import PageItemReport, pack
 from mixseq.viewing.template import page_around_data, tags_around
 
-__all__ = ["ExportReport", "ExportSettings", "Exported", "ExportedItem", "export_page", "poses_of"]
+__all__ = ["ExportReport", "ExportSettings", "PageItem", "PageItemReport", "export_page", "page_items"]
 
 
 MOST_FRAMES = 20_000
@@ -83,37 +84,20 @@ class ExportReport:
     ----------
     size : int
         Bytes of the file.
-    items : tuple of ExportedItem
+    items : tuple of PageItemReport
         Its meshes.
     """
 
     size: int
-    items: tuple[ExportedItem, ...]
-
-
-def poses_of(
-    motion: Model | FrameStore, workers: Executor | None = None
-) -> Callable[[Float], Iterable[FloatArray]]:
-    """Return what `Exported.poses` asks for: a model is decoded at any time, of frames the nearest are taken."""
-
-    def decoded(elapsed: Float) -> Iterator[FloatArray]:
-        assert isinstance(motion, Model)
-        yield from motion.blocks(model_times(motion.header, elapsed), workers=workers)
-
-    def nearest(elapsed: Float) -> Iterator[FloatArray]:
-        assert isinstance(motion, FrameStore)
-        rows, size = nearest_frames(motion.header, elapsed), block_size(motion.header.vertex_count)
-        for start in range(0, len(rows), size):
-            yield motion.points[rows[start : start + size]]
-
-    return decoded if isinstance(motion, Model) else nearest
+    items: tuple[PageItemReport, ...]
 
 
 def export_page(
     target: Path,
-    items: Sequence[Exported],
+    items: Sequence[PageItem],
     settings: ExportSettings | None = None,
     progress: Progress = silent,
+    workers: Executor | None = None,
 ) -> ExportReport:
     """Write a page that plays meshes.
 
@@ -124,12 +108,14 @@ def export_page(
     ----------
     target : path
         The file, which is written as it comes: give a temporary one.
-    items : sequence of Exported
+    items : sequence of PageItem
         The meshes, from left to right.
     settings : ExportSettings, optional
         How.
     progress : callable, optional
         Told about every frame, twice: when it is there and when it is packed.
+    workers : Executor, optional
+        Who decodes models, by default as many threads as there are cores.
 
     Returns
     -------
@@ -151,7 +137,7 @@ def export_page(
         raise SettingsError("there is nothing to show; give a sequence or a model")
     times = [_times(item, chosen) for item in items]
     description = {
-        "title": chosen.title or ", ".join(item.name for item in items),
+        "title": chosen.title or ", ".join(each.mesh.name for each in items),
         "version": __version__,
         "overlaid": chosen.overlaid,
         "period": _period(items, times),
@@ -161,22 +147,22 @@ def export_page(
     tops = _tops(items)
     first: tuple[SequenceHeader, Gathered] | None = None
     parts = []
-    for item, elapsed in zip(items, times, strict=True):
-        gathered = gather(item, elapsed, first, budget)
-        first = first or (item.header, gathered)
-        parts.append(pack(item, elapsed, gathered, tops, budget))
+    for each, elapsed in zip(items, times, strict=True):
+        gathered = gather(each.mesh, elapsed, first, budget, workers)
+        first = first or (each.mesh.header, gathered)
+        parts.append(pack(each, elapsed, gathered, tops, budget))
     described = {**description, "items": [part.description for part in parts]}
     size = _write(target, described, [stream for part in parts for stream in part.streams])
     return ExportReport(size, tuple(part.report for part in parts))
 
 
-def _times(item: Exported, settings: ExportSettings) -> Float:
+def _times(item: PageItem, settings: ExportSettings) -> Float:
     """Return the times ``(n,)`` whose poses are stored."""
-    elapsed = np.asarray(item.elapsed, dtype=np.float64).reshape(-1)
+    elapsed = np.asarray(item.mesh.elapsed, dtype=np.float64).reshape(-1)
     if not (elapsed.size and np.isfinite(elapsed).all() and elapsed[0] >= 0 and (np.diff(elapsed) > 0).all()):
-        raise SettingsError(f"the times of {item.name} are not numbers from zero on that increase")
+        raise SettingsError(f"the times of {item.mesh.name} are not numbers from zero on that increase")
     if not item.colourings:
-        raise SettingsError(f"{item.name} has no colours; clay at least is needed")
+        raise SettingsError(f"{item.mesh.name} has no colours; clay at least is needed")
     if settings.fps is not None:
         # the last one may be missed by what rounding does to times
         count = np.floor(elapsed[-1] * settings.fps + 1e-6) + 1
@@ -187,23 +173,23 @@ def _times(item: Exported, settings: ExportSettings) -> Float:
     return np.asarray(chosen)
 
 
-def _check_count(item: Exported, count: float) -> None:
+def _check_count(item: PageItem, count: float) -> None:
     if count > MOST_FRAMES:
         raise SettingsError(
-            f"{item.name} would have {count:,.0f} frames, a page has at most {MOST_FRAMES:,}; give a lower --fps, or "
-            "--every 2"
+            f"{item.mesh.name} would have {count:,.0f} frames, a page has at most {MOST_FRAMES:,}; give a lower "
+            "--fps, or --every 2"
         )
 
 
-def _period(items: Sequence[Exported], times: Sequence[Float]) -> float:
+def _period(items: Sequence[PageItem], times: Sequence[Float]) -> float:
     """Return the seconds after which everything starts again: the longest one's, and one frame; 0 if nothing moves."""
     return max(
-        float(item.elapsed[-1]) + 1 / item.header.fps if len(elapsed) > 1 else 0.0
-        for item, elapsed in zip(items, times, strict=True)
+        float(each.mesh.elapsed[-1]) + 1 / each.mesh.header.fps if len(elapsed) > 1 else 0.0
+        for each, elapsed in zip(items, times, strict=True)
     )
 
 
-def _tops(items: Sequence[Exported]) -> dict[str, float]:
+def _tops(items: Sequence[PageItem]) -> dict[str, float]:
     """Return where the scale of each colouring ends: the same for all meshes."""
     tops: dict[str, float] = {}
     for item in items:
@@ -224,3 +210,46 @@ def _write(target: Path, description: Mapping[str, Any], streams: Sequence[Packe
             file.write(closing)
         file.write(after.encode())
         return file.tell()
+
+
+# Former names, for one more version -----------------------------------------------------------------------
+
+Poses = Callable[[Float], Iterable[FloatArray]]
+"""Takes times ``(n,)`` since the first frame, yields points ``(B, V, 3)`` in blocks."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Given(SceneItem):
+    """A mesh whose poses and times are what a caller of `Exported` gave."""
+
+    given: Poses
+    times: Float
+
+    @property
+    def elapsed(self) -> Float:
+        """The times that were given."""
+        return self.times
+
+    def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
+        """Yield what was given."""
+        yield from self.given(elapsed)
+
+
+def Exported(  # noqa: N802 - a class before
+    name: str,
+    header: SequenceHeader,
+    poses: Poses,
+    elapsed: Float,
+    colourings: Mapping[str, Colouring],
+    signals: Mapping[str, Any] | None = None,
+) -> PageItem:
+    """Make a `PageItem` as `Exported` was made before."""
+    warnings.warn("Exported is now PageItem(SceneItem(name, motion), colourings)", DeprecationWarning, 2)
+    motion = FrameStore(header, np.zeros((0, header.vertex_count, 3)))
+    return PageItem(_Given(name, motion, poses, elapsed), colourings, signals)
+
+
+def poses_of(motion: Model | FrameStore, workers: Executor | None = None) -> Poses:
+    """Return `SceneItem.poses` of a motion, as it was called before."""
+    warnings.warn("poses_of(motion) is now SceneItem(name, motion).poses", DeprecationWarning, 2)
+    return partial(SceneItem("", motion).poses, workers=workers)

@@ -14,24 +14,24 @@ from typing import Self
 
 from mixseq.arrays import Single
 from mixseq.errors import MixseqError, ReconstructionError
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.threads import one_blas_thread
-from mixseq.viewing.shown import Item, Shot
 
 MEMORY = 1 << 30
 """Bytes of frames that are kept."""
 
-Key = tuple[Item, float]
+Key = tuple[SceneItem, float]
 
 
 @dataclass(frozen=True)
 class _Wish:
-    shot: Shot
+    scene: Scene
     frame: int
     ahead: bool
 
 
 class Frames:
-    """Frames of shots, decoded in the background.
+    """Frames of scenes, decoded in the background.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ class Frames:
         for thread in self._threads:
             thread.join()
 
-    def want(self, shot: Shot, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
+    def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
         """Ask for a frame.
 
         Parameters
         ----------
-        shot : Shot
+        scene : Scene
             What is shown.
         frame : int
             Which frame of it.
@@ -92,12 +92,12 @@ class Frames:
         MixseqError
             If one of them cannot be decoded.
         """
-        elapsed = shot.elapsed(frame)
+        elapsed = scene.elapsed(frame)
         with self._changed:
-            self._wish = _Wish(shot, frame, ahead)
+            self._wish = _Wish(scene, frame, ahead)
             self._changed.notify_all()
             poses = []
-            for item in shot.items:
+            for item in scene.items:
                 key = item, elapsed
                 pose = self._kept.get(key)
                 if pose is None:
@@ -136,19 +136,19 @@ class Frames:
         """Return what to decode: the pose that is wanted, or the first one after it that is not there."""
         if self._wish is None:
             return None
-        shot, first = self._wish.shot, self._wish.frame
-        for step in range(self._horizon(shot) if self._wish.ahead else 1):
-            elapsed = shot.elapsed((first + step) % shot.count)
-            for item in shot.items:
+        scene, first = self._wish.scene, self._wish.frame
+        for step in range(self._horizon(scene) if self._wish.ahead else 1):
+            elapsed = scene.elapsed((first + step) % scene.count)
+            for item in scene.items:
                 key = item, elapsed
                 if key not in self._kept and key not in self._busy:
                     return key
         return None
 
-    def _horizon(self, shot: Shot) -> int:
+    def _horizon(self, scene: Scene) -> int:
         """Return how many frames fit into three quarters of the memory."""
-        size = sum(12 * item.header.vertex_count for item in shot.items)
-        return max(1, min(shot.count, 3 * self._memory // (4 * size)))
+        size = sum(12 * item.header.vertex_count for item in scene.items)
+        return max(1, min(scene.count, 3 * self._memory // (4 * size)))
 
     def _keep(self, key: Key, found: Single | MixseqError) -> None:
         self._kept[key] = found

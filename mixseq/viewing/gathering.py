@@ -1,23 +1,97 @@
-"""The poses of a mesh of a page, asked for once and kept, and where they are."""
+"""The meshes of a page, and their poses: asked for once and kept, where they are, and what they cover on the screen."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, FloatArray
 from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
-from mixseq.plots.camera import View, broadside, y_up
+from mixseq.mapping import Executor
+from mixseq.scene import Colouring, SceneColours, SceneItem
+from mixseq.scene.camera import View, broadside, y_up
 from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.budget import Budget
-from mixseq.viewing.exporting import Exported
-from mixseq.viewing.framing import Extent, extent_of
+from mixseq.viewing.signals import signals_of
 
 TOGETHER = 2.0
 """Meshes with the same triangles are compared at one scale, unless the box around them is more than so many times as
 large as the smaller one; ours. Metres beside centimetres would be a dot."""
+
+
+@dataclass(frozen=True, eq=False)
+class PageItem:
+    """A mesh in a page, which has the poses of its own frames.
+
+    Attributes
+    ----------
+    mesh : SceneItem
+        What moves.
+    colourings : mapping of str to Colouring
+        What colours may show, the first one first.
+    signals : mapping, optional
+        The signals of a model, for its charts (`mixseq.viewing.signals.signals_of`).
+    """
+
+    mesh: SceneItem
+    colourings: Mapping[str, Colouring]
+    signals: Mapping[str, Any] | None = None
+
+
+def page_items(colours: SceneColours) -> list[PageItem]:
+    """Return the meshes of a scene with all colours that they can have, and the charts of models."""
+    return [
+        PageItem(item, colours.each(index), signals_of(item.model) if item.model is not None else None)
+        for index, item in enumerate(colours.scene.items)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where a mesh is in all its poses, Y up.
+
+    Attributes
+    ----------
+    low, high : (3,) float
+        Corners of its bounding box.
+    seen : (views, 5) float
+        Left, right, bottom and top on the screen of each view, whose middle is the origin of space, and the bottom of
+        what is at height zero below the mesh.
+    """
+
+    low: Float
+    high: Float
+    seen: Float
+
+    @property
+    def centre(self) -> Float:
+        """Middle of the bounding box."""
+        return np.asarray((self.low + self.high) / 2)
+
+    @property
+    def side(self) -> float:
+        """Longest side of the bounding box."""
+        return float((self.high - self.low).max())
+
+    def joined(self, other: Extent | None) -> Extent:
+        """Return what holds both."""
+        if other is None:
+            return self
+        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        nearer, farther = np.minimum(self.seen, other.seen), np.maximum(self.seen, other.seen)
+        return Extent(low, high, np.where([True, False, True, False, True], nearer, farther))
+
+    def rectangles(self, views: Sequence[View]) -> Float:
+        """Return left, right, bottom and top ``(views, 4)`` of the mesh and of its shadow on the ground."""
+        floors = [
+            view.rows[1, 1] * self.low[1] + seen[4] for view, seen in zip(views, self.seen, strict=True)
+        ]
+        left, right, bottom, top, _ = self.seen.T
+        return np.stack([left, right, np.minimum(bottom, floors), top], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +117,17 @@ class Gathered:
 
 
 def gather(
-    item: Exported, elapsed: Float, first: tuple[SequenceHeader, Gathered] | None, budget: Budget
+    item: SceneItem,
+    elapsed: Float,
+    first: tuple[SequenceHeader, Gathered] | None,
+    budget: Budget,
+    workers: Executor | None = None,
 ) -> Gathered:
     """Ask for the poses of a mesh once.
 
     Parameters
     ----------
-    item : Exported
+    item : SceneItem
         The mesh.
     elapsed : (n,) float64
         Times of its poses.
@@ -57,6 +135,8 @@ def gather(
         The first mesh of the page; None for itself.
     budget : Budget
         Told about all frames.
+    workers : Executor, optional
+        Who decodes.
 
     Raises
     ------
@@ -69,7 +149,7 @@ def gather(
     table: LargeArray | None = None
     extent: Extent | None = None
     done = 0
-    for block in item.poses(elapsed):
+    for block in item.poses(elapsed, workers):
         check_block(header, block, done)
         if done + len(block) > len(elapsed):
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
@@ -85,6 +165,19 @@ def gather(
         raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
     like_first = same and (first is None or _together(extent, first[1].extent))
     return Gathered(table, extent, views, like_first)
+
+
+def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:
+    """Return the extent of poses ``(B, V, 3)``, Y up, in some views."""
+    seen = []
+    for view in views:
+        right, up, _ = view.rows
+        # sums in a fixed order: a page has the same bytes on every machine
+        x, y, z = world[..., 0], world[..., 1], world[..., 2]
+        across, flat = x * right[0] + z * right[2], x * up[0] + z * up[2]
+        above = flat + y * up[1]
+        seen.append([across.min(), across.max(), above.min(), above.max(), flat.min()])
+    return Extent(world.min(axis=(0, 1)), world.max(axis=(0, 1)), np.array(seen))
 
 
 def _together(one: Extent, other: Extent) -> bool:

@@ -15,9 +15,9 @@ from typing import Protocol, Self
 
 from mixseq.arrays import Single
 from mixseq.errors import MixseqError
+from mixseq.scene.items import Scene
 from mixseq.viewing.clock import Clock
 from mixseq.viewing.frames import MEMORY, Frames
-from mixseq.viewing.shown import Shot
 
 PATIENCE = 0.25
 """Seconds after which a frame counts as drawn, though nobody said so."""
@@ -43,7 +43,7 @@ class Moment:
 
     Attributes
     ----------
-    shot : Shot
+    scene : Scene
         What is shown.
     frame : int
         Which frame of it.
@@ -51,17 +51,17 @@ class Moment:
         The points of its items.
     """
 
-    shot: Shot
+    scene: Scene
     frame: int
     poses: tuple[Single, ...]
 
 
 class Playback:
-    """Plays a shot on a stage.
+    """Plays a scene on a stage.
 
     Parameters
     ----------
-    shot : Shot
+    scene : Scene
         What is shown.
     stage : Stage
         What draws it.
@@ -75,18 +75,18 @@ class Playback:
 
     def __init__(
         self,
-        shot: Shot,
+        scene: Scene,
         stage: Stage,
         failed: Callable[[Exception], None],
         threads: int = 2,
         memory: int = MEMORY,
     ) -> None:
-        self._shot = shot
+        self._shot = scene
         self._stage = stage
         self._failed = failed
-        self._clock = Clock(shot.count, shot.fps)
+        self._clock = Clock(scene.count, scene.fps)
         self._settled = True
-        self._shown: tuple[Shot, int] | None = None
+        self._shown: tuple[Scene, int] | None = None
         self._stale = False
         self._sent = 0.0
         self._closed = False
@@ -110,7 +110,7 @@ class Playback:
         self._frames.close()
 
     @property
-    def shot(self) -> Shot:
+    def scene(self) -> Scene:
         """What is shown."""
         return self._shot
 
@@ -159,19 +159,19 @@ class Playback:
         with self._changed:
             self.change(replace(self._shot, rate=fps))
 
-    def change(self, shot: Shot, settled: bool = True) -> None:
+    def change(self, scene: Scene, settled: bool = True) -> None:
         """Show something else at the same time.
 
         Parameters
         ----------
-        shot : Shot
+        scene : Scene
             What.
         settled : bool
             Whether it will stay, so that its other frames are worth decoding.
         """
         with self._changed:
-            self._clock = self._clock.over(shot.count, shot.fps, monotonic())
-            self._shot, self._settled = shot, settled
+            self._clock = self._clock.over(scene.count, scene.fps, monotonic())
+            self._shot, self._settled = scene, settled
             self._changed.notify_all()
 
     def refresh(self) -> None:
@@ -193,7 +193,7 @@ class Playback:
             self._changed.notify_all()
 
     def _run(self) -> None:
-        awaited: tuple[Shot, int] | None = None
+        awaited: tuple[Scene, int] | None = None
         while True:
             with self._changed:
                 if self._closed:
@@ -209,13 +209,13 @@ class Playback:
                     awaited = None
                     self._changed.wait(self._clock.next_at(now) if self._clock.runs else IDLE)
                     continue
-                shot, frame = awaited
+                scene, frame = awaited
                 ahead = self._settled
                 try:
-                    poses = self._frames.want(shot, frame, ahead)
+                    poses = self._frames.want(scene, frame, ahead)
                 except MixseqError as error:
                     self._clock = self._clock.stopped(now)
-                    self._shown, awaited = (shot, frame), None
+                    self._shown, awaited = (scene, frame), None
                     failure: MixseqError | None = error
                 else:
                     failure = None
@@ -229,7 +229,7 @@ class Playback:
             assert poses is not None
             self._sent = monotonic()
             try:
-                self._stage.show(Moment(shot, frame, poses))
+                self._stage.show(Moment(scene, frame, poses))
             except (
                 Exception
             ) as error:  # scales of colours look at frames of their own; or a bug, but playing goes on
@@ -239,6 +239,6 @@ class Playback:
                 self._failed(error)
             with self._changed:
                 # whether it was asked for again while it was sent, maybe in the colours of before
-                self._shown = None if self._stale else (shot, frame)
+                self._shown = None if self._stale else (scene, frame)
                 self._changed.notify_all()
             awaited = None

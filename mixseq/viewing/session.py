@@ -17,10 +17,10 @@ from typing import Protocol, Self
 from mixseq.arrays import Float
 from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.operations import retime
+from mixseq.scene.items import Scene
 from mixseq.signals import Model
 from mixseq.viewing.history import History
 from mixseq.viewing.playback import Playback
-from mixseq.viewing.shown import Shot
 
 Edit = Callable[[Model], Model]
 
@@ -67,7 +67,7 @@ class _Job:
 
 
 class Session:
-    """Editing of the models of a shot.
+    """Editing of the models of a scene.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Session:
         self._save = save
         self._histories = {
             index: History.of(item.motion)
-            for index, item in enumerate(playback.shot.items)
+            for index, item in enumerate(playback.scene.items)
             if isinstance(item.motion, Model)
         }
         self._saved: dict[int, Model] = {}
@@ -114,7 +114,7 @@ class Session:
 
     @property
     def editable(self) -> list[int]:
-        """Which items of the shot are models."""
+        """Which items of the scene are models."""
         return list(self._histories)
 
     @property
@@ -136,7 +136,7 @@ class Session:
     def unsaved(self) -> dict[str, Model]:
         """The models that were edited and are in no file, by name."""
         return {
-            self._playback.shot.items[index].name: history.model
+            self._playback.scene.items[index].name: history.model
             for index, history in self._histories.items()
             if history.changed and self._saved.get(index) is not history.model
         }
@@ -224,22 +224,22 @@ class Session:
                 job = self._jobs.popleft()
             try:
                 history = job.change(self._histories[job.index])
-                shot = self._playback.shot.with_item(job.index, history.model).checked()
+                scene = self._playback.scene.with_item(job.index, history.model).checked()
             except Exception as error:
                 model = self._histories[job.index].model
-                self._playback.change(self._playback.shot.with_item(job.index, model))
+                self._playback.change(self._playback.scene.with_item(job.index, model))
                 if not job.preview:  # the mouse goes on, and the last word is told
                     self._fail(job.name, error)
             else:
-                self._see(job, history, shot)
+                self._see(job, history, scene)
 
-    def _see(self, job: _Job, history: History, shot: Shot) -> None:
+    def _see(self, job: _Job, history: History, scene: Scene) -> None:
         if job.preview:
-            self._playback.change(shot, settled=False)
+            self._playback.change(scene, settled=False)
             self._playback.caught_up(PATIENCE)
             return
         self._histories[job.index] = history
-        self._playback.change(shot)
+        self._playback.change(scene)
         try:
             self._told.edited(self)
         except Exception as error:

@@ -6,32 +6,51 @@ Positions are stored in 16 bits. Of poses :math:`x_{tv}` in a box with the middl
     q_{tv} = \left[ (x_{tv} - c) / s \right] \in [-32767, 32767]^3, \qquad s = a / 65534,
 
 with :math:`[\cdot]` the nearest integers, so that no coordinate is off by more than s / 2. Numbers that colours show
-are stored in 8 bits, as places in a palette (`mixseq.viewing.colouring`). `packing` makes text of both.
+are stored in 8 bits, as places in a palette (`mixseq.scene.colouring`). `packing` makes text of both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.frame_store import blocks_of
-from mixseq.plots.camera import y_up
+from mixseq.scene.camera import y_up
+from mixseq.scene.colouring import Colouring
 from mixseq.viewing.budget import Budget
-from mixseq.viewing.exporting import Exported, ExportedItem
-from mixseq.viewing.gathering import Gathered
+from mixseq.viewing.gathering import Gathered, PageItem
 from mixseq.viewing.packing import Packer, Unsigned
 from mixseq.viewing.template import script_json, tags_around
 
-if TYPE_CHECKING:
-    from mixseq.viewing.colouring import Colouring
-
-
 FARTHEST = 32767
 """The largest of the integers that stand for positions."""
+
+
+@dataclass(frozen=True)
+class PageItemReport:
+    """What became of a mesh in a page.
+
+    Attributes
+    ----------
+    name : str
+        What stands above it.
+    frames : int
+        Stored poses.
+    error : float
+        No coordinate is off by more, in units of the mesh.
+    positions, colours : int
+        Characters of the file that its positions and its colours take.
+    """
+
+    name: str
+    frames: int
+    error: float
+    positions: int
+    colours: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,17 +63,17 @@ class Packed:
         What the page must know, as JSON takes it.
     streams : list of Packer
         Triangles, positions, and each of the colourings.
-    report : ExportedItem
+    report : PageItemReport
         What is told of it.
     """
 
     description: dict[str, Any]
     streams: list[Packer]
-    report: ExportedItem
+    report: PageItemReport
 
 
 def pack(
-    item: Exported,
+    shown: PageItem,
     elapsed: Float,
     gathered: Gathered,
     tops: Mapping[str, float],
@@ -67,13 +86,13 @@ def pack(
     SettingsError
         If the page becomes too large.
     """
-    header, extent = item.header, gathered.extent
+    item, header, extent = shown.mesh, shown.mesh.header, gathered.extent
     step = (extent.side or 1.0) / (2 * FARTHEST)
     colourings = [
         colouring if colouring.constant else colouring.scaled(tops[name])
-        for name, colouring in item.colourings.items()
+        for name, colouring in shown.colourings.items()
     ]
-    description = _description(item, elapsed, gathered, step, colourings)
+    description = _description(shown, elapsed, gathered, step, colourings)
     faces, positions = Packer(3 * len(header.faces), np.uint32), Packer(3 * header.vertex_count, np.uint16)
     colours = [Packer(header.vertex_count, np.uint8) for _ in colourings]
     packers = [faces, positions, *colours]
@@ -99,14 +118,14 @@ def pack(
         packer.finish()
     budget.packed(0, sum(packer.size for packer in packers) - size)
     budget.described(sum(len(text) for packer in packers for text in tags_around(packer)))
-    report = ExportedItem(item.name, done, step / 2, positions.size, sum(packer.size for packer in colours))
+    report = PageItemReport(item.name, done, step / 2, positions.size, sum(packer.size for packer in colours))
     return Packed(description, packers, report)
 
 
 def _description(
-    item: Exported, elapsed: Float, gathered: Gathered, step: float, colourings: Sequence[Colouring]
+    shown: PageItem, elapsed: Float, gathered: Gathered, step: float, colourings: Sequence[Colouring]
 ) -> dict[str, Any]:
-    extent, views = gathered.extent, gathered.views
+    item, extent, views = shown.mesh, gathered.extent, gathered.views
     return {
         "name": item.name,
         "vertices": item.header.vertex_count,
@@ -130,7 +149,7 @@ def _description(
             }
             for colouring in colourings
         ],
-        "signals": item.signals,
+        "signals": shown.signals,
     }
 
 

@@ -20,7 +20,8 @@ import mixseq
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
 from mixseq.plots import CLAY
-from mixseq.plots.video.film import FilmSettings, Shown, film
+from mixseq.plots.video.film import FilmSettings, film
+from mixseq.scene import SceneItem
 from mixseq.topology import Topology
 from scripts.benchmarks.common.inbetween import Motion, part, vertex_spline
 from scripts.paper_study.common.pictures import Panel, gallery
@@ -68,7 +69,7 @@ def show(name: str, path: Path, folder: Path) -> None:
     names = ("vertex spline", "mixseq")
     film(
         folder / f"{name}.webp",
-        [Shown(*pair) for pair in zip(names, sides, strict=True)],
+        [SceneItem(*pair) for pair in zip(names, sides, strict=True)],
         FilmSettings(size=(960, 480)),
     )
 

@@ -19,11 +19,11 @@ import numpy as np
 import mixseq
 from mixseq.frame_store import frame_store
 from mixseq.mapping import thread_count
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
 from mixseq.viewing.live.stage import LiveStage
-from mixseq.viewing.painting import Paint
 from mixseq.viewing.playback import Moment, Playback
-from mixseq.viewing.shown import Item, Shot
 from scripts.benchmarks.common.animations import animation
 
 NAMES = ("q_wolf_gallop", "horse_gallop", "elephant_gallop")
@@ -54,16 +54,16 @@ def main() -> int:
     )
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
     for name in sys.argv[1:] or NAMES:
-        item = Item(name, mixseq.fit(animation(name)))
-        row(item, rounds(Shot((item,))))
-    row(Item("sheet, not a model", frame_store(sheet())), ["", "", ""])
+        item = SceneItem(name, mixseq.fit(animation(name)))
+        row(item, rounds(Scene((item,))))
+    row(SceneItem("sheet, not a model", frame_store(sheet())), ["", "", ""])
     return 0
 
 
-def rounds(shot: Shot) -> list[str]:
-    """Play a shot and return the share of its frames that was seen in every round."""
-    watch, period = Watch(), shot.count / shot.fps
-    with Playback(shot, watch, lambda error: None, threads=thread_count()) as playback:
+def rounds(scene: Scene) -> list[str]:
+    """Play a scene and return the share of its frames that was seen in every round."""
+    watch, period = Watch(), scene.count / scene.fps
+    with Playback(scene, watch, lambda error: None, threads=thread_count()) as playback:
         playback.caught_up(60.0)
         begin = time.monotonic()
         playback.play()
@@ -71,10 +71,10 @@ def rounds(shot: Shot) -> list[str]:
     seen = [
         {frame for at, frame in watch.shown if 0 <= at - begin - k * period < period} for k in range(ROUNDS)
     ]
-    return [f"{len(frames)} of {shot.count}" for frames in seen]
+    return [f"{len(frames)} of {scene.count}" for frames in seen]
 
 
-def row(item: Item, shares: list[str]) -> None:
+def row(item: SceneItem, shares: list[str]) -> None:
     """Print what was seen, and measure what sending takes."""
     times = [f"{1000 * sending(item, colour):.1f} ms" for colour in COLOURS]
     cells = (
@@ -87,16 +87,16 @@ def row(item: Item, shares: list[str]) -> None:
     print("| " + " | ".join(cells) + " |", flush=True)
 
 
-def sending(item: Item, colour: str) -> float:
+def sending(item: SceneItem, colour: str) -> float:
     """Return the seconds that the scene takes for a frame, the median of some."""
     from viser import ViserServer
 
-    shot = Shot((item,))
+    scene = Scene((item,))
     with redirect_stdout(StringIO()):
         server = ViserServer("127.0.0.1", 8500, verbose=False)
-        stage = LiveStage(server, Paint(shot), "standard", False, lambda moment: None)
+        stage = LiveStage(server, SceneColours(scene), "standard", False, lambda moment: None)
         stage.colour(colour)
-        moments = [Moment(shot, frame, (item.pose(shot.elapsed(frame)),)) for frame in shot.spread(24)]
+        moments = [Moment(scene, frame, (item.pose(scene.elapsed(frame)),)) for frame in scene.spread(24)]
         stage.show(moments[0])  # works out the colours
         seconds = []
         for moment in moments:

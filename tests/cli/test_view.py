@@ -27,10 +27,10 @@ import mixseq
 import mixseq.cli.view as module
 from mixseq.errors import OutputError
 from mixseq.mapping import thread_count
+from mixseq.scene.colours import SceneColours
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.viewing import live
-from mixseq.viewing.painting import Paint
 from mixseq.viewing.session import Save
 
 Run = Callable[..., Result]
@@ -161,7 +161,7 @@ class Room:
         self.unsaved: dict[str, Model] = {}
         self.opened: list[str] = []
         self.ended = False
-        self.paint: Paint
+        self.colours: SceneColours
         self.settings: live.ViewSettings
         self.save: Save
         monkeypatch.setattr(live, "viewer", self._viewer)
@@ -169,8 +169,8 @@ class Room:
         monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: self))
 
     @contextmanager
-    def _viewer(self, paint: Paint, settings: live.ViewSettings, save: Any) -> Iterator[Any]:
-        self.paint, self.settings, self.save = paint, settings, save
+    def _viewer(self, colours: SceneColours, settings: live.ViewSettings, save: Any) -> Iterator[Any]:
+        self.colours, self.settings, self.save = colours, settings, save
         try:
             yield SimpleNamespace(
                 address="http://127.0.0.1:8080", session=SimpleNamespace(unsaved=self.unsaved)
@@ -207,10 +207,10 @@ def test_what_is_shown(run: Run, room: Room) -> None:
         "30",
         "--no-browser",
     )
-    shot = room.paint.shot
-    assert [item.name for item in shot.items] == ["bar.npz", "model.h5", "bar.usdc"]
-    assert [isinstance(item.motion, Model) for item in shot.items] == [False, True, False]
-    assert (shot.fps, "error" in room.paint.names) == (30, True)
+    scene = room.colours.scene
+    assert [item.name for item in scene.items] == ["bar.npz", "model.h5", "bar.usdc"]
+    assert [isinstance(item.motion, Model) for item in scene.items] == [False, True, False]
+    assert (scene.fps, "error" in room.colours.names) == (30, True)
 
 
 def test_defaults(run: Run, room: Room, folder: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.plots import JOINT_RED, part_colours, segmentation_colours
-from mixseq.plots.colours import viridis
 from mixseq.plots.shading import shade
+from mixseq.scene.palettes import viridis
 
 
 def test_part_colours_are_colours_and_do_not_depend_on_their_number() -> None:

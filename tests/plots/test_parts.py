@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.plots.colours import JOINT_RED, part_colours
 from mixseq.plots.parts import LISTED, _number_places, draw_parts, draw_parts_legend, legend_rows
+from mixseq.scene.palettes import JOINT_RED, part_colours
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from tests.meshes import grid

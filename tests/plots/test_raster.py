@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.plots import View, broadside, shared_limits
-from mixseq.plots.camera import Limits
 from mixseq.plots.raster import blank, render_mesh
+from mixseq.scene.camera import Limits
 from mixseq.sequence import MeshSequence
 from tests.meshes import torus
 

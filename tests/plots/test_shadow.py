@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.plots.camera import View
 from mixseq.plots.shadow import ground_shadow
+from mixseq.scene.camera import View
 
 LIMITS = (-2.0, 2.0, -1.0, 1.0)
 TILE = np.array([[-0.02, 0, -0.01], [-0.02, 0, 0.01], [0.04, 0, 0]])

@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 
 import mixseq.plots.video.encoding as encoding
+from mixseq.arrays import Float
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
 from mixseq.mapping import on_threads, serially
-from mixseq.plots.measures import MEASURES
 from mixseq.plots.raster import Picture, blank
-from mixseq.plots.video import FilmSettings, Shown, check_film, film, film_format
+from mixseq.plots.video import FilmSettings, check_film, film, film_format
 from mixseq.plots.video.av1 import scene_lengths
-from mixseq.plots.video.colouring import Change, Error
+from mixseq.plots.video.backdrop import backdrop_of, panels_of
 from mixseq.plots.video.encoding import encode_film
 from mixseq.plots.video.mp4 import read_track
-from mixseq.plots.video.page import page_of, panels_of
-from mixseq.plots.video.scene import cameras_of
-from mixseq.plots.video.timing import film_times, nearest_frames, track_of_model, track_of_sequence
+from mixseq.plots.video.panels import cameras_of
+from mixseq.scene import SceneItem
+from mixseq.scene.colouring import colouring_of
+from mixseq.scene.items import DecodedItem
+from mixseq.scene.measures import MEASURES
+from mixseq.scene.timeline import film_times, nearest_frames
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 
@@ -41,6 +44,10 @@ def opened(path: Path) -> list[Picture]:
         return frames
 
 
+def decoded(motion: MeshSequence | Model, times: Float) -> DecodedItem:
+    return SceneItem("", motion).decode(times)
+
+
 def still(sequence: MeshSequence) -> MeshSequence:
     return MeshSequence.from_arrays(sequence.points[:1], sequence.faces, name="still")
 
@@ -52,7 +59,7 @@ def test_a_film_has_the_frames_of_its_sequence(gem: MeshSequence) -> None:
     times, fps = film_times([gem.header])
     assert fps == 24
     assert np.allclose(times, gem.times)
-    assert track_of_sequence(gem, times).pose_of_frame.tolist() == list(range(9))
+    assert decoded(gem, times).pose_of_frame.tolist() == list(range(9))
 
 
 def test_it_starts_again_when_the_longest_ends(gem: MeshSequence) -> None:
@@ -82,7 +89,7 @@ def test_films_have_some_frames(gem: MeshSequence, fps: float, seconds: float | 
 def test_models_are_decoded_at_the_times_of_the_film(gem: MeshSequence) -> None:
     model = fit(gem, space="vertex", exact=True)
     times, _ = film_times([model.header], fps=48, seconds=36 / 48)
-    track = track_of_model(model, times)
+    track = decoded(model, times)
     assert len(track.poses) == 17  # twice around; nothing is after the last frame
     assert np.allclose(track.pose(3), model(3 / 48))
     assert np.array_equal(track.pose(17), track.pose(16))
@@ -94,7 +101,7 @@ def test_models_are_decoded_at_the_times_of_the_film(gem: MeshSequence) -> None:
 
 
 def test_the_camera_turns_and_holds_all(gem: MeshSequence) -> None:
-    track = track_of_sequence(gem, np.zeros(8))
+    track = decoded(gem, np.zeros(8))
     (camera,) = cameras_of([track], 8, 360)
     assert camera.at(0.25).azimuth == camera.view.azimuth + 90
     left, right, *_ = camera.limits
@@ -108,7 +115,7 @@ def test_the_camera_turns_and_holds_all(gem: MeshSequence) -> None:
 def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -> None:
     larger = MeshSequence.from_arrays(3 * gem.points, gem.faces)
     other = MeshSequence.from_arrays(gem.points, gem.faces[:, ::-1])
-    tracks = [track_of_sequence(each, gem.times) for each in (gem, larger, other)]
+    tracks = [decoded(each, gem.times) for each in (gem, larger, other)]
     first, second, third = cameras_of(tracks, 9, 0)
     assert first is second
     assert third.limits[1] < first.limits[1] / 2
@@ -116,7 +123,7 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
 
 def test_cameras_are_in_the_middle_of_what_is_far_away(gem: MeshSequence) -> None:
     away = MeshSequence.from_arrays(gem.points + np.array([100, 5, -40]), gem.faces)
-    here, there = (cameras_of([track_of_sequence(each, gem.times)], 9, 90)[0] for each in (gem, away))
+    here, there = (cameras_of([decoded(each, gem.times)], 9, 90)[0] for each in (gem, away))
     assert np.allclose(here.limits, there.limits)
     assert np.allclose(there.centre - here.centre, [100, 5, -40])
 
@@ -140,7 +147,7 @@ def test_too_many_panels_are_refused() -> None:
 
 def test_names_stay_in_their_panels() -> None:
     panels = panels_of(2, 200, 100, 1.0, True, False)
-    page = page_of(200, 100, panels, ["", "a name that is much longer than its panel"])
+    page = backdrop_of(200, 100, panels, ["", "a name that is much longer than its panel"])
     dark = np.asarray((page < 200).any(axis=2))
     assert dark.any()
     assert not dark[:, :100].any()
@@ -155,31 +162,35 @@ def test_changes_are_since_the_first_frame(gem: MeshSequence, colour: str) -> No
     squeezed = MeshSequence.from_arrays(
         gem.points * np.linspace(1, 0.5, 9)[:, None, None] ** [0, 1, 0], gem.faces
     )
-    track = track_of_sequence(squeezed, squeezed.times[3:])
-    change = Change.of(track, colour)
-    assert np.array_equal(change.measure(track.pose(0)), np.zeros(6))
+    track = decoded(squeezed, squeezed.times[3:])
+    change = colouring_of(colour, gem.header, track.pose(0))  # type: ignore[arg-type]
+    part = 100 if colour == "strain" else 1  # percent
+    assert change.measure is not None
+    assert np.array_equal(change.measure(track.pose(0), 0), np.zeros(6))
     for frame in (0, 5):
-        expected = MEASURES[colour].of(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
-        assert np.array_equal(change(track.pose(frame), frame), expected)
-        assert change.largest(expected) == np.quantile(expected, 0.99)
+        expected = part * MEASURES[colour].of(squeezed.points[3], gem.faces)(squeezed.points[3 + frame])
+        assert np.array_equal(change.measure(track.pose(frame), frame), expected)
+        assert change.reached(track.pose(frame), frame) == np.quantile(expected, 0.99)
 
 
 def test_errors_are_in_diagonals(gem: MeshSequence) -> None:
-    track = track_of_sequence(gem, gem.times)
-    error = Error.of(track, track, "gem")
-    assert np.allclose(error(track.pose(3) + np.array([gem.diagonal, 0, 0]), 3), 1)
+    item = SceneItem("gem", gem)
+    error = colouring_of("error", gem.header, gem.points[0], original=item.exact_pose)
+    assert error.measure is not None
+    moved = gem.points[3] + np.array([gem.diagonal, 0, 0])
+    assert np.allclose(error.measure(moved, gem.times[3]), 1)
 
 
 def test_errors_need_one_mesh(gem: MeshSequence, tmp_path: Path) -> None:
     other = MeshSequence.from_arrays(gem.points, gem.faces[:7], name="cut")
     with pytest.raises(SettingsError, match=r"cut has 7 triangles .* errors need one mesh"):
-        film(tmp_path / "a.gif", [Shown("", other)], FilmSettings(colour="error"), gem)
+        film(tmp_path / "a.gif", [SceneItem("", other)], FilmSettings(colour="error"), gem)
 
 
 def test_errors_need_the_same_times(gem: MeshSequence, tmp_path: Path) -> None:
     late = MeshSequence.from_arrays(gem.points, gem.faces, times=gem.times + 1)
     with pytest.raises(SettingsError, match="late begins at 1 s, the original at 0 s"):
-        film(tmp_path / "a.gif", [Shown("late", late)], FilmSettings(colour="error"), gem)
+        film(tmp_path / "a.gif", [SceneItem("late", late)], FilmSettings(colour="error"), gem)
 
 
 # Files
@@ -191,7 +202,7 @@ def test_the_same_bytes_on_any_number_of_threads(gem: MeshSequence, tmp_path: Pa
         pytest.skip("no AV1 encoder here")
     settings = FilmSettings(size=(96, 64), turn=360, colour="strain")
     for name, workers in (("one", serially), ("three", on_threads(3))):
-        film(tmp_path / f"{name}.{extension}", [Shown("gem", gem)], settings, workers=workers)
+        film(tmp_path / f"{name}.{extension}", [SceneItem("gem", gem)], settings, workers=workers)
     one, three = ((tmp_path / f"{name}.{extension}").read_bytes() for name in ("one", "three"))
     assert one == three
 
@@ -202,7 +213,7 @@ def test_poses_on_disk_make_the_same_film(
     model = fit(gem, space="vertex", exact=True)
     for name, most in (("memory", 1 << 28), ("disk", 0)):
         monkeypatch.setattr("mixseq.disk_array.IN_MEMORY", most)
-        film(tmp_path / f"{name}.gif", [Shown("", model)], SMALL, workers=on_threads(2))
+        film(tmp_path / f"{name}.gif", [SceneItem("", model)], SMALL, workers=on_threads(2))
     assert (tmp_path / "memory.gif").read_bytes() == (tmp_path / "disk.gif").read_bytes()
 
 
@@ -215,7 +226,7 @@ def image_has(encoder: str) -> bool:
 def test_an_mp4_has_a_sample_for_each_frame(gem: MeshSequence, tmp_path: Path) -> None:
     if not image_has("avif"):
         pytest.skip("no AV1 encoder here")
-    film(tmp_path / "gem.mp4", [Shown("", gem)], FilmSettings(size=(96, 64), seconds=4.5, fps=12))
+    film(tmp_path / "gem.mp4", [SceneItem("", gem)], FilmSettings(size=(96, 64), seconds=4.5, fps=12))
     track = read_track((tmp_path / "gem.mp4").read_bytes())
     assert (track.width, track.height, track.codec) == (96, 64, b"av01")
     assert len(track.samples) == 54
@@ -251,7 +262,7 @@ def test_frames_are_what_was_drawn(tmp_path: Path, extension: str) -> None:
 
 
 def test_a_gif_keeps_its_rate(gem: MeshSequence, tmp_path: Path) -> None:
-    film(tmp_path / "a.gif", [Shown("", gem)], SMALL)
+    film(tmp_path / "a.gif", [SceneItem("", gem)], SMALL)
     with image.open(tmp_path / "a.gif") as file:
         durations = []
         for frame in range(file.n_frames):
@@ -264,7 +275,7 @@ def test_a_gif_keeps_its_rate(gem: MeshSequence, tmp_path: Path) -> None:
 
 def test_the_film_shows_the_meshes(gem: MeshSequence, tmp_path: Path) -> None:
     squeezed = MeshSequence.from_arrays(gem.points * [1, 0.3, 1], gem.faces)
-    film(tmp_path / "a.gif", [Shown("", gem), Shown("", squeezed)], FilmSettings(size=(160, 80)))
+    film(tmp_path / "a.gif", [SceneItem("", gem), SceneItem("", squeezed)], FilmSettings(size=(160, 80)))
     frames = opened(tmp_path / "a.gif")
     assert len(frames) == 9
     dark = np.asarray((frames[0] < 200).any(axis=2))
@@ -277,7 +288,7 @@ def test_parts_are_coloured_also_of_the_original(
     bent_bar: MeshSequence, bar_model: Model, tmp_path: Path
 ) -> None:
     settings = FilmSettings(size=(160, 80), colour="parts")
-    film(tmp_path / "a.gif", [Shown("", bent_bar), Shown("", bar_model)], settings)
+    film(tmp_path / "a.gif", [SceneItem("", bent_bar), SceneItem("", bar_model)], settings)
     grey = np.ptp(opened(tmp_path / "a.gif")[0].astype(int), axis=2)
     assert (grey[:, :80] > 40).any()
     assert (grey[:, 80:] > 40).any()
@@ -288,7 +299,7 @@ def test_colours_show_where_it_bends(tmp_path: Path) -> None:
     faces = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]
     bend = np.where(flat[:, :1] == 2, [[-0.3, 0, 0.6]], 0)
     strip = MeshSequence.from_arrays(flat + np.linspace(0, 1, 3)[:, None, None] * bend, faces)
-    film(tmp_path / "a.gif", [Shown("", strip)], FilmSettings(size=(160, 96), colour="curvature"))
+    film(tmp_path / "a.gif", [SceneItem("", strip)], FilmSettings(size=(160, 96), colour="curvature"))
     first, *_, last = (frame[:80].astype(int) for frame in opened(tmp_path / "a.gif"))  # without the bar
     yellow = [np.minimum(frame[..., 0], frame[..., 1]) - frame[..., 2] > 60 for frame in (first, last)]
     assert not yellow[0].any()
@@ -298,7 +309,7 @@ def test_colours_show_where_it_bends(tmp_path: Path) -> None:
 @pytest.mark.parametrize("colour", ["strain", "curvature"])
 def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
     point = MeshSequence.from_arrays(np.zeros((3, 3, 3)), [[0, 1, 2]])
-    film(tmp_path / "a.gif", [Shown("", point)], FilmSettings(size=(96, 64), turn=90, colour=colour))
+    film(tmp_path / "a.gif", [SceneItem("", point)], FilmSettings(size=(96, 64), turn=90, colour=colour))
     assert len(opened(tmp_path / "a.gif")) == 3
 
 
@@ -325,10 +336,10 @@ def test_what_cannot_be_shown(gem: MeshSequence, tmp_path: Path) -> None:
     path = tmp_path / "a.gif"
     for shown, colour, against, message in (
         ([], "clay", None, "nothing to show"),
-        ([Shown("", gem)], "error", None, "give the original"),
-        ([Shown("", gem)], "clay", gem, "is for the colour error"),
-        ([Shown("", gem)], "parts", None, "gem has no parts"),
-        ([Shown("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
+        ([SceneItem("", gem)], "error", None, "give the original"),
+        ([SceneItem("", gem)], "clay", gem, "is for the colour error"),
+        ([SceneItem("", gem)], "parts", None, "gem has no parts"),
+        ([SceneItem("", fit(gem, space="vertex"))], "parts", None, "gem has no parts"),
     ):
         with pytest.raises(SettingsError, match=message):
             film(path, shown, FilmSettings(colour=colour), against)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Shots that are decoded when a test says so, a stage without a screen, and time that stands still."""
+"""Scenes that are decoded when a test says so, a stage without a screen, and time that stands still."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from mixseq.arrays import Single
 from mixseq.errors import ReconstructionError
 from mixseq.frame_store import frame_store
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
 from mixseq.viewing.playback import Moment, Playback
-from mixseq.viewing.shown import Item, Shot
 from tests.meshes import tetrahedron
 
 PATIENCE = 30.0
@@ -33,7 +33,7 @@ def eventually(holds: Callable[[], Any]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Watched(Item):
+class Watched(SceneItem):
     """A mesh of which is known what was decoded, by the number of the frame.
 
     Attributes
@@ -68,8 +68,8 @@ def watched(frames: int = 10, name: str = "mesh") -> Watched:
     return Watched(name, frame_store(still))
 
 
-def shot_of(*items: Item, rate: float | None = None) -> Shot:
-    return Shot(items, rate)
+def scene_of(*items: SceneItem, rate: float | None = None) -> Scene:
+    return Scene(items, rate)
 
 
 class Stage:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 import tracemalloc
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from html import unescape
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,17 +21,18 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from mixseq import disk_array
-from mixseq.arrays import FloatArray
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.frame_store import frame_store
-from mixseq.plots.camera import View, broadside, shared_limits, y_up
+from mixseq.frame_store import FrameStore, frame_store
+from mixseq.mapping import Executor
+from mixseq.scene import SceneItem
+from mixseq.scene.camera import View, broadside, shared_limits, y_up
+from mixseq.scene.colouring import Colouring, colourings_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.viewing.assets import CHART_SCRIPTS
-from mixseq.viewing.colouring import Colouring, colourings_of
-from mixseq.viewing.export import ExportSettings, export_page, poses_of
-from mixseq.viewing.exporting import Exported
-from mixseq.viewing.framing import extent_of
+from mixseq.viewing.export import ExportSettings, export_page
+from mixseq.viewing.gathering import PageItem, extent_of
 from mixseq.viewing.packing import Packer, unpacked
 from mixseq.viewing.signals import signals_of
 from tests.meshes import SEQUENCES, bar
@@ -37,17 +40,45 @@ from tests.meshes import SEQUENCES, bar
 Rows = NDArray[np.unsignedinteger[Any]]
 
 
-def exported(sequence: MeshSequence, name: str = "bar") -> Exported:
+@dataclass(frozen=True, eq=False)
+class Given(SceneItem):
+    """A mesh with poses and times that a test gives.
+
+    Attributes
+    ----------
+    given : callable
+        Takes times, yields blocks of points.
+    times : (n,) float
+        Times of its own frames.
+    """
+
+    given: Callable[[Float], Iterable[FloatArray]]
+    times: Float
+
+    @property
+    def elapsed(self) -> Float:
+        return self.times
+
+    def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
+        yield from self.given(elapsed)
+
+
+def given_poses(item: PageItem, blocks: Iterable[FloatArray]) -> PageItem:
+    """The same, with other poses."""
+    mesh = item.mesh
+    return replace(item, mesh=Given(mesh.name, mesh.motion, lambda elapsed: blocks, mesh.elapsed))
+
+
+def exported(sequence: MeshSequence, name: str = "bar") -> PageItem:
     elapsed = sequence.times - sequence.times[0]
     poses = zip(elapsed.tolist(), sequence.points, strict=True)
     colours = colourings_of(sequence.header, sequence.points[0], poses=poses)
-    return Exported(name, sequence.header, poses_of(frame_store(sequence)), elapsed, colours)
+    return PageItem(SceneItem(name, sequence), colours)
 
 
-def exported_model(model: Model, name: str = "model") -> Exported:
+def exported_model(model: Model, name: str = "model") -> PageItem:
     colours = colourings_of(model.header, model(model.start))
-    elapsed = model.times - model.start
-    return Exported(name, model.header, poses_of(model), elapsed, colours, signals_of(model))
+    return PageItem(SceneItem(name, model), colours, signals_of(model))
 
 
 class Opened:
@@ -158,7 +189,9 @@ def test_pages_hold_what_was_given(tmp_path: Path, name: str) -> None:
     for colour, colouring in given.colourings.items():
         kept = item["colours"][colour]
         assert len(kept) == (1 if colouring.constant else sequence.frame_count)
-        for row, (pose, time) in zip(kept, zip(sequence.points, given.elapsed, strict=True), strict=False):
+        for row, (pose, time) in zip(
+            kept, zip(sequence.points, given.mesh.elapsed, strict=True), strict=False
+        ):
             assert np.array_equal(row, colouring.indices(pose, float(time)))
 
 
@@ -291,7 +324,8 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path, monkeypatch: pytes
                 yield (rest * (1 + 0.1 * np.sin(9 * time + rest)))[None]
 
         header = sequence.header.with_times(np.arange(count) / 24, 24)
-        item = Exported("bar", header, poses, header.times, colourings_of(header, rest))
+        mesh = Given("bar", FrameStore(header, sequence.points), poses, header.times)
+        item = PageItem(mesh, colourings_of(header, rest))
         tracemalloc.start()
         export_page(tmp_path / "a.html", [item])
         most = tracemalloc.get_traced_memory()[1]
@@ -352,7 +386,8 @@ def test_too_many_frames_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("elapsed", [[], [0.0, 0.0], [-1.0, 0.0], [0.0, np.nan]])
 def test_times_that_do_not_increase_are_refused(tmp_path: Path, elapsed: list[float]) -> None:
     item = exported(bar())
-    wrong = Exported(item.name, item.header, item.poses, np.array(elapsed), item.colourings)
+    mesh = Given("bar", item.mesh.motion, lambda times: [], np.array(elapsed))
+    wrong = replace(item, mesh=mesh)
     with pytest.raises(SettingsError, match="times of bar are not numbers from zero on that increase"):
         export_page(tmp_path / "a.html", [wrong])
 
@@ -360,7 +395,7 @@ def test_times_that_do_not_increase_are_refused(tmp_path: Path, elapsed: list[fl
 def test_meshes_without_colours_are_refused(tmp_path: Path) -> None:
     item, none = exported(bar()), dict[str, Colouring]()
     with pytest.raises(SettingsError, match="bar has no colours"):
-        export_page(tmp_path / "a.html", [Exported("bar", item.header, item.poses, item.elapsed, none)])
+        export_page(tmp_path / "a.html", [replace(item, colourings=none)])
 
 
 @pytest.mark.parametrize(
@@ -374,7 +409,37 @@ def test_meshes_without_colours_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_other_poses_are_refused(tmp_path: Path, blocks: list[FloatArray], words: str) -> None:
-    item = exported(bar())
-    wrong = Exported("bar", item.header, lambda elapsed: blocks, item.elapsed, item.colourings)
     with pytest.raises(InvalidSequenceError, match=words):
-        export_page(tmp_path / "a.html", [wrong])
+        export_page(tmp_path / "a.html", [given_poses(exported(bar()), blocks)])
+
+
+# Former names ---------------------------------------------------------------------------------------------
+
+
+def test_former_names_make_the_same_page_with_a_warning(tmp_path: Path) -> None:
+    from mixseq.viewing.export import Exported, poses_of
+
+    sequence = bar()
+    item = exported(sequence)
+    with pytest.warns(DeprecationWarning, match=r"now SceneItem\(name, motion\)\.poses"):
+        poses = poses_of(frame_store(sequence))
+    with pytest.warns(DeprecationWarning, match="Exported is now PageItem"):
+        former = Exported("bar", sequence.header, poses, item.mesh.elapsed, item.colourings)
+    for name, given_ in (("new", item), ("former", former)):
+        export_page(tmp_path / f"{name}.html", [given_])
+    assert (tmp_path / "new.html").read_bytes() == (tmp_path / "former.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "new"),
+    [
+        ("mixseq.plots.video", "Shown", "SceneItem"),
+        ("mixseq.viewing.colouring", "colourings_of", "colourings_of"),
+        ("mixseq.viewing.colouring", "Colouring", "Colouring"),
+    ],
+)
+def test_names_that_moved_to_the_scene(module: str, name: str, new: str) -> None:
+    import mixseq.scene
+
+    with pytest.warns(DeprecationWarning, match=rf"{module}\.{name} is now mixseq\.scene"):
+        assert getattr(import_module(module), name) is getattr(mixseq.scene, new)

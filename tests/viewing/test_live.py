@@ -13,9 +13,9 @@ import pytest
 
 import mixseq
 from mixseq.creature import walk_cycle
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.signals import Model
-from mixseq.viewing.painting import Paint
-from mixseq.viewing.shown import Item, Shot
 from tests.viewing.conftest import NewPage
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def save(path: Path, model: Model, replace: bool) -> str:
 
 @pytest.fixture
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
-    shot = Shot((Item("fox.h5", model),))
+    scene = Scene((SceneItem("fox.h5", model),))
     settings = ViewSettings(port=8300, folder=tmp_path, threads=1, material="toon5")
-    with viewer(Paint(shot), settings, save) as started:
+    with viewer(SceneColours(scene), settings, save) as started:
         yield started
 
 

@@ -10,13 +10,13 @@ from time import monotonic
 import pytest
 
 from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.scene.items import Scene
 from mixseq.viewing import playback as module
 from mixseq.viewing.playback import PATIENCE, Moment, Playback
-from mixseq.viewing.shown import Shot
 from tests.viewing import staged
-from tests.viewing.staged import Stage, Standing, eventually, shot_of, watched
+from tests.viewing.staged import Stage, Standing, eventually, scene_of, watched
 
-Make = Callable[[Shot], Playback]
+Make = Callable[[Scene], Playback]
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def make(stage: Stage, failures: list[Exception]) -> Iterator[Make]:
     """Makes a playback on the stage, which shows the first frame, and closes it."""
     made: list[Playback] = []
 
-    def make_it(shot: Shot) -> Playback:
-        made.append(Playback(shot, stage, failures.append, threads=1))
+    def make_it(scene: Scene) -> Playback:
+        made.append(Playback(scene, stage, failures.append, threads=1))
         eventually(lambda: stage.moments)
         assert caught_up(made[0])
         return made[0]
@@ -58,15 +58,15 @@ def caught_up(playback: Playback) -> bool:
 
 def test_the_first_frame_is_shown_at_once(make: Make, stage: Stage) -> None:
     a, b = watched(), watched()
-    playback = make(shot_of(a, b))
+    playback = make(scene_of(a, b))
     moment = stage.moments[0]
-    assert (moment.shot, moment.frame, len(moment.poses)) == (playback.shot, 0, 2)
+    assert (moment.scene, moment.frame, len(moment.poses)) == (playback.scene, 0, 2)
     assert not playback.plays
     assert stage.frames == [0]
 
 
 def test_it_plays(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched(4)))
+    playback = make(scene_of(watched(4)))
     playback.play()
     assert playback.plays
     for _ in range(6):
@@ -76,7 +76,7 @@ def test_it_plays(make: Make, stage: Stage, now: Standing) -> None:
 
 
 def test_frames_that_nobody_could_see_are_left_out(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.play()
     now.pass_by(0.5, playback)
     now.pass_by(0.3, playback)
@@ -86,7 +86,7 @@ def test_frames_that_nobody_could_see_are_left_out(make: Make, stage: Stage, now
 def test_a_frame_that_took_long_is_late_and_none_after_it(make: Make, stage: Stage, now: Standing) -> None:
     item = watched()
     item.held[1] = Event()
-    playback = make(shot_of(item))
+    playback = make(scene_of(item))
     playback.play()
     now.pass_by(0.1, playback)
     now.pass_by(0.3, playback)
@@ -96,7 +96,7 @@ def test_a_frame_that_took_long_is_late_and_none_after_it(make: Make, stage: Sta
 
 
 def test_a_busy_stage_is_waited_for(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     stage.busy = True
     playback.seek(3)
     now.pass_by(0.9 * PATIENCE, playback)
@@ -107,7 +107,7 @@ def test_a_busy_stage_is_waited_for(make: Make, stage: Stage, now: Standing) -> 
 
 
 def test_but_not_for_ever(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     stage.busy = True
     playback.seek(3)
     now.pass_by(0.9 * PATIENCE, playback)
@@ -116,7 +116,7 @@ def test_but_not_for_ever(make: Make, stage: Stage, now: Standing) -> None:
 
 
 def test_pause_stays_at_what_is_seen(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.play()
     now.pass_by(0.2, playback)
     eventually(lambda: stage.frames == [0, 2])
@@ -132,7 +132,7 @@ def test_pause_stays_at_what_is_seen(make: Make, stage: Stage, now: Standing) ->
 
 
 def test_pause_leaves_what_stands(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     stage.busy = True
     playback.seek(3)
     playback.pause()  # before the stage could show it
@@ -140,7 +140,7 @@ def test_pause_leaves_what_stands(make: Make, stage: Stage, now: Standing) -> No
 
 
 def test_it_goes_on_from_where_it_was(make: Make, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.seek(4)
     now.pass_by(5.0, playback)
     playback.play()
@@ -149,7 +149,7 @@ def test_it_goes_on_from_where_it_was(make: Make, now: Standing) -> None:
 
 
 def test_it_begins_again_at_the_end(make: Make) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.seek(9)
     assert playback.frame == 9
     playback.play()
@@ -157,7 +157,7 @@ def test_it_begins_again_at_the_end(make: Make) -> None:
 
 
 def test_seek_while_it_plays(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.play()
     playback.seek(6)
     eventually(lambda: stage.frames == [0, 6])
@@ -166,7 +166,7 @@ def test_seek_while_it_plays(make: Make, stage: Stage, now: Standing) -> None:
 
 
 def test_at_another_speed(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.play()
     playback.pace(2.0)
     now.pass_by(0.1, playback)
@@ -174,38 +174,38 @@ def test_at_another_speed(make: Make, stage: Stage, now: Standing) -> None:
 
 
 def test_another_shot_at_the_same_time(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.seek(4)
     assert caught_up(playback)
-    other = shot_of(watched(), rate=20)
+    other = scene_of(watched(), rate=20)
     playback.change(other)
     assert caught_up(playback)
-    eventually(lambda: stage.moments[-1].shot is other)
-    assert (playback.shot, playback.frame, stage.moments[-1].frame) == (other, 8, 8)
+    eventually(lambda: stage.moments[-1].scene is other)
+    assert (playback.scene, playback.frame, stage.moments[-1].frame) == (other, 8, 8)
 
 
 def test_a_shot_that_will_not_stay_is_not_decoded_ahead(make: Make, stage: Stage) -> None:
-    playback, settled, passing = make(shot_of(watched())), watched(), watched()
-    playback.change(shot_of(passing), settled=False)
+    playback, settled, passing = make(scene_of(watched())), watched(), watched()
+    playback.change(scene_of(passing), settled=False)
     assert caught_up(playback)
-    playback.change(shot_of(settled))
+    playback.change(scene_of(settled))
     eventually(lambda: len(settled.decoded) == 10)
     assert passing.decoded == [0]
 
 
 def test_at_another_rate(make: Make, stage: Stage, now: Standing) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.seek(5)
     playback.rate(30.0)
     assert caught_up(playback)
-    assert (playback.shot.fps, playback.shot.count, playback.frame) == (30, 30, 15)
+    assert (playback.scene.fps, playback.scene.count, playback.frame) == (30, 30, 15)
     with pytest.raises(SettingsError):
         playback.rate(0.1)  # which is no frame at all
-    assert (playback.shot.fps, playback.frame) == (30, 15)
+    assert (playback.scene.fps, playback.frame) == (30, 15)
 
 
 def test_the_same_again(make: Make, stage: Stage) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     playback.refresh()
     eventually(lambda: stage.frames == [0, 0])
     assert caught_up(playback)
@@ -213,7 +213,7 @@ def test_the_same_again(make: Make, stage: Stage) -> None:
 
 
 def test_the_same_again_while_it_is_sent(make: Make, stage: Stage) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
     sending, go_on = Event(), Event()
 
     def slowly(moment: Moment) -> None:
@@ -231,8 +231,8 @@ def test_the_same_again_while_it_is_sent(make: Make, stage: Stage) -> None:
 def test_not_caught_up_in_time(make: Make) -> None:
     item = watched()
     item.held[0] = Event()
-    playback = make(shot_of(watched()))
-    playback.change(shot_of(item))
+    playback = make(scene_of(watched()))
+    playback.change(scene_of(item))
     assert not playback.caught_up(0.01)
     item.held[0].set()
     assert caught_up(playback)
@@ -241,7 +241,7 @@ def test_not_caught_up_in_time(make: Make) -> None:
 def test_a_frame_that_cannot_be_decoded(make: Make, stage: Stage, failures: list[Exception]) -> None:
     item = watched()
     item.broken.add(3)
-    playback = make(shot_of(item))
+    playback = make(scene_of(item))
     playback.seek(3)
     eventually(lambda: failures)
     assert str(failures[0]) == "frame 3 is broken"
@@ -255,7 +255,7 @@ def test_it_stops_at_a_frame_that_cannot_be_decoded(
 ) -> None:
     item = watched()
     item.broken.add(2)
-    playback = make(shot_of(item))
+    playback = make(scene_of(item))
     playback.play()
     now.pass_by(0.1, playback)
     now.pass_by(0.1, playback)
@@ -267,7 +267,7 @@ def test_it_stops_at_a_frame_that_cannot_be_decoded(
 
 @pytest.mark.parametrize("error", [ReconstructionError("no colours"), ZeroDivisionError("no colours")])
 def test_a_stage_that_fails(make: Make, stage: Stage, failures: list[Exception], error: Exception) -> None:
-    playback = make(shot_of(watched()))
+    playback = make(scene_of(watched()))
 
     def fail(moment: Moment) -> None:
         stage.on_show = lambda moment: None
@@ -283,7 +283,7 @@ def test_a_stage_that_fails(make: Make, stage: Stage, failures: list[Exception],
 
 def test_no_thread_is_left(stage: Stage) -> None:
     before = set(all_threads())
-    with Playback(shot_of(watched()), stage, lambda error: None, threads=2) as playback:
+    with Playback(scene_of(watched()), stage, lambda error: None, threads=2) as playback:
         playback.play()
         eventually(lambda: stage.moments)
     assert not set(all_threads()) - before
@@ -293,7 +293,7 @@ def test_no_thread_is_left(stage: Stage) -> None:
 def test_nobody_waits_longer_for_a_playback_that_ends(stage: Stage) -> None:
     item = watched()
     item.held[0] = Event()
-    playback = Playback(shot_of(item), stage, lambda error: None)
+    playback = Playback(scene_of(item), stage, lambda error: None)
     eventually(lambda: item.decoded)
     waiting = Thread(target=playback.caught_up, args=(staged.PATIENCE,))
     waiting.start()
@@ -307,7 +307,7 @@ def test_nobody_waits_longer_for_a_playback_that_ends(stage: Stage) -> None:
 
 
 def test_in_real_time(make: Make, stage: Stage) -> None:
-    playback = make(shot_of(watched(5)))
+    playback = make(scene_of(watched(5)))
     playback.pace(10.0)
     playback.play()
     eventually(lambda: len(stage.moments) > 12)  # more than two rounds of 0.05 s

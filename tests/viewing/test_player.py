@@ -13,13 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from mixseq.creature import walk_cycle
-from mixseq.frame_store import frame_store
-from mixseq.plots.camera import y_up
+from mixseq.scene import SceneItem
+from mixseq.scene.camera import y_up
+from mixseq.scene.colouring import colourings_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.viewing.colouring import colourings_of
-from mixseq.viewing.export import ExportSettings, export_page, poses_of
-from mixseq.viewing.exporting import Exported
+from mixseq.viewing.export import ExportSettings, export_page
+from mixseq.viewing.gathering import PageItem
 from mixseq.viewing.signals import signals_of
 from mixseq.viewing.streaming import integers
 from tests.meshes import bar
@@ -34,7 +34,7 @@ WIDE = 900, 420
 """Room for the signals beside the meshes."""
 
 
-def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | None = None) -> Exported:
+def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | None = None) -> PageItem:
     start = float(motion.times[0])
     elapsed = motion.times - start
     poses = motion.points if isinstance(motion, MeshSequence) else [motion(start + t) for t in elapsed]
@@ -51,8 +51,7 @@ def exported(name: str, motion: MeshSequence | Model, original: MeshSequence | N
         zip(elapsed.tolist(), poses, strict=True),
     )
     signals = signals_of(motion) if isinstance(motion, Model) else None
-    of = motion if isinstance(motion, Model) else frame_store(motion)
-    return Exported(name, motion.header, poses_of(of), elapsed, colours, signals)
+    return PageItem(SceneItem(name, motion), colours, signals)
 
 
 class Player:
@@ -200,7 +199,10 @@ def test_the_browser_finds_the_numbers_that_were_packed(one: Player) -> None:
     assert item["positions"] == expected.ravel().tolist()
     given = exported("bar", sequence)
     for name, indices in item["colours"]:
-        colouring, poses = given.colourings[name], zip(sequence.points, given.elapsed.tolist(), strict=True)
+        colouring, poses = (
+            given.colourings[name],
+            zip(sequence.points, given.mesh.elapsed.tolist(), strict=True),
+        )
         entries = [colouring.indices(pose, time) for pose, time in poses]
         assert indices == np.concatenate(entries[:1] if colouring.constant else entries).tolist()
 

@@ -13,11 +13,11 @@ import pytest
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.operations import repeat
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.signals import Model
 from mixseq.viewing import session as module
 from mixseq.viewing.playback import Playback
 from mixseq.viewing.session import Session
-from mixseq.viewing.shown import Item, Shot
 from tests.viewing.staged import PATIENCE, Stage, eventually, watched
 
 
@@ -52,8 +52,8 @@ class Room:
     def __init__(self, *motions: Model) -> None:
         self.stage, self.told = Stage(), Told()
         self.written: list[tuple[Path, Model]] = []
-        items = [Item(f"{k}.h5", motion) for k, motion in enumerate(motions)]
-        self.playback = Playback(Shot((watched(3), *items)), self.stage, self._failed, threads=1)
+        items = [SceneItem(f"{k}.h5", motion) for k, motion in enumerate(motions)]
+        self.playback = Playback(Scene((watched(3), *items)), self.stage, self._failed, threads=1)
         self.session = Session(self.playback, self.told, self._save)
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class Room:
 
     def shown(self, index: int = 1) -> object:
         """The motion of a mesh that is shown."""
-        return self.playback.shot.items[index].motion
+        return self.playback.scene.items[index].motion
 
     def done(self, count: int) -> None:
         """Wait until so many models were seen."""
@@ -128,7 +128,7 @@ def test_an_edit_is_seen(room: Room, bar_model: Model) -> None:
     assert model.end > bar_model.end
     assert room.shown() is model
     assert (room.session.history.undoes, room.told.seen) == ("repeat", [model])
-    eventually(lambda: room.stage.moments and room.stage.moments[-1].shot is room.playback.shot)
+    eventually(lambda: room.stage.moments and room.stage.moments[-1].scene is room.playback.scene)
 
 
 def test_edits_are_done_in_order(room: Room, bar_model: Model) -> None:

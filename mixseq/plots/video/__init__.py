@@ -1,12 +1,13 @@
 """Films of mesh sequences and models, drawn in software and encoded by Pillow (the extra ``plot``).
 
-`film` puts them together: what is shown when (timing), in which colours (colouring), where and from which side (page,
-scene), and in which file (encoding; gif, webp, av1 with mp4).
+`film` puts them together: what the panels show of a scene (panels), around them names and a colour bar (backdrop), and
+in which file (encoding; gif, webp, av1 with mp4).
 """
 
-from mixseq.plots.video.colouring import COLOURS, Colour
 from mixseq.plots.video.encoding import FILM_FORMATS, FilmFormat, check_film, film_format
-from mixseq.plots.video.film import FilmSettings, Shown, film
+from mixseq.plots.video.film import FilmSettings, film
+from mixseq.renamed import moved
+from mixseq.scene.colouring import COLOURS, Colour
 
 __all__ = [
     "COLOURS",
@@ -14,8 +15,9 @@ __all__ = [
     "Colour",
     "FilmFormat",
     "FilmSettings",
-    "Shown",
     "check_film",
     "film",
     "film_format",
 ]
+
+__getattr__ = moved(__name__, Shown="mixseq.scene:SceneItem")

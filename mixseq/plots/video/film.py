@@ -8,26 +8,28 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore, frame_store
+from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor, on_threads
-from mixseq.plots.colours import CLAY, segmentation_colours
-from mixseq.plots.measures import MEASURES
+from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.raster import Picture
-from mixseq.plots.video.colouring import COLOURS, SMALLEST, Change, Colour, Error, Timed, colour_scale
+from mixseq.plots.video.backdrop import backdrop_of, panels_of
 from mixseq.plots.video.encoding import check_film, encode_film, film_format
-from mixseq.plots.video.page import page_of, panels_of
-from mixseq.plots.video.scene import Actor, Scene, cameras_of, draw_moment, moments
-from mixseq.plots.video.timing import Track, film_times, nearest_frames, track_of_model, track_of_sequence
+from mixseq.plots.video.panels import Layout, Panel, cameras_of, draw_moment, moments
 from mixseq.progress import Progress, silent
-from mixseq.sequence import Frames
-from mixseq.signals import Model
+from mixseq.scene.colouring import COLOURS, Colour, Colouring, colouring_of
+from mixseq.scene.items import DecodedItem, Scene, SceneItem, check_starts, same_mesh
+from mixseq.scene.timeline import nearest_frames
+from mixseq.segmentation.joints import Decomposition
+from mixseq.sequence import Frames, SequenceHeader
 
-_MEANING = {"error": "diagonals", "strain": "strain", "curvature": "degrees"}
-"""What the colours with a scale are measured in."""
+_MEANING = {"error": ("diagonals", 1.0), "strain": ("strain", 100.0), "curvature": ("degrees", 1.0)}
+"""What the colours with a scale are measured in here, and how many units of `Colouring` that is: strain is a share."""
+
+SMALLEST = 1e-12
+"""The colour scale goes at least so far: rounding has no colours."""
 
 
 @dataclass(frozen=True)
@@ -77,29 +79,9 @@ class FilmSettings:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A mesh in a film.
-
-    Attributes
-    ----------
-    name : str
-        What stands above it; may be empty.
-    motion : Model or sequence
-        What moves: a model, which is decoded at the times of the film, or a sequence, of which the nearest frames are
-        shown.
-    """
-
-    name: str
-    motion: Model | Frames | FrameStore
-
-    def __str__(self) -> str:
-        return self.name or self.motion.header.name
-
-
 def film(
     target: str | PathLike[str],
-    shown: Sequence[Shown],
+    shown: Sequence[SceneItem],
     settings: FilmSettings | None = None,
     against: Frames | FrameStore | None = None,
     progress: Progress = silent,
@@ -113,7 +95,7 @@ def film(
     ----------
     target : path
         The file: .mp4 (AV1), .gif or .webp.
-    shown : sequence of Shown
+    shown : sequence of SceneItem
         What is shown, from left to right.
     settings : FilmSettings, optional
         How.
@@ -138,35 +120,29 @@ def film(
     check_film(form, chosen.size, chosen.fps)
     check_shown(shown, chosen, against)
     work = workers or on_threads()
-    motions = [
-        item.motion if isinstance(item.motion, Model) else _stored(item.motion, progress) for item in shown
-    ]
-    times, fps = film_times([motion.header for motion in motions], chosen.fps, chosen.seconds)
+    items = tuple(item.stored(progress) for item in shown)
+    scene = Scene(items, chosen.fps, chosen.seconds)
+    times, fps = scene.times, scene.fps
     check_film(form, chosen.size, fps)
     original = None
     if against is not None:
-        whole = _stored(against, progress)
-        _check_starts(shown, whole)
-        times = whole.header.times[nearest_frames(whole.header, times)] - whole.header.times[0]
-        original = track_of_sequence(whole, times)
-    tracks = [_track(motion, times, progress, work) for motion in motions]
-    measures = _measures(shown, tracks, chosen.colour, original)
-    colours: Sequence[ArrayLike] = _colours(shown) if chosen.colour == "parts" else [CLAY] * len(shown)
-    actors = [
-        Actor(item.name, track, rgb, measure)
-        for item, track, rgb, measure in zip(shown, tracks, colours, measures, strict=True)
-    ]
-    scene = _scene(actors, len(times), chosen)
+        original = SceneItem("the original", against).stored(progress)
+        check_starts(items, original.header)
+        times = original.elapsed[nearest_frames(original.header, times)]
+    decoded = [item.decode(times, progress, work) for item in items]
+    colourings = _scaled(_colourings(items, decoded, chosen.colour, original), decoded, times, chosen)
+    layout = _layout([item.name for item in items], decoded, colourings, chosen)
 
     def draw(frames: Iterable[int]) -> Iterator[Picture]:
-        for done, picture in enumerate(work(draw_moment, scene, moments(actors, frames)), 1):
+        shown_then = moments(decoded, colourings, times, frames)
+        for done, picture in enumerate(work(draw_moment, layout, shown_then), 1):
             yield picture
             progress(done, len(times), "drawing frames")
 
     encode_film(Path(target), form, draw, len(times), fps)
 
 
-def check_shown(shown: Sequence[Shown], settings: FilmSettings, against: object) -> None:
+def check_shown(shown: Sequence[SceneItem], settings: FilmSettings, against: object) -> None:
     """Refuse what cannot be shown, before the work.
 
     Raises
@@ -183,88 +159,95 @@ def check_shown(shown: Sequence[Shown], settings: FilmSettings, against: object)
     if settings.colour != "error" and against is not None:
         raise SettingsError("the original is for the colour error; leave it out, or choose that colour")
     if settings.colour == "parts":
-        _colours(shown)
+        _parts(shown)
 
 
-def _stored(motion: Frames | FrameStore, progress: Progress) -> FrameStore:
-    return motion if isinstance(motion, FrameStore) else frame_store(motion, progress)
-
-
-def _track(motion: Model | FrameStore, times: Float, progress: Progress, workers: Executor) -> Track:
-    if isinstance(motion, Model):
-        return track_of_model(motion, times, progress, workers)
-    return track_of_sequence(motion, times)
-
-
-def _check_starts(shown: Sequence[Shown], original: FrameStore) -> None:
-    """Refuse to measure errors at other times."""
-    start = original.header.times[0]
+def _parts(shown: Sequence[SceneItem]) -> list[Decomposition]:
+    """Return the parts of each mesh: its own, or those of a model of the same triangles."""
+    known = [(item.header.faces, item.decomposition) for item in shown]
+    found = []
     for item in shown:
-        if abs(item.motion.header.times[0] - start) > 1e-3 / original.header.fps:
-            raise SettingsError(
-                f"{item} begins at {item.motion.header.times[0]:g} s, the original at {start:g} s; errors need "
-                "the same times"
-            )
-
-
-def _measures(
-    shown: Sequence[Shown], tracks: Sequence[Track], colour: Colour, original: Track | None
-) -> list[Timed | None]:
-    """Return what colours measure of each mesh."""
-    if colour in MEASURES:
-        return [Change.of(track, colour) for track in tracks]
-    if original is None:
-        return [None] * len(tracks)
-    return [Error.of(track, original, str(item)) for item, track in zip(shown, tracks, strict=True)]
-
-
-def _colours(shown: Sequence[Shown]) -> list[Float]:
-    """Return colours ``(F, 3)`` of the parts of each mesh: its own, or of a model of the same triangles."""
-    models = [item.motion for item in shown if isinstance(item.motion, Model)]
-    mixed = [model for model in models if model.space.decomposed]
-    colours = []
-    for item in shown:
-        own = [model for model in mixed if model is item.motion]
-        same = [model for model in mixed if np.array_equal(model.header.faces, item.motion.header.faces)]
-        if not (own or same):
+        same = (parts for faces, parts in known if parts and np.array_equal(faces, item.header.faces))
+        parts = item.decomposition or next(same, None)
+        if parts is None:
             raise SettingsError(
                 f"{item} has no parts; show a model in the mixed space, or choose another colour"
             )
-        parts = (own or same)[0].decomposition
-        colours.append(segmentation_colours(parts.part_of_face, parts.joint_of_face))
-    return colours
+        found.append(parts)
+    return found
 
 
-def _scene(actors: Sequence[Actor], frames: int, settings: FilmSettings) -> Scene:
-    """Place panels and cameras, and find how far the colours go."""
+def _colourings(
+    items: Sequence[SceneItem], decoded: Sequence[DecodedItem], colour: Colour, original: SceneItem | None
+) -> list[Colouring]:
+    """Return what colours show of each mesh, against its first frame in the film or against the original."""
+    parts = _parts(items) if colour == "parts" else [None] * len(items)
+    before = None
+    if original is not None:
+        before = original.exact_pose
+        for item in items:
+            _check_mesh(item, original.header)
+    return [
+        colouring_of(colour, each.header, each.pose(0), own, before)
+        for each, own in zip(decoded, parts, strict=True)
+    ]
+
+
+def _check_mesh(item: SceneItem, original: SequenceHeader) -> None:
+    """Refuse to measure errors of another mesh."""
+    header = item.header
+    if not same_mesh(header, original):
+        raise SettingsError(
+            f"{item} has {len(header.faces)} triangles of {header.vertex_count} vertices, the original "
+            f"{len(original.faces)} of {original.vertex_count}, or in another order; errors need one mesh"
+        )
+
+
+def _scaled(
+    colourings: list[Colouring], items: Sequence[DecodedItem], times: Float, settings: FilmSettings
+) -> list[Colouring]:
+    """Let the scale of all meshes end at what was asked for, else at the largest number of the film."""
+    if settings.colour not in _MEANING:
+        return colourings
+    _, part = _MEANING[settings.colour]
+    top = part * settings.scale if settings.scale else part * SMALLEST
+    if settings.scale is None:
+        for item, colouring in zip(items, colourings, strict=True):
+            reached = (colouring.reached(item.pose(frame), float(time)) for frame, time in enumerate(times))
+            top = max(top, *reached)
+    return [colouring.scaled(top) for colouring in colourings]
+
+
+def _layout(
+    names: Sequence[str],
+    items: Sequence[DecodedItem],
+    colourings: Sequence[Colouring],
+    settings: FilmSettings,
+) -> Layout:
+    """Place panels and cameras, and draw what does not change."""
     width, height = settings.size
-    tracks = [actor.track for actor in actors]
-    names = [actor.name for actor in actors]
-    meaning = _MEANING.get(settings.colour, "")
-    cameras = cameras_of(tracks, frames, settings.turn)
+    meaning, part = _MEANING.get(settings.colour, ("", 1.0))
+    frames = len(items[0].pose_of_frame)
+    cameras = cameras_of(items, frames, settings.turn)
     aspect = float(np.median([camera.aspect for camera in cameras]))
-    panels = panels_of(len(actors), width, height, aspect, any(names), bool(meaning))
-    fitted = [
-        camera.fitted((rows.stop - rows.start) / (columns.stop - columns.start))
-        for camera, (rows, columns) in zip(cameras, panels, strict=True)
+    places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
+    panels = [
+        Panel(
+            item.header,
+            colouring.of_faces,
+            camera.fitted((place[0].stop - place[0].start) / (place[1].stop - place[1].start)),
+            place,
+        )
+        for item, colouring, camera, place in zip(items, colourings, cameras, places, strict=True)
     ]
     if not meaning:
-        return Scene(actors, fitted, panels, page_of(width, height, panels, names), frames)
+        return Layout(panels, backdrop_of(width, height, places, names), frames)
     palette = colour_scale()
-    top = settings.scale or _largest(actors, frames)
-    page = page_of(width, height, panels, names, palette, top, meaning)
-    return Scene(actors, fitted, panels, page, frames, palette, top)
+    backdrop = backdrop_of(width, height, places, names, palette, colourings[0].top / part, meaning)
+    return Layout(panels, backdrop, frames, palette)
 
 
-def _largest(actors: Sequence[Actor], frames: int) -> float:
-    """Return what the colour scale must reach in a film."""
-    measures = [actor.measure for actor in actors if actor.measure is not None]
-    return max(
-        SMALLEST,
-        *(
-            measure.largest(values)
-            for _, seen in moments(actors, range(frames))
-            for measure, (_, values) in zip(measures, seen, strict=True)
-            if values is not None
-        ),
-    )
+def colour_scale() -> Float:
+    """Return the colours ``(256, 3)`` from zero to the largest number, as those of the errors on paper."""
+    scale = matplotlib_module("cm").ScalarMappable(None, "viridis").get_cmap()
+    return np.asarray(scale(np.arange(256))[:, :3], dtype=np.float64)

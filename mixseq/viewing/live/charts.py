@@ -68,7 +68,7 @@ class Charts:
     def show(self, moment: Moment) -> None:
         """Move the point that is now."""
         model = self._session.model
-        time = min(model.start + moment.shot.elapsed(moment.frame), model.end)
+        time = min(model.start + moment.scene.elapsed(moment.frame), model.end)
         pen = "true" if self._pen else "false"
         self._now.content = f'<span id="mixseq-now" data-time="{time:.6f}" data-pen="{pen}" hidden></span>'
 
@@ -88,13 +88,13 @@ class Charts:
 
     def heard(self, message: Message) -> None:
         """Do what was done with the mouse."""
-        session, shot = self._session, self._playback.shot
+        session, scene = self._session, self._playback.scene
         match message:
             case Seek(time):
-                self._playback.seek(shot.frame_at(time - session.model.start))
+                self._playback.seek(scene.frame_at(time - session.model.start))
             case Drag(time, to, done):
                 if not self._playback.plays:  # what is dragged should be seen
-                    self._playback.seek(shot.frame_at(time - session.model.start))
+                    self._playback.seek(scene.frame_at(time - session.model.start))
                 edit = partial(drag, time=time, to=to.tolist(), reach=self._reach, plane=self._plane)
                 (session.edit if done else session.preview)("drag", edit)
             case Sketch(points):

@@ -9,9 +9,9 @@ from time import monotonic
 from typing import Any
 
 from mixseq.errors import SettingsError
-from mixseq.viewing.colouring import Colouring
+from mixseq.scene.colouring import Colouring
+from mixseq.scene.colours import SceneColours
 from mixseq.viewing.live.stage import LiveStage
-from mixseq.viewing.painting import Paint
 from mixseq.viewing.playback import Moment, Playback
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
@@ -30,11 +30,11 @@ class PlayControls:
         self._icons = _icons()
         self._hand = -HAND
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
-        self._slider = gui.add_slider("Frame", 0, playback.shot.count - 1, 1, 0)
+        self._slider = gui.add_slider("Frame", 0, playback.scene.count - 1, 1, 0)
         self._text = gui.add_html("")
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self._rate = gui.add_number(
-            "Frames/s", playback.shot.fps, min=1e-3, max=1e4, hint="Models are decoded at any rate"
+            "Frames/s", playback.scene.fps, min=1e-3, max=1e4, hint="Models are decoded at any rate"
         )
         self._button.on_click(lambda _: self.toggle())
         self._slider.on_update(self._scrub)
@@ -60,18 +60,18 @@ class PlayControls:
 
     def show(self, moment: Moment) -> None:
         """Show what moment is seen."""
-        last = moment.shot.count - 1
+        last = moment.scene.count - 1
         if self._slider.max != last:
             self._slider.max = last
         if monotonic() > self._hand + HAND:
             self._slider.value = moment.frame
-        begin = moment.shot.items[0].header.times[0]
-        now, end = begin + moment.shot.elapsed(moment.frame), begin + moment.shot.elapsed(last)
+        begin = moment.scene.items[0].header.times[0]
+        now, end = begin + moment.scene.elapsed(moment.frame), begin + moment.scene.elapsed(last)
         self._text.content = _line(f"{now:.3f} s of {end:.3f} s", "mixseq-time")
 
     def _step(self, by: int) -> None:
         self._playback.pause()
-        self._playback.seek((self._playback.frame + by) % self._playback.shot.count)
+        self._playback.seek((self._playback.frame + by) % self._playback.scene.count)
         self.refresh()
 
     def _scrub(self, event: Any) -> None:
@@ -93,11 +93,11 @@ class PlayControls:
 class ShowControls:
     """Colours, arrangement, and which meshes are shown."""
 
-    def __init__(self, server: Any, playback: Playback, stage: LiveStage, paint: Paint) -> None:
-        gui, names = server.gui, [item.name for item in playback.shot.items]
+    def __init__(self, server: Any, playback: Playback, stage: LiveStage, colours: SceneColours) -> None:
+        gui, names = server.gui, [item.name for item in playback.scene.items]
         self._stage = stage
         with gui.add_folder("Show"):
-            self._colour = gui.add_dropdown("Colour", paint.names, initial_value="clay")
+            self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
             self._legend = gui.add_html("")
             wire = gui.add_checkbox("Wireframe", False)
             if len(names) > 1:
@@ -120,7 +120,7 @@ class ShowControls:
         switch.on_update(lambda _: self._stage.hide(index, not switch.value))
 
     def _arrange(self, playback: Playback, side_by_side: bool) -> None:
-        self._stage.arrange(playback.shot, side_by_side)
+        self._stage.arrange(playback.scene, side_by_side)
         playback.refresh()
 
     def _paint(self, event: Any, playback: Playback) -> None:

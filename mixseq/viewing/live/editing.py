@@ -32,7 +32,7 @@ class EditControls:
         model = session.model
         with gui.add_folder("Edit"):
             if len(session.editable) > 1:
-                names = {playback.shot.items[index].name: index for index in session.editable}
+                names = {playback.scene.items[index].name: index for index in session.editable}
                 which = gui.add_dropdown("Model", tuple(names))
                 which.on_update(lambda _: session.choose(names[which.value]))
             self._undo = gui.add_button_group("Steps", ("Undo", "Redo"))
@@ -94,7 +94,7 @@ class EditControls:
 
     def picked(self, index: int, picked: Picked) -> str:
         """Choose the part that was clicked, and return what was."""
-        motion = self._playback.shot.items[index].motion
+        motion = self._playback.scene.items[index].motion
         text = f"vertex {picked.vertex}, triangle {picked.face}"
         if isinstance(motion, Model) and motion.space.posed_parts:
             cut_up = motion.decomposition
@@ -138,7 +138,7 @@ class EditControls:
     def _time(self) -> float:
         """The time of the model that is seen."""
         model, playback = self._session.model, self._playback
-        return min(model.start + playback.shot.elapsed(playback.frame), model.end)
+        return min(model.start + playback.scene.elapsed(playback.frame), model.end)
 
 
 def pause(model: Model, time: float, seconds: float) -> Model:

@@ -71,4 +71,4 @@ class Editor:
     @property
     def _target(self) -> str:
         """Under which name the model is saved, if no other is typed."""
-        return f"{Path(self._playback.shot.items[self._session.index].name).stem}-edited.h5"
+        return f"{Path(self._playback.scene.items[self._session.index].name).stem}-edited.h5"

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.viewing.arrangement import FIELD, HEIGHT, arranged
-from mixseq.viewing.colouring import Colouring
-from mixseq.viewing.painting import Bytes, Paint
+from mixseq.scene.arrangement import FIELD, HEIGHT, arranged
+from mixseq.scene.colouring import Bytes, Colouring
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene
 from mixseq.viewing.picking import Picked, pick
 from mixseq.viewing.playback import Moment
-from mixseq.viewing.shown import Shot
 
 GROUND = (243, 243, 240)
 LINES = (222, 222, 218)
@@ -31,7 +31,7 @@ class LiveStage:
     ----------
     server : viser.ViserServer
         The server.
-    paint : Paint
+    colours : SceneColours
         Colours.
     material : {"standard", "toon5"}
         How light falls on meshes; the second is quick without a graphics card.
@@ -42,10 +42,15 @@ class LiveStage:
     """
 
     def __init__(
-        self, server: Any, paint: Paint, material: str, overlaid: bool, told: Callable[[Moment], None]
+        self,
+        server: Any,
+        colours: SceneColours,
+        material: str,
+        overlaid: bool,
+        told: Callable[[Moment], None],
     ) -> None:
         self._server = server
-        self._paint = paint
+        self._scene_colours = colours
         self._told = told
         self.overlaid = overlaid
         self._lock = Lock()
@@ -53,8 +58,8 @@ class LiveStage:
         self._moment: Moment | None = None
         self._placed: dict[int, tuple[Float, float]] = {}
         self._colour = "clay"
-        self._painted: list[Colouring | None] = [None] * len(paint.shot.items)
-        self._arrangement = arranged(paint.shot, side_by_side=not overlaid)
+        self._painted: list[Colouring | None] = [None] * len(colours.scene.items)
+        self._arrangement = arranged(colours.scene, side_by_side=not overlaid)
         self._furnish()
         self._meshes, self._clouds, self._labels = [], [], []
         self._marked: tuple[int, int] | None = None  # a mesh and its vertex
@@ -66,7 +71,7 @@ class LiveStage:
             cast_shadow=False,
             receive_shadow=False,
         )
-        for index, item in enumerate(paint.shot.items):
+        for index, item in enumerate(colours.scene.items):
             points = self._arrangement.placed(index, item.pose(0.0))
             nothing = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
@@ -88,7 +93,7 @@ class LiveStage:
             self._labels = [
                 server.scene.add_label(f"/name/{index}", item.name, anchor="bottom-center", position=place)
                 for index, (item, place) in enumerate(
-                    zip(paint.shot.items, self._arrangement.labels, strict=True)
+                    zip(colours.scene.items, self._arrangement.labels, strict=True)
                 )
             ]
 
@@ -104,14 +109,14 @@ class LiveStage:
     @property
     def colours(self) -> list[Colouring]:
         """What colours show now of every mesh."""
-        return self._paint.shared(self._colour)
+        return self._scene_colours.shared(self._colour)
 
     def show(self, moment: Moment) -> None:
         """Send a moment to the page."""
         with self._lock, self._server.atomic():
             self._drawing = True
             self._moment = moment
-            elapsed = moment.shot.elapsed(moment.frame)
+            elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
                 placed = self._arrangement.placed(index, points)
                 self._meshes[index].vertices = placed
@@ -126,9 +131,9 @@ class LiveStage:
         """Choose what colours show; the next moment does."""
         self._colour = name
 
-    def arrange(self, shot: Shot, side_by_side: bool) -> None:
+    def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Put meshes side by side or into one place; the next moment does."""
-        arrangement = arranged(shot, side_by_side)
+        arrangement = arranged(scene, side_by_side)
         with self._lock:
             self._arrangement = arrangement
             for label, place in zip(self._labels, arrangement.labels, strict=True):
@@ -158,7 +163,7 @@ class LiveStage:
                     return
                 points = arrangement.placed(index, moment.poses[index])
                 found = pick(
-                    points, moment.shot.items[index].header.faces, event.ray_origin, event.ray_direction
+                    points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if found is not None:
                     with self._lock:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from mixseq.errors import MissingExtraError
+from mixseq.scene.colours import SceneColours
 from mixseq.viewing.live.address import address, free_port
 from mixseq.viewing.live.bridge import add_bridge
 from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
 from mixseq.viewing.live.editor import Editor
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.messages import Drawn, Message
-from mixseq.viewing.painting import Paint
 from mixseq.viewing.picking import Picked
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Save, Session
@@ -65,7 +65,7 @@ class Viewer:
     """
 
     def __init__(
-        self, server: Any, paint: Paint, settings: ViewSettings, save: Save, stack: ExitStack
+        self, server: Any, colours: SceneColours, settings: ViewSettings, save: Save, stack: ExitStack
     ) -> None:
         self._server = server
         self._play: PlayControls | None = None  # the first frame may be there before they are
@@ -73,14 +73,14 @@ class Viewer:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         gui.set_panel_label("mixseq")
-        self._stage = LiveStage(server, paint, settings.material, settings.overlaid, self._show)
+        self._stage = LiveStage(server, colours, settings.material, settings.overlaid, self._show)
         self.playback = stack.enter_context(
-            Playback(paint.shot, self._stage, self._failed, threads=settings.threads)
+            Playback(colours.scene, self._stage, self._failed, threads=settings.threads)
         )
         self.session = stack.enter_context(Session(self.playback, self, save))
         add_bridge(server, self._heard)
         self._play = PlayControls(server, self.playback)
-        self._shown = ShowControls(server, self.playback, self._stage, paint)
+        self._shown = ShowControls(server, self.playback, self._stage, colours)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(300)
         if self.session.editable:
@@ -143,11 +143,11 @@ class Viewer:
             self._editor.heard(message)
 
     def _clicked(self, index: int, picked: Picked) -> None:
-        name = self.playback.shot.items[index].name
+        name = self.playback.scene.items[index].name
         what = f"vertex {picked.vertex}, triangle {picked.face}"
         if self._editor is not None:
             what = self._editor.picked(index, picked)
-        self._shown.picked(f"{name}: {what}" if len(self.playback.shot.items) > 1 else what)
+        self._shown.picked(f"{name}: {what}" if len(self.playback.scene.items) > 1 else what)
 
     def tell(self, title: str, text: str, good: bool = False) -> None:
         """Tell something on all pages."""
@@ -172,13 +172,13 @@ def check_viser() -> None:
 
 
 @contextmanager
-def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
+def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
     """Run a viewer in the background, as long as the context lasts.
 
     Parameters
     ----------
-    paint : Paint
-        The shot, and its colours.
+    colours : SceneColours
+        The scene, and its colours.
     settings : ViewSettings
         How.
     save : Save
@@ -200,7 +200,7 @@ def viewer(paint: Paint, settings: ViewSettings, save: Save) -> Iterator[Viewer]
         with redirect_stdout(StringIO()):  # a greeting of viser
             server = viser.ViserServer(settings.host, port, label="mixseq", verbose=False)
         stack.callback(_stop, server)
-        running = Viewer(server, paint, settings, save, stack)
+        running = Viewer(server, colours, settings, save, stack)
         stack.enter_context(
             warnings_heard(lambda text: running.tell("Please note", text))
         )  # of threads of ours

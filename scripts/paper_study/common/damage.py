@@ -9,8 +9,8 @@ import numpy as np
 from mixseq.arrays import Float, Index
 from mixseq.geometry.normals import shared_normals
 from mixseq.geometry.rigid import kabsch, transform
-from mixseq.plots.camera import View, y_up
 from mixseq.polygons import Polygons
+from mixseq.scene.camera import View, y_up
 from scripts.paper_study.common.poses import Poses
 
 OPPOSITE = -0.7

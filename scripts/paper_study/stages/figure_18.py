@@ -12,8 +12,8 @@ import mixseq
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.plots import broadside, draw_layout, draw_mesh, shared_limits
-from mixseq.plots.camera import y_up
 from mixseq.plots.charts import chart_style, new_page
+from mixseq.scene.camera import y_up
 from mixseq.sequence import MeshSequence
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text

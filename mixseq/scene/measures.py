@@ -1,4 +1,4 @@
-r"""How far a pose is from a pose at rest: a number at every vertex, that colours show in films and in the viewer.
+r"""How far a pose is from a pose at rest: a number at every vertex, that colours show.
 
 - **strain**: mean over the edges of a vertex of :math:`|l / \bar l - 1|`, with :math:`\bar l` their lengths at rest.
 - **curvature** (its change): mean over the hinges of a vertex of :math:`|\theta - \bar\theta|` in degrees, with
@@ -21,7 +21,6 @@ n_g`, or :math:`-n_g` where g has the other orientation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +34,6 @@ FLAT = 1e-6
 
 SHARE = 0.99
 """Part of the vertices that the colour scale must reach: one sliver should not darken all others. Ours."""
-
-
-class Measure(Protocol):
-    """A number at every vertex of a pose."""
-
-    def __call__(self, points: FloatArray) -> Float:
-        """Return numbers ``(V,)`` of points ``(V, 3)``."""
-
-    def largest(self, values: Float) -> float:
-        """Return what of a pose's numbers the colour scale must reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +69,6 @@ class Strain:
         known = self.lengths > 0
         strain = np.abs(np.divide(now, self.lengths, out=np.ones_like(now), where=known) - 1)
         return _means(strain, self.edges, len(points))
-
-    def largest(self, values: Float) -> float:
-        """Leave out a hundredth."""
-        return float(np.quantile(values, SHARE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +121,6 @@ class Curvature:
         now, known = _angles(points, self.faces, self.hinges, self.sides, self.signs)
         change = np.where(known & self.known, np.abs(wrap(now - self.angles)), 0.0)
         return np.degrees(_means(change, self.hinges, len(points)))
-
-    def largest(self, values: Float) -> float:
-        """Leave out a hundredth."""
-        return float(np.quantile(values, SHARE))
 
 
 MEASURES: dict[str, type[Strain | Curvature]] = {"strain": Strain, "curvature": Curvature}

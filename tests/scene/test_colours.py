@@ -8,17 +8,17 @@ import pytest
 import mixseq
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, frame_store
+from mixseq.scene.colours import SceneColours, check_original
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals import Model
-from mixseq.viewing.painting import Paint, check_original
-from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar, tetrahedron
 
 ALL = ("clay", "parts", "error", "strain", "curvature")
 
 
-def item_of(sequence: MeshSequence, name: str = "sequence") -> Item:
-    return Item(name, frame_store(sequence))
+def item_of(sequence: MeshSequence, name: str = "sequence") -> SceneItem:
+    return SceneItem(name, frame_store(sequence))
 
 
 def original_of(sequence: MeshSequence) -> FrameStore:
@@ -37,45 +37,45 @@ def grown(by: float) -> MeshSequence:
 
 
 def test_names_of_what_there_is(bent_bar: MeshSequence, bar_model: Model) -> None:
-    sequence, model = item_of(bent_bar), Item("model", bar_model)
+    sequence, model = item_of(bent_bar), SceneItem("model", bar_model)
     original = original_of(bent_bar)
-    assert Paint(Shot((sequence,))).names == without("parts", "error")
-    assert Paint(Shot((model,))).names == without("error")
-    assert Paint(Shot((sequence,)), original).names == without("parts")
-    assert Paint(Shot((sequence, model)), original).names == ALL  # of one mesh at least
-    assert Paint(Shot((item_of(grown(2)),)), original).names == without("parts", "error")
+    assert SceneColours(Scene((sequence,))).names == without("parts", "error")
+    assert SceneColours(Scene((model,))).names == without("error")
+    assert SceneColours(Scene((sequence,)), original).names == without("parts")
+    assert SceneColours(Scene((sequence, model)), original).names == ALL  # of one mesh at least
+    assert SceneColours(Scene((item_of(grown(2)),)), original).names == without("parts", "error")
 
 
 def test_a_model_without_parts(bent_bar: MeshSequence) -> None:
     model = mixseq.fit(bent_bar, space="vertex", rank=2)
-    paint = Paint(Shot((Item("model", model),)))
-    assert paint.names == without("parts", "error")
-    assert paint.of(0, "parts").name == "clay"
+    colours = SceneColours(Scene((SceneItem("model", model),)))
+    assert colours.names == without("parts", "error")
+    assert colours.of(0, "parts").name == "clay"
 
 
 def test_names_promise_what_there_is(bent_bar: MeshSequence, bar_model: Model) -> None:
-    for items in ([item_of(bent_bar)], [Item("model", bar_model)], [item_of(grown(2))]):
-        paint = Paint(Shot(tuple(items)), original_of(bent_bar))
-        assert paint.names == tuple(paint.each(0))
+    for items in ([item_of(bent_bar)], [SceneItem("model", bar_model)], [item_of(grown(2))]):
+        colours = SceneColours(Scene(tuple(items)), original_of(bent_bar))
+        assert colours.names == tuple(colours.each(0))
 
 
 def test_clay_where_a_mesh_has_no_such_colours(bent_bar: MeshSequence, bar_model: Model) -> None:
-    paint = Paint(Shot((item_of(bent_bar), Item("model", bar_model))))
-    assert [each.name for each in paint.shared("parts")] == ["clay", "parts"]
-    assert [each.name for each in paint.shared("error")] == ["clay", "clay"]
+    colours = SceneColours(Scene((item_of(bent_bar), SceneItem("model", bar_model))))
+    assert [each.name for each in colours.shared("parts")] == ["clay", "parts"]
+    assert [each.name for each in colours.shared("error")] == ["clay", "clay"]
 
 
 def test_colours_are_worked_out_once(bent_bar: MeshSequence) -> None:
-    paint = Paint(Shot((item_of(bent_bar),)))
-    assert paint.of(0, "clay") is paint.of(0, "clay")
-    assert paint.shared("clay")[0] is paint.of(0, "clay")
+    colours = SceneColours(Scene((item_of(bent_bar),)))
+    assert colours.of(0, "clay") is colours.of(0, "clay")
+    assert colours.shared("clay")[0] is colours.of(0, "clay")
 
 
 def test_one_scale_for_all() -> None:
-    paint = Paint(Shot((item_of(grown(1.5)), item_of(grown(2.0)))))
-    tops = [paint.of(index, "strain").top for index in range(2)]
+    colours = SceneColours(Scene((item_of(grown(1.5)), item_of(grown(2.0)))))
+    tops = [colours.of(index, "strain").top for index in range(2)]
     assert tops == pytest.approx([50.0, 100.0])  # percent
-    shared = paint.shared("strain")
+    shared = colours.shared("strain")
     assert [each.top for each in shared] == pytest.approx([100.0, 100.0])
     points = tetrahedron()[0]
     for each, by, entry in ((shared[0], 1.5, 128), (shared[1], 2.0, 255)):
@@ -83,16 +83,16 @@ def test_one_scale_for_all() -> None:
 
 
 def test_strain_is_against_the_first_frame() -> None:
-    paint = Paint(Shot((item_of(grown(2.0)),)))
-    assert not paint.of(0, "strain").indices(tetrahedron()[0], 0.0).any()
+    colours = SceneColours(Scene((item_of(grown(2.0)),)))
+    assert not colours.of(0, "strain").indices(tetrahedron()[0], 0.0).any()
 
 
 def test_errors_are_against_the_original_at_the_same_time() -> None:
     sequence = grown(2.0)
     shift = np.array([0.3, 0.0, 0.4])
     moved = sequence.with_points(sequence.points + shift)
-    paint = Paint(Shot((item_of(moved),)), original_of(sequence))
-    errors = paint.of(0, "error")
+    colours = SceneColours(Scene((item_of(moved),)), original_of(sequence))
+    errors = colours.of(0, "error")
     assert errors.measure is not None
     share = 0.5 / bounding_diagonal(sequence.points[0])
     for frame in (0, 4, 10):
@@ -102,30 +102,30 @@ def test_errors_are_against_the_original_at_the_same_time() -> None:
 
 
 def test_an_edited_model_has_the_scale_that_it_had(bar_model: Model) -> None:
-    paint = Paint(Shot((Item("model", bar_model),)))
-    strain = paint.of(0, "strain")
+    colours = SceneColours(Scene((SceneItem("model", bar_model),)))
+    strain = colours.of(0, "strain")
     assert not strain.indices(bar_model(bar_model.start), 0.0).any()
     assert strain.indices(bar_model(bar_model.end), 0.0).max() == 255
 
 
 def test_an_original_of_some_of_the_meshes(bent_bar: MeshSequence) -> None:
-    shot = Shot((item_of(grown(2)), item_of(bent_bar)))
-    check_original(shot, original_of(bent_bar))
+    scene = Scene((item_of(grown(2)), item_of(bent_bar)))
+    check_original(scene, original_of(bent_bar))
 
 
 def test_another_mesh_is_no_original(bent_bar: MeshSequence) -> None:
-    shot = Shot((item_of(bent_bar),))
+    scene = Scene((item_of(bent_bar),))
     with pytest.raises(SettingsError, match=r"none .* 4 vertices and 4 triangles .* one mesh"):
-        check_original(shot, original_of(grown(2)))
+        check_original(scene, original_of(grown(2)))
     with_a_stray = MeshSequence.from_arrays(
         np.concatenate([bent_bar.points, bent_bar.points[:, :1]], axis=1), bent_bar.faces, fps=10
     )
     with pytest.raises(SettingsError, match="78 vertices"):
-        check_original(shot, original_of(with_a_stray))
+        check_original(scene, original_of(with_a_stray))
 
 
 def test_an_original_begins_at_the_same_time() -> None:
     sequence = bar(frames=4)
     later = MeshSequence.from_arrays(sequence.points, sequence.faces, times=sequence.times + 0.5)
     with pytest.raises(SettingsError, match=r"late begins at 0.5 s, the original at 0 s"):
-        check_original(Shot((item_of(later, "late"),)), original_of(sequence))
+        check_original(Scene((item_of(later, "late"),)), original_of(sequence))

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.frame_store import frame_store
+from mixseq.scene.arrangement import FIELD, GAP, HEIGHT, MARGIN, Arrangement, arranged
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
-from mixseq.viewing.arrangement import FIELD, GAP, HEIGHT, MARGIN, Arrangement, arranged
-from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar, tetrahedron, tube
 
 
@@ -24,17 +24,17 @@ def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0
     return MeshSequence.from_arrays(poses, faces, fps=10)
 
 
-def shot_of(*sequences: MeshSequence) -> Shot:
-    return Shot(tuple(Item(sequence.header.name, frame_store(sequence)) for sequence in sequences))
+def scene_of(*sequences: MeshSequence) -> Scene:
+    return Scene(tuple(SceneItem(sequence.header.name, frame_store(sequence)) for sequence in sequences))
 
 
-def placed(shot: Shot, found: Arrangement) -> list[Float]:
-    """Points (T, V, 3) of all meshes over the shot."""
+def placed(scene: Scene, found: Arrangement) -> list[Float]:
+    """Points (T, V, 3) of all meshes over the scene."""
     return [
-        np.stack([found.placed(index, item.pose(shot.elapsed(frame))) for frame in range(shot.count)]).astype(
-            np.float64
-        )
-        for index, item in enumerate(shot.items)
+        np.stack(
+            [found.placed(index, item.pose(scene.elapsed(frame))) for frame in range(scene.count)]
+        ).astype(np.float64)
+        for index, item in enumerate(scene.items)
     ]
 
 
@@ -57,9 +57,9 @@ SHOTS = {
 
 @pytest.mark.parametrize("name", SHOTS)
 def test_side_by_side(name: str) -> None:
-    shot = shot_of(*SHOTS[name])
-    found = arranged(shot, side_by_side=True)
-    meshes = placed(shot, found)
+    scene = scene_of(*SHOTS[name])
+    found = arranged(scene, side_by_side=True)
+    meshes = placed(scene, found)
     ends = [(float((mesh @ across(found)).min()), float((mesh @ across(found)).max())) for mesh in meshes]
     for (_, right), (left, _) in pairwise(ends):
         assert left > right
@@ -70,9 +70,9 @@ def test_side_by_side(name: str) -> None:
 @pytest.mark.parametrize("side_by_side", [True, False])
 @pytest.mark.parametrize("name", SHOTS)
 def test_the_box_is_around_everything(name: str, side_by_side: bool) -> None:
-    shot = shot_of(*SHOTS[name])
-    found = arranged(shot, side_by_side)
-    points = np.concatenate([mesh.reshape(-1, 3) for mesh in placed(shot, found)])
+    scene = scene_of(*SHOTS[name])
+    found = arranged(scene, side_by_side)
+    points = np.concatenate([mesh.reshape(-1, 3) for mesh in placed(scene, found)])
     np.testing.assert_allclose(points.min(axis=0), found.low, atol=1e-5)
     np.testing.assert_allclose(points.max(axis=0), found.high, atol=1e-5)
     assert (found.high - found.low).max() == pytest.approx(HEIGHT)
@@ -81,13 +81,13 @@ def test_the_box_is_around_everything(name: str, side_by_side: bool) -> None:
 
 
 def test_two_boxes_in_closed_form() -> None:
-    shot = shot_of(box((2, 4, 0.5), at=(9, 9, 9)), box((1, 1, 1), at=(-5, 0, 2)))
-    found = arranged(shot, side_by_side=True)
+    scene = scene_of(box((2, 4, 0.5), at=(9, 9, 9)), box((1, 1, 1), at=(-5, 0, 2)))
+    found = arranged(scene, side_by_side=True)
     right = np.array([np.sqrt(3) / 2, 0, -0.5])  # seen from 30 degrees
     np.testing.assert_allclose(across(found), right, atol=1e-12)
     widths = [np.sqrt(3) + 0.25, np.sqrt(3) / 2 + 0.5]
     apart = (sum(widths) / 2 + GAP * max(widths)) * right  # from middle to middle
-    first, second = (mesh.reshape(-1, 3) for mesh in placed(shot, found))
+    first, second = (mesh.reshape(-1, 3) for mesh in placed(scene, found))
     centres = [(mesh.min(axis=0) + mesh.max(axis=0)) / 2 for mesh in (first, second)]
     np.testing.assert_allclose(
         (centres[1] - centres[0])[[0, 2]] / found.scale, apart[[0, 2]], rtol=1e-5, atol=1e-5
@@ -95,10 +95,10 @@ def test_two_boxes_in_closed_form() -> None:
 
 
 def test_in_one_place_they_stay_where_they_are() -> None:
-    shot = shot_of(box((2, 4, 1)), box((1, 1, 1), at=(0.5, 3, 0.25)))
-    found = arranged(shot, side_by_side=False)
+    scene = scene_of(box((2, 4, 1)), box((1, 1, 1), at=(0.5, 3, 0.25)))
+    found = arranged(scene, side_by_side=False)
     np.testing.assert_array_equal(found.offsets[0], found.offsets[1])
-    first, second = (mesh.reshape(-1, 3) for mesh in placed(shot, found))
+    first, second = (mesh.reshape(-1, 3) for mesh in placed(scene, found))
     assert first[:, 1].min() == pytest.approx(0, abs=1e-6)
     assert second[:, 1].min() == pytest.approx(found.scale * 4.5)  # 3 - 0.5 above -2
 
@@ -107,8 +107,8 @@ def test_in_one_place_they_stay_where_they_are() -> None:
 def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
     points, faces = tube(5, 7)
     sequence = MeshSequence.from_arrays(points[None], faces, up_axis=axis)
-    shot = shot_of(sequence)
-    found = arranged(shot, side_by_side=True)
+    scene = scene_of(sequence)
+    found = arranged(scene, side_by_side=True)
     turned = points[:, order]
     moved = found.placed(0, sequence.points[0])
     assert moved.dtype == np.float32
@@ -118,9 +118,9 @@ def test_any_axis_may_point_up(axis: str, order: list[int]) -> None:
 
 
 def test_names_stand_above() -> None:
-    shot = shot_of(*SHOTS["unlike"])
-    found = arranged(shot, side_by_side=True)
-    for label, mesh in zip(found.labels, placed(shot, found), strict=True):
+    scene = scene_of(*SHOTS["unlike"])
+    found = arranged(scene, side_by_side=True)
+    for label, mesh in zip(found.labels, placed(scene, found), strict=True):
         points = mesh.reshape(-1, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         np.testing.assert_allclose(label[[0, 2]], ((low + high) / 2)[[0, 2]], atol=1e-5)
@@ -145,7 +145,7 @@ def shares(found: Arrangement, aspect: float) -> Float:
 @pytest.mark.parametrize("aspect", [0.4, 0.78, 1.0, 16 / 9, 3.5])
 @pytest.mark.parametrize("name", SHOTS)
 def test_the_camera_sees_everything(name: str, aspect: float) -> None:
-    seen = shares(arranged(shot_of(*SHOTS[name]), side_by_side=True), aspect)
+    seen = shares(arranged(scene_of(*SHOTS[name]), side_by_side=True), aspect)
     assert seen.max() == pytest.approx(1 / MARGIN)  # everything, and no farther away than that takes
 
 

@@ -10,16 +10,18 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.plots.colours import INK
 from mixseq.plots.layout import matplotlib_module
-from mixseq.plots.measures import two_digits
 from mixseq.plots.raster import Picture, blank
 from mixseq.plots.video.encoding import pillow_module
-from mixseq.plots.video.scene import Rectangle
+from mixseq.scene.measures import two_digits
+from mixseq.scene.palettes import INK
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont
+
+Rectangle = tuple[slice, slice]
+"""Rows and columns of a picture."""
 
 LETTERS = 1 / 32
 """Height of letters, as a share of the picture's."""
@@ -91,7 +93,7 @@ def _letters(height: int) -> int:
     return max(9, round(LETTERS * height))
 
 
-def page_of(
+def backdrop_of(
     width: int,
     height: int,
     panels: Sequence[Rectangle],

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.plots.camera import View, broadside, y_up
-from mixseq.viewing.shown import Shot
+from mixseq.scene.camera import View, broadside, y_up
+from mixseq.scene.items import Scene
 
 SAMPLES = 8
 """So many frames tell how much space a mesh takes."""
@@ -74,16 +74,16 @@ class Arrangement:
         return centre + distance * rows[2], centre
 
 
-def arranged(shot: Shot, side_by_side: bool) -> Arrangement:
-    """Find places for meshes of a shot, such that they never meet if they stand side by side."""
-    up_axes = tuple(item.header.up_axis for item in shot.items)
+def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
+    """Find places for meshes of a scene, such that they never meet if they stand side by side."""
+    up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
-    for item, up in zip(shot.items, up_axes, strict=True):
-        poses = [y_up(item.pose(shot.elapsed(frame)), up) for frame in shot.spread(SAMPLES)]
+    for item, up in zip(scene.items, up_axes, strict=True):
+        poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.spread(SAMPLES)]
         boxes.append(
             (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
         )
-    first = shot.items[0]
+    first = scene.items[0]
     azimuth = broadside(first.pose(0.0), up_axes[0]).azimuth
     offsets = _row(boxes, azimuth) if side_by_side else _together(boxes)
     low = np.min([box[0] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)

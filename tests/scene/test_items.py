@@ -7,9 +7,9 @@ import pytest
 
 from mixseq.errors import SettingsError
 from mixseq.frame_store import frame_store
+from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
-from mixseq.viewing.shown import Item, Shot
 from tests.meshes import bar
 
 
@@ -19,7 +19,7 @@ def sequence() -> MeshSequence:
 
 
 def test_poses_of_a_sequence_are_its_nearest_frames(sequence: MeshSequence) -> None:
-    item = Item("bar", frame_store(sequence))
+    item = SceneItem("bar", frame_store(sequence))
     for elapsed, frame in ((0.0, 0), (0.04, 0), (0.06, 1), (0.4, 4), (9.0, 4)):
         pose = item.pose(elapsed)
         assert pose.dtype == np.float32
@@ -27,40 +27,40 @@ def test_poses_of_a_sequence_are_its_nearest_frames(sequence: MeshSequence) -> N
 
 
 def test_poses_of_a_model_are_at_any_time(bar_model: Model) -> None:
-    item = Item("bar", bar_model)
+    item = SceneItem("bar", bar_model)
     for elapsed, time in ((0.0, 0.0), (0.123, 0.123), (0.3, 0.3), (9.0, 0.3)):
         np.testing.assert_array_equal(item.pose(elapsed), bar_model(time).astype(np.float32))
 
 
 def test_frames_of_the_longest(sequence: MeshSequence) -> None:
-    short = Item("short", frame_store(bar(sides=3, rings=5, frames=2)))
-    shot = Shot((short, Item("long", frame_store(sequence))))
-    assert (shot.count, shot.fps) == (5, 10)
-    assert [shot.elapsed(frame) for frame in range(5)] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    short = SceneItem("short", frame_store(bar(sides=3, rings=5, frames=2)))
+    scene = Scene((short, SceneItem("long", frame_store(sequence))))
+    assert (scene.count, scene.fps) == (5, 10)
+    assert [scene.elapsed(frame) for frame in range(5)] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
 
 
 def test_at_another_rate(sequence: MeshSequence) -> None:
-    shot = Shot((Item("bar", frame_store(sequence)),), rate=30)
-    assert (shot.count, shot.fps) == (15, 30)
+    scene = Scene((SceneItem("bar", frame_store(sequence)),), rate=30)
+    assert (scene.count, scene.fps) == (15, 30)
     with pytest.raises(SettingsError, match="frames per second"):
-        _ = Shot(shot.items, rate=1).count
+        _ = Scene(scene.items, rate=1).count
 
 
 @pytest.mark.parametrize(
     ("elapsed", "frame"), [(0.0, 0), (0.26, 3), (0.24, 2), (-1.0, 0), (7.0, 4), (1e308, 4), (-1e308, 0)]
 )
 def test_the_frame_at_a_time(sequence: MeshSequence, elapsed: float, frame: int) -> None:
-    assert Shot((Item("bar", frame_store(sequence)),)).frame_at(elapsed) == frame
+    assert Scene((SceneItem("bar", frame_store(sequence)),)).frame_at(elapsed) == frame
 
 
 def test_another_motion_of_one_of_the_meshes(sequence: MeshSequence, bar_model: Model) -> None:
-    shot = Shot((Item("a", frame_store(sequence)), Item("b", frame_store(sequence))), rate=20)
-    other = shot.with_item(1, bar_model)
-    assert other.items[0] is shot.items[0]
+    scene = Scene((SceneItem("a", frame_store(sequence)), SceneItem("b", frame_store(sequence))), rate=20)
+    other = scene.with_item(1, bar_model)
+    assert other.items[0] is scene.items[0]
     assert (other.items[1].name, other.items[1].motion, other.rate) == ("b", bar_model, 20)
-    assert shot.items[1].motion is not bar_model
+    assert scene.items[1].motion is not bar_model
 
 
 @pytest.mark.parametrize(("most", "frames"), [(1, [0]), (2, [0, 4]), (3, [0, 2, 4]), (99, [0, 1, 2, 3, 4])])
 def test_frames_spread_over_a_shot(sequence: MeshSequence, most: int, frames: list[int]) -> None:
-    assert list(Shot((Item("bar", frame_store(sequence)),)).spread(most)) == frames
+    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).spread(most)) == frames

@@ -1,8 +1,8 @@
-"""The camera: from which side a mesh is seen, and which rectangle of the screen it fills."""
+"""Cameras: from which side a mesh is seen, and which rectangle of the screen it fills."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from mixseq.arrays import Float, FloatArray
 from mixseq.sequence import UP_AXES
 
 Limits = tuple[float, float, float, float]
+"""Left, right, bottom and top of a rectangle of the screen, in units of the points."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,45 @@ class View:
         around = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
         above = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
         return np.asarray(above @ around)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Where a mesh is seen from, during a film of N frames.
+
+    Attributes
+    ----------
+    view : View
+        The view of the first frame.
+    turn : float
+        Degrees by which it turns until the first frame comes again, after N.
+    centre : (3,) float
+        What it turns about, Y up.
+    ground : float
+        Height of the ground.
+    limits : (4,) float
+        Screen rectangle that holds all frames.
+    """
+
+    view: View
+    turn: float
+    centre: Float
+    ground: float
+    limits: Limits
+
+    def at(self, share: float) -> View:
+        """Return the view after a share of the film."""
+        return View(self.view.azimuth + share * self.turn, self.view.elevation)
+
+    @property
+    def aspect(self) -> float:
+        """Height per width of what it sees."""
+        left, right, bottom, top = self.limits
+        return (top - bottom) / (right - left)
+
+    def fitted(self, aspect: float) -> Camera:
+        """Return a camera that sees more, so that its aspect is as given."""
+        return replace(self, limits=of_aspect(self.limits, aspect))
 
 
 def broadside(points: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0) -> View:
@@ -84,6 +124,14 @@ def shared_limits(
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
     space = margin * (float((high - low).max()) or 1.0)  # a single point still gets a rectangle
     return low[0] - space, high[0] + space, low[1] - space, high[1] + space
+
+
+def of_aspect(limits: Limits, aspect: float) -> Limits:
+    """Widen a rectangle about its middle, to both sides or up and down, until its height per width is as given."""
+    left, right, bottom, top = limits
+    width, height = max(right - left, (top - bottom) / aspect), max(top - bottom, (right - left) * aspect)
+    x, y = (left + right) / 2, (bottom + top) / 2
+    return x - width / 2, x + width / 2, y - height / 2, y + height / 2
 
 
 def y_up(points: FloatArray, up_axis: str) -> Float:

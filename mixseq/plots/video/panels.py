@@ -1,0 +1,145 @@
+"""The frames of a film: panels side by side, each with a mesh and its name, seen by cameras that may turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mixseq.arrays import Float
+from mixseq.plots.raster import Picture, render_mesh
+from mixseq.plots.video.backdrop import Rectangle
+from mixseq.scene.camera import Camera, broadside, shared_limits, y_up
+from mixseq.scene.colouring import Bytes, Colouring
+from mixseq.scene.items import DecodedItem
+from mixseq.sequence import SequenceHeader
+from mixseq.threads import one_blas_thread
+
+HEAT_CONTRAST = 0.25
+"""Strength of the shading under colours that mean numbers, as on paper."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """What one panel shows.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        The mesh.
+    colours : (3,) or (F, 3) float
+        RGB in 0..1 of the mesh or of each face, where nothing is measured.
+    camera : Camera
+        From where, in the proportions of the panel.
+    place : pair of slices
+        Where it is in the picture.
+    """
+
+    header: SequenceHeader
+    colours: ArrayLike
+    camera: Camera
+    place: Rectangle
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """All that the frames of a film have in common.
+
+    Attributes
+    ----------
+    panels : sequence of Panel
+        From left to right, and down.
+    backdrop : (H, W, 3) uint8
+        What does not change: names and the colour bar.
+    frames : int
+        Number of frames N.
+    palette : (256, 3) float, optional
+        Colours of what is measured, RGB in 0..1.
+    """
+
+    panels: Sequence[Panel]
+    backdrop: Picture
+    frames: int
+    palette: Float | None = None
+
+
+Moment = tuple[int, list[tuple[Float, Bytes | None]]]
+"""A frame's number, and of each mesh in it the points and, if it is measured, entries ``(V,)`` of the palette."""
+
+
+def moments(
+    items: Sequence[DecodedItem], colourings: Sequence[Colouring], times: Float, frames: Iterable[int]
+) -> Iterator[Moment]:
+    """Yield what frames of a film show, whose frames are at times ``(N,)``."""
+    for frame in frames:
+        seen: list[tuple[Float, Bytes | None]] = []
+        for item, colouring in zip(items, colourings, strict=True):
+            points = item.pose(frame)
+            entries = None if colouring.constant else colouring.indices(points, float(times[frame]))
+            seen.append((points, entries))
+        yield frame, seen
+
+
+def draw_moment(layout: Layout, moment: Moment) -> Picture:
+    """Draw a frame of a film ``(H, W, 3)``."""
+    frame, seen = moment
+    picture = layout.backdrop.copy()
+    for panel, (points, entries) in zip(layout.panels, seen, strict=True):
+        faces, camera = panel.header.faces, panel.camera
+        colours, contrast = panel.colours, 1.0
+        if entries is not None and layout.palette is not None:
+            colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
+        world = y_up(points, panel.header.up_axis) - camera.centre
+        view = camera.at(frame / layout.frames)
+        ground = float(camera.ground - camera.centre[1])
+        render_mesh(picture[panel.place], world, faces, view, camera.limits, colours, ground, contrast)
+    return picture
+
+
+def cameras_of(items: Sequence[DecodedItem], frames: int, turn: float) -> list[Camera]:
+    """Place the cameras: the same for all that have the triangles of the first, one of its own for each of the others.
+
+    Parameters
+    ----------
+    items : sequence of DecodedItem
+        What is shown.
+    frames : int
+        Number of frames of the film.
+    turn : float
+        Degrees by which the cameras turn.
+    """
+    groups: dict[int, list[DecodedItem]] = {}
+    group_of = []
+    for number, item in enumerate(items):
+        same = number > 0 and np.array_equal(item.header.faces, items[0].header.faces)
+        group_of.append(0 if same else number)
+        groups.setdefault(group_of[-1], []).append(item)
+    with one_blas_thread():
+        placed = {number: _camera(group, frames, turn) for number, group in groups.items()}
+    return [placed[number] for number in group_of]
+
+
+def _camera(items: Sequence[DecodedItem], frames: int, turn: float) -> Camera:
+    """Place the camera of meshes that are seen alike."""
+    boxes = []
+    for item in items:
+        for frame in item.shown_first.tolist():
+            world = y_up(item.pose(frame), item.header.up_axis)
+            boxes.append((world.min(axis=0), world.max(axis=0)))
+    low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+    centre, ground = (low + high) / 2, float(low[1])
+    first = items[0]
+    camera = Camera(
+        broadside(first.pose(0), first.header.up_axis), turn, centre, ground, (0.0, 1.0, 0.0, 1.0)
+    )
+    below = np.array([[0, ground - centre[1], 0]])
+    limits = []
+    for item in items:
+        # while the camera turns, every frame is another picture
+        for frame in range(frames) if turn else item.shown_first.tolist():
+            world = y_up(item.pose(frame), item.header.up_axis) - centre
+            limits.append(shared_limits(np.concatenate([world, below]), "Y", camera.at(frame / frames)))
+    left, right, bottom, top = zip(*limits, strict=True)
+    return Camera(camera.view, turn, centre, ground, (min(left), max(right), min(bottom), max(top)))

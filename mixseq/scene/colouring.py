@@ -1,0 +1,262 @@
+"""Colours of a mesh in a scene: an entry of a palette at every vertex, which may change as it moves.
+
+- **clay**: the same everywhere.
+- **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
+  its faces is, else of the part of most of its faces.
+- **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis; what they are tells
+  `mixseq.scene.measures`. Strain and curvature are against the pose at rest.
+
+A pose has one byte at every vertex, so a page needs a palette once and V bytes for each pose, or once where nothing
+changes. What paints whole faces, as films do, takes `Colouring.of_faces` where nothing changes: a face is of one part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixseq.arrays import Float, FloatArray, Index, IntArray
+from mixseq.errors import SettingsError
+from mixseq.scene.measures import MEASURES, SHARE, distances, two_digits
+from mixseq.scene.palettes import CLAY, JOINT_RED, part_colours, segmentation_colours, viridis
+from mixseq.segmentation.joints import Decomposition
+from mixseq.sequence import SequenceHeader, bounding_diagonal
+
+Bytes = NDArray[np.uint8]
+Numbers = Callable[[FloatArray, float], Float]
+"""From points ``(V, 3)`` and the seconds elapsed since the first frame to a number at every vertex ``(V,)``."""
+
+Original = Callable[[float], FloatArray]
+"""From the seconds elapsed since the first frame to the points ``(V, 3)`` that errors are measured against."""
+
+Colour = Literal["clay", "parts", "error", "strain", "curvature"]
+COLOURS: tuple[Colour, ...] = get_args(Colour)
+
+JOINT = 255
+"""The entry of joints in the palette of parts; parts have those below it, again and again where there are more."""
+
+UNITS = {"error": "diagonals", "strain": "%", "curvature": "degrees"}
+"""What the numbers of colours are measured in."""
+
+LEAST = {"error": 1e-12, "strain": 0.01, "curvature": 0.01}
+"""The scales go at least so far, in these units: rounding has no colours, also that of a rigid motion in single
+precision. The values are ours."""
+
+SHARES = {"error": 1.0, "strain": SHARE, "curvature": SHARE}
+"""Part of the vertices that the scales must reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Colouring:
+    """What colours show.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    palette : (256, 3) uint8
+        Colours, sRGB.
+    fixed : (V,) uint8, optional
+        Entries of the palette that never change; without them `measure` tells.
+    measure : function, optional
+        From points ``(V, 3)`` and the seconds elapsed since the first frame to numbers ``(V,)``, in the unit.
+    top : float
+        Number that has the last colour; 0 has the first.
+    unit : str
+        What the numbers are measured in.
+    of_faces : (3,) or (F, 3) float
+        RGB in 0..1 of the mesh or of each face, where nothing is measured.
+
+    Raises
+    ------
+    SettingsError
+        If it has both or neither of `fixed` and `measure`, or `top` is not a positive number.
+    """
+
+    name: str
+    palette: Bytes
+    fixed: Bytes | None = None
+    measure: Numbers | None = None
+    top: float = 1.0
+    unit: str = ""
+    of_faces: ArrayLike = CLAY
+
+    def __post_init__(self) -> None:
+        if (self.fixed is None) == (self.measure is None):
+            raise SettingsError(
+                f"the colours of {self.name} are either fixed or measured; give one of the two"
+            )
+        if not (np.isfinite(self.top) and self.top > 0):
+            raise SettingsError(f"the last colour is at {self.top}; a positive number is expected")
+
+    @property
+    def constant(self) -> bool:
+        """Whether all poses have the same colours."""
+        return self.measure is None
+
+    def indices(self, points: FloatArray, elapsed: float) -> Bytes:
+        """Return the entries ``(V,)`` of the palette that points ``(V, 3)`` have after some seconds."""
+        if self.measure is None:
+            assert self.fixed is not None  # checked above
+            return self.fixed
+        shares = np.clip(self.measure(points, elapsed) / self.top, 0.0, 1.0)
+        return np.rint(255 * shares).astype(np.uint8)
+
+    def reached(self, points: FloatArray, elapsed: float) -> float:
+        """Return the number that the scale must reach for points ``(V, 3)`` after some seconds; 0 without numbers."""
+        if self.measure is None:
+            return 0.0
+        return float(np.quantile(self.measure(points, elapsed), SHARES[self.name]))
+
+    def scaled(self, top: float) -> Colouring:
+        """Return the same with the last colour at another number.
+
+        Raises
+        ------
+        SettingsError
+            If that is not a positive number, or colours do not mean numbers.
+        """
+        if self.constant:
+            raise SettingsError(
+                f"{self.name} has no scale; choose a colour that means numbers, such as strain"
+            )
+        return replace(self, top=float(top))
+
+    def legend(self) -> str:
+        """Return a caption in words, such as "strain 0 to 12 %"."""
+        if self.constant:
+            return "parts, joints red" if self.name == "parts" else self.name
+        return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
+
+
+def clay(count: int) -> Colouring:
+    """Return the plain colour of so many vertices."""
+    return Colouring("clay", _bytes(np.tile(CLAY, (256, 1))), _fixed(np.zeros(count)))
+
+
+def colourings_of(
+    header: SequenceHeader,
+    rest: FloatArray,
+    decomposition: Decomposition | None = None,
+    original: Original | None = None,
+    poses: Iterable[tuple[float, FloatArray]] = (),
+) -> dict[str, Colouring]:
+    """Return what colours may show of a mesh, by name.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        Everything but the points.
+    rest : (V, 3) float
+        The pose that strain and curvature are measured against.
+    decomposition : Decomposition, optional
+        Parts and joints; without it there are no colours for them.
+    original : Original, optional
+        What errors are measured against; without it there are none. The unit is the diagonal of its points at 0.
+    poses : iterable of (float, (V, 3) float)
+        Elapsed seconds and points that the scales must reach, one by one; without any they reach `LEAST`, and
+        `Colouring.scaled` tells how far.
+
+    Returns
+    -------
+    dict
+        ``clay``, ``parts``, ``error``, ``strain``, ``curvature``, in this order; those that there are.
+
+    Raises
+    ------
+    SettingsError
+        If the pose at rest, the parts or the original are of another mesh.
+    """
+    there: dict[Colour, bool] = {"parts": decomposition is not None, "error": original is not None}
+    found: dict[str, Colouring] = {
+        name: colouring_of(name, header, rest, decomposition, original)
+        for name in COLOURS
+        if there.get(name, True)
+    }
+    tops = {name: each.top for name, each in found.items()}
+    for elapsed, points in poses:
+        tops = {name: max(tops[name], each.reached(points, elapsed)) for name, each in found.items()}
+    return {name: each if each.constant else each.scaled(tops[name]) for name, each in found.items()}
+
+
+def colouring_of(
+    name: Colour,
+    header: SequenceHeader,
+    rest: FloatArray,
+    decomposition: Decomposition | None = None,
+    original: Original | None = None,
+) -> Colouring:
+    """Return one of `colourings_of`; its scale, if it has one, reaches `LEAST`.
+
+    Raises
+    ------
+    SettingsError
+        If the pose at rest, the parts or the original are of another mesh.
+    """
+    faces, count = header.faces, header.vertex_count
+    _check("the pose at rest", rest, count)
+    if name == "clay":
+        return clay(count)
+    if name == "parts":
+        assert decomposition is not None
+        entries = _fixed(_part_entries(faces, count, decomposition))
+        of_faces = segmentation_colours(decomposition.part_of_face, decomposition.joint_of_face)
+        return Colouring("parts", _part_palette(), entries, of_faces=of_faces)
+    measure = _measure(name, rest, faces, original)
+    return Colouring(name, _bytes(viridis()), measure=measure, top=LEAST[name], unit=UNITS[name])
+
+
+def _measure(name: Colour, rest: FloatArray, faces: IntArray, original: Original | None) -> Numbers:
+    """Return what a colour measures, in its unit."""
+    if name in MEASURES:
+        measure, unit = MEASURES[name].of(rest, faces), 100 if name == "strain" else 1
+        return lambda points, elapsed: unit * measure(points)
+    assert original is not None
+    first = original(0.0)
+    _check("the original", first, len(rest))
+    diagonal = bounding_diagonal(first) or 1.0
+    return lambda points, elapsed: distances(points, original(elapsed), diagonal)
+
+
+def _check(what: str, points: FloatArray, count: int) -> None:
+    if points.shape != (count, 3):
+        raise SettingsError(
+            f"{what} has the shape {points.shape}, the mesh {count} vertices; colours compare poses of one mesh"
+        )
+
+
+def _part_palette() -> Bytes:
+    return np.concatenate([_bytes(part_colours(JOINT)), _bytes(np.array([JOINT_RED]))])
+
+
+def _part_entries(faces: IntArray, count: int, decomposition: Decomposition) -> Index:
+    """Return the entry ``(V,)`` of the palette of parts that every vertex has; 0 where it has no faces."""
+    part_of_face = decomposition.part_of_face
+    if len(part_of_face) != len(faces):
+        raise SettingsError(
+            f"the parts are of {len(part_of_face)} triangles, the mesh has {len(faces)}; give the parts of this mesh"
+        )
+    parts = int(part_of_face.max()) + 1
+    pairs, votes = np.unique(faces.ravel() * np.int64(parts) + np.repeat(part_of_face, 3), return_counts=True)
+    vertex, part = np.divmod(pairs, parts)
+    # the most votes first, then the lowest number
+    order = np.lexsort((part, -votes, vertex))
+    winners = order[np.unique(vertex[order], return_index=True)[1]]
+    entries = np.zeros(count, dtype=np.int64)
+    entries[vertex[winners]] = part[winners] % JOINT
+    entries[faces[decomposition.joint_of_face >= 0]] = JOINT
+    return entries
+
+
+def _fixed(entries: NDArray[np.generic]) -> Bytes:
+    result = entries.astype(np.uint8)
+    result.setflags(write=False)  # all poses share it
+    return result
+
+
+def _bytes(colours: Float) -> Bytes:
+    return np.rint(255 * np.asarray(colours)).astype(np.uint8)

@@ -1,0 +1,96 @@
+"""The colours that the meshes of a scene can have, worked out when they are first asked for, with one scale for all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore
+from mixseq.scene.colouring import COLOURS, Colouring, Original, clay, colourings_of
+from mixseq.scene.items import Scene, SceneItem, check_starts, same_mesh
+
+SAMPLES = 12
+"""So many frames tell how far the scales go."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneColours:
+    """The colours of all meshes of a scene.
+
+    Attributes
+    ----------
+    scene : Scene
+        As it was opened: edits are measured against the first frames that it had then.
+    original : FrameStore, optional
+        What errors are measured against.
+    """
+
+    scene: Scene
+    original: FrameStore | None = None
+    _found: dict[int, dict[str, Colouring]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def _plain(self) -> list[Colouring]:
+        return [clay(item.header.vertex_count) for item in self.scene.items]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """What colours may show, of one mesh at least."""
+        there = {
+            "parts": any(item.decomposition is not None for item in self.scene.items),
+            "error": any(self._original_of(item) is not None for item in self.scene.items),
+        }
+        return tuple(name for name in COLOURS if there.get(name, True))
+
+    def of(self, index: int, name: str) -> Colouring:
+        """Return what colours show of a mesh: clay, where the mesh has no such colours."""
+        if name == "clay":  # the first colour that is seen, and all others take time
+            return self._plain[index]
+        return self.each(index).get(name, self._plain[index])
+
+    def each(self, index: int) -> dict[str, Colouring]:
+        """Return all colours that a mesh can have."""
+        if index not in self._found:
+            item = self.scene.items[index]
+            moments = (self.scene.elapsed(frame) for frame in self.scene.spread(SAMPLES))
+            poses = ((elapsed, item.pose(elapsed)) for elapsed in moments)
+            original = self._original_of(item)
+            self._found[index] = colourings_of(
+                item.header, item.pose(0.0), item.decomposition, original, poses
+            )
+        return self._found[index]
+
+    def shared(self, name: str) -> list[Colouring]:
+        """Return the colours of all meshes, with one scale."""
+        return with_one_scale([self.of(index, name) for index in range(len(self.scene.items))])
+
+    def _original_of(self, item: SceneItem) -> Original | None:
+        """Return the original's points at elapsed times, if it is the same mesh."""
+        if self.original is None or not same_mesh(self.original.header, item.header):
+            return None
+        return SceneItem("the original", self.original).pose
+
+
+def with_one_scale(colourings: list[Colouring]) -> list[Colouring]:
+    """Return colours of several meshes, whose scales end where the longest does."""
+    top = max((each.top for each in colourings if not each.constant), default=0.0)
+    return [each if each.constant else each.scaled(top) for each in colourings]
+
+
+def check_original(scene: Scene, original: FrameStore) -> None:
+    """Refuse an original that is of no use.
+
+    Raises
+    ------
+    SettingsError
+        If no mesh of the scene has its vertices and triangles, or one that has them begins at another time.
+    """
+    header = original.header
+    same = [item for item in scene.items if same_mesh(item.header, header)]
+    if not same:
+        raise SettingsError(
+            f"none of the meshes has the {header.vertex_count} vertices and {len(header.faces)} triangles of the "
+            "original; errors need one mesh"
+        )
+    check_starts(same, header)

@@ -1,0 +1,220 @@
+"""What a scene shows: meshes that move, started together, at one rate; films, pages and the viewer all draw it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mixseq.arrays import Float, FloatArray, Index, Single, evenly
+from mixseq.disk_array import LargeArray, new_large_array
+from mixseq.errors import SettingsError
+from mixseq.frame_store import FrameStore, block_size, frame_store
+from mixseq.mapping import Executor
+from mixseq.progress import Progress, silent
+from mixseq.scene.timeline import film_times, model_times, nearest_frames
+from mixseq.segmentation.joints import Decomposition
+from mixseq.sequence import Frames, SequenceHeader
+from mixseq.signals import Model
+
+
+@dataclass(frozen=True)
+class SceneItem:
+    """A mesh of a scene; equal to others of the same name and the very same motion.
+
+    Attributes
+    ----------
+    name : str
+        What it is called; may be empty.
+    motion : Model or sequence
+        What moves: a model, which is decoded at any time, or a sequence, of which the nearest frame is shown.
+    """
+
+    name: str
+    motion: Model | Frames | FrameStore
+
+    def __str__(self) -> str:
+        return self.name or self.header.name
+
+    @property
+    def header(self) -> SequenceHeader:
+        """Everything but the points."""
+        return self.motion.header
+
+    @property
+    def elapsed(self) -> Float:
+        """Times ``(T,)`` of its own frames, in seconds since the first one."""
+        return np.asarray(self.header.times - self.header.times[0])
+
+    @property
+    def model(self) -> Model | None:
+        """The motion, if it is a model."""
+        return self.motion if isinstance(self.motion, Model) else None
+
+    @property
+    def decomposition(self) -> Decomposition | None:
+        """Parts and joints, if it is a model that has them."""
+        return self.model.space.decomposed if self.model is not None else None
+
+    def stored(self, progress: Progress = silent) -> SceneItem:
+        """Return the same; a sequence that streams is copied, so that it can be shown in any order."""
+        return self if self.model is not None else replace(self, motion=self._frames(progress))
+
+    def pose(self, elapsed: float) -> Single:
+        """Return the points ``(V, 3)`` so many seconds after the first frame; the last ones after the end."""
+        times = np.array([elapsed])
+        if self.model is not None:
+            return self.model(float(model_times(self.header, times)[0])).astype(np.float32)
+        row = int(nearest_frames(self.header, times)[0])
+        return np.asarray(self._frames().points[row : row + 1][0], dtype=np.float32)
+
+    def exact_pose(self, elapsed: float) -> FloatArray:
+        """Return the same in full precision."""
+        return np.asarray(next(self.poses(np.array([elapsed])))[0])
+
+    def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
+        """Yield the points ``(B, V, 3)`` at times ``(N,)`` since the first frame, a few at once, in full precision."""
+        if self.model is not None:
+            yield from self.model.blocks(model_times(self.header, elapsed), workers=workers)
+            return
+        rows, size = nearest_frames(self.header, elapsed), block_size(self.header.vertex_count)
+        for start in range(0, len(rows), size):
+            yield self._frames().points[rows[start : start + size]]
+
+    def decode(
+        self, elapsed: Float, progress: Progress = silent, workers: Executor | None = None
+    ) -> DecodedItem:
+        """Return all poses of a film with frames at times ``(N,)``, each of them decoded once."""
+        if self.model is None:
+            store = self._frames(progress)
+            return DecodedItem(store.header, store.points, nearest_frames(store.header, elapsed))
+        needed, pose_of_frame = np.unique(model_times(self.header, elapsed), return_inverse=True)
+        poses = new_large_array((len(needed), self.header.vertex_count, 3), np.float64)
+        first = 0
+        for block in self.model.blocks(needed, progress=progress, workers=workers):
+            poses[first : first + len(block)] = block
+            first += len(block)
+        return DecodedItem(self.header, poses, pose_of_frame.astype(np.int64))
+
+    def _frames(self, progress: Progress = silent) -> FrameStore:
+        assert not isinstance(self.motion, Model)
+        return self.motion if isinstance(self.motion, FrameStore) else frame_store(self.motion, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedItem:
+    """The poses of a mesh over the frames of a film.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Everything but the points.
+    poses : (n, V, 3) array, perhaps on disk, of float
+        Poses that are shown.
+    pose_of_frame : (N,) int
+        Which of them every frame of the film shows.
+    """
+
+    header: SequenceHeader
+    poses: LargeArray
+    pose_of_frame: Index
+
+    def pose(self, frame: int) -> Float:
+        """Return the points ``(V, 3)`` in a frame of the film."""
+        row = int(self.pose_of_frame[frame])
+        return np.asarray(self.poses[row : row + 1][0], dtype=np.float64)
+
+    @property
+    def shown_first(self) -> Index:
+        """The frames of the film that show a pose for the first time."""
+        return np.sort(np.unique(self.pose_of_frame, return_index=True)[1]).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that is shown, and when.
+
+    Attributes
+    ----------
+    items : tuple of SceneItem
+        The meshes.
+    rate : float, optional
+        Frames per second that were asked for; by default those of the first item.
+    seconds : float, optional
+        Duration that was asked for; by default that of the longest item.
+    """
+
+    items: tuple[SceneItem, ...]
+    rate: float | None = None
+    seconds: float | None = None
+
+    @cached_property
+    def _timeline(self) -> tuple[Float, float]:
+        return film_times([item.header for item in self.items], self.rate, self.seconds)
+
+    @property
+    def times(self) -> Float:
+        """Times ``(N,)`` of the frames in seconds since the meshes' first ones."""
+        return self._timeline[0]
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self._timeline[1]
+
+    @property
+    def count(self) -> int:
+        """Frames."""
+        return len(self.times)
+
+    def checked(self) -> Scene:
+        """Return the scene as it is, if there are neither too few frames at its rate nor too many.
+
+        Raises
+        ------
+        SettingsError
+            If there are.
+        """
+        film_times([item.header for item in self.items], self.rate, self.seconds)
+        return self
+
+    def elapsed(self, frame: int) -> float:
+        """Return the time of a frame in seconds since the meshes' first ones."""
+        return float(self.times[frame])
+
+    def frame_at(self, elapsed: float) -> int:
+        """Return the frame that is nearest to a time since the first one."""
+        return round(min(max(elapsed * self.fps, 0), self.count - 1))
+
+    def with_item(self, index: int, motion: Model) -> Scene:
+        """Return the scene with another motion of one of its meshes."""
+        items = list(self.items)
+        items[index] = replace(items[index], motion=motion)
+        return replace(self, items=tuple(items))
+
+    def spread(self, most: int) -> Sequence[int]:
+        """Return at most so many frames, evenly spaced, the first one among them."""
+        return [int(frame) for frame in evenly(self.count, most)]
+
+
+def same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
+    """Whether two headers are of the same vertices and triangles, in the same order."""
+    return one.vertex_count == other.vertex_count and np.array_equal(one.faces, other.faces)
+
+
+def check_starts(items: Sequence[SceneItem], original: SequenceHeader) -> None:
+    """Refuse to measure errors of meshes that begin at another time than their original.
+
+    Raises
+    ------
+    SettingsError
+        If one does.
+    """
+    for item in items:
+        if abs(item.header.times[0] - original.times[0]) > 1e-3 / original.fps:
+            raise SettingsError(
+                f"{item} begins at {item.header.times[0]:g} s, the original at {original.times[0]:g} s; errors need "
+                "the same times"
+            )
