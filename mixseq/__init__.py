@@ -22,7 +22,7 @@ from mixseq.version import __version__
 
 if TYPE_CHECKING:
     from mixseq import operations
-    from mixseq.coding.compress import compress
+    from mixseq.coding.encoder.compress import compress
     from mixseq.correspondence.correspond import correspond
     from mixseq.correspondence.dense import Correspondence
     from mixseq.correspondence.markers import Markers
@@ -54,7 +54,7 @@ _HOME = {
     "Topology": "mixseq.topology",
     "Verification": "mixseq_io.verification",
     "compare": "mixseq.metrics",
-    "compress": "mixseq.coding.compress",
+    "compress": "mixseq.coding.encoder.compress",
     "correspond": "mixseq.correspondence.correspond",
     "fit": "mixseq.signals",
     "fit_morph": "mixseq.rigging",

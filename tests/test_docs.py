@@ -27,7 +27,7 @@ from mixseq import operations
 from mixseq.cli import main
 from mixseq.cli.formats import as_markdown
 from mixseq.cli.settings import Setting
-from mixseq.coding.coded import CodingParameters
+from mixseq.coding.bitstream.compressed_sequence import CodingParameters
 from mixseq.creature import walk_cycle
 from mixseq.operations.arguments import Readers
 from mixseq.operations.script import OPERATIONS, read_script
@@ -353,7 +353,7 @@ def test_constants_of_the_specification_are_those_of_the_code() -> None:
     assert len(stated) > 30
     for what, values, place in stated:
         module, _, name = place.strip("`").partition(".")
-        constant = getattr(import_module(f"mixseq.coding.{module}"), name)
+        constant = getattr(import_module(f"mixseq.coding.bitstream.{module}"), name)
         assert [float(value) for value in values.split(",")] == list(np.atleast_1d(constant)), what
 
 

@@ -20,8 +20,8 @@ from PIL import Image
 import mixseq
 from mixseq.arrays import Float, Index, evenly
 from mixseq.cli.transfer import command as transfer_command
-from mixseq.coding.decode import decode_basis
-from mixseq.coding.graph import mesh_graph
+from mixseq.coding.bitstream.compressed_sequence import decode_basis
+from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.geometry.rotations import matrices
 from mixseq.operations import (
@@ -170,11 +170,11 @@ def from_two_sides(path: Path, walk: mixseq.MeshSequence, columns: Mapping[str, 
 
 
 def coding(path: Path) -> None:
-    """What compression codes: which vertices come first, and fields of the walk."""
+    """What compression codes: which vertices come first, and basis vectors of the walk."""
     walk = walk_cycle()
     coded = mixseq.compress(walk, max_error=0.0005)
     graph = mesh_graph(walk.faces, walk.vertex_count)
-    fields = decode_basis(coded, graph).fields[1:, 0]
+    vectors = decode_basis(coded, graph).vectors[1:, 0]
     points, faces = walk.points[0], walk.faces
     low, high = (0.16, 0.38, 0.58), (0.80, 0.48, 0.10)
     view, limits, _ = camera([walk.points[:1]])
@@ -191,7 +191,7 @@ def coding(path: Path) -> None:
         ax.plot(*dots, "o", color=low, ms=14 / len(known) ** 0.25, mew=0, zorder=4)
         ax.set_title(f"the first {len(known)} vertices", fontsize=9, color=INK, pad=2)
     for ax, number in zip(page.panels[1], (0, 2, 5, 14), strict=True):
-        value = fields[number][faces].mean(axis=1)
+        value = vectors[number][faces].mean(axis=1)
         share = np.clip(value / np.percentile(np.abs(value), 98), -1, 1)[:, None]
         ends = np.where(share > 0, high, low)
         draw_mesh(ax, points, faces, (1 - np.abs(share)) * 0.93 + np.abs(share) * ends, "Y", view, limits)

@@ -23,9 +23,9 @@ from mixseq.metrics import check_comparable, paired_blocks
 from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
 from mixseq.signals.model import FRAMES, Model
-from mixseq_io.hdf5.coded import read_coded
+from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.model import decoded
-from mixseq_io.hdf5.salvage import check_behind
+from mixseq_io.hdf5.salvage import explain_damage
 from mixseq_io.registry import PathLike
 
 _ROUNDING = 1e-9
@@ -96,9 +96,9 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     if original is not None:
         check_frames(original)
     try:
-        coded = read_coded(source)
+        coded = read_compressed(source)
     except FormatError:
-        check_behind(source)  # may know more
+        explain_damage(source)  # may know more
         raise
     frames = _Checked(source, decoded(source, coded), progress)
     header, parameters = coded.header, coded.parameters

@@ -15,7 +15,7 @@ from mixseq.cli.console import format_bytes
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
-    from mixseq.coding.coded import Coded
+    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
     from mixseq.sequence import SequenceHeader
 
 Rows = list[tuple[str, str]]
@@ -105,18 +105,18 @@ def _check_aim(context: click.Context, names: list[str]) -> None:
             )
 
 
-def coding_facts(path: Path, coded: Coded) -> dict[str, Any]:
+def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return bytes, rates and errors of a compressed model that is in a file."""
     from dataclasses import asdict
 
-    from mixseq_io.hdf5.coded import coded_sizes
+    from mixseq_io.hdf5.compressed_writer import compressed_sizes
 
-    sizes = coded_sizes(path)
+    sizes = compressed_sizes(path)
     return {
         "bytes": sizes,
         "coding": {
             **asdict(coded.parameters),
-            "groups": len(coded.fields),
+            "groups": len(coded.basis),
             "chunks": len(coded.chunks),
             "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
             "bits_of_motion": bits(sizes["signals"] - sizes["surface"], coded.header),

@@ -27,7 +27,7 @@ from mixseq.cli.options import (
 from mixseq.cli.settings import CommandWithSettings, setting
 
 if TYPE_CHECKING:
-    from mixseq.coding.coded import Coded
+    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
     from mixseq.mapping import Executor
     from mixseq.metrics import Comparison
     from mixseq.sequence import SequenceHeader
@@ -104,7 +104,7 @@ def command(
         progress_bar(quiet) as progress,
         mixseq.open_sequence(source, **reading) as reader,
     ):
-        model: Model | Coded
+        model: Model | CompressedSequence
         if aim:
             model = mixseq.compress(reader, **_within(aim, reader.header), progress=progress)
         else:
@@ -129,14 +129,14 @@ def command(
 
 def _within(aim: dict[str, Any], header: SequenceHeader) -> dict[str, Any]:
     """Return the aim for signals: a size is that of the file."""
-    from mixseq_io.hdf5.coded import room_for_signals
+    from mixseq_io.hdf5.compressed_writer import room_for_signals
 
     return {"size": room_for_signals(header, aim["size"])} if "size" in aim else aim
 
 
-def _rows(model: Model | Coded, path: Path) -> dict[str, str]:
-    from mixseq.coding.coded import Coded
+def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:
+    from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 
-    if isinstance(model, Coded):
+    if isinstance(model, CompressedSequence):
         return dict(coding_rows(coding_facts(path, model)))
     return dict([*dimension_rows(model), ("size", format_bytes(path.stat().st_size))])

@@ -103,9 +103,9 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
 
 def _coding(path: Path) -> dict[str, Any]:
     """Return what is to say of a compressed model, nothing of others."""
-    from mixseq_io.hdf5.coded import is_coded, read_coded
+    from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
 
-    return coding_facts(path, read_coded(path)) if is_coded(path) else {}
+    return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 
 
 def _dimensions(model: Model) -> dict[str, Any]:

@@ -16,8 +16,7 @@ from click.testing import Result
 import mixseq
 from mixseq.cli.compressed import as_bytes
 from mixseq.sequence import MeshSequence
-from mixseq_io.hdf5.coded import read_coded
-from mixseq_io.hdf5.streams import Index, Stream, read_index
+from mixseq_io.hdf5.compressed_reader import Stream, StreamIndex, read_compressed, read_index
 from tests.meshes import bar
 
 Run = Callable[..., Result]
@@ -42,13 +41,13 @@ def small(run: Run, folder: Path) -> Path:
     return folder / "small.h5"
 
 
-def damage(path: Path, stream: Callable[[Index], Stream]) -> None:
+def damage(path: Path, stream: Callable[[StreamIndex], Stream]) -> None:
     """Flip a bit in the middle of a stream."""
     import h5py
 
-    from mixseq_io.hdf5.coded import read_stored
+    from mixseq_io.hdf5.compressed_reader import read_container
 
-    chosen = stream(read_index(path, read_stored(path)))
+    chosen = stream(read_index(path, read_container(path)))
     with h5py.File(path) as file:
         at = file["streams"].id.get_offset() + chosen.start + chosen.size // 2
     data = bytearray(path.read_bytes())
@@ -190,15 +189,15 @@ def test_decode(run: Run, small: Path, bent_bar: MeshSequence) -> None:
 def test_damaged_files_are_refused_and_salvaged(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mixseq.coding.streams.CHUNK", 128)
+    monkeypatch.setattr("mixseq.coding.encoder.trial.CHUNK", 128)
     walk = bar(5, 5, 260)  # more than one chunk
     mixseq.save("long.h5", mixseq.compress(walk, max_error=0.01))
-    first = read_coded(Path("long.h5")).chunks[1].first
-    damage(Path("long.h5"), lambda index: index.chunks[1].tracks)
+    first = read_compressed(Path("long.h5")).chunks[1].first
+    damage(Path("long.h5"), lambda index: index.chunks[1].coefficients)
     result = run("decode", "long.h5", "old.npz")
     assert result.exit_code == 2
     assert result.stderr.startswith(
-        f"mixseq: error: long.h5: the tracks of frames {first} to 259 are damaged; "
+        f"mixseq: error: long.h5: the coefficients of frames {first} to 259 are damaged; "
     )
     assert Path("old.npz").read_bytes() == b"somebody's work"
     result = run("decode", "long.h5", "new.npz", "--salvage")
@@ -229,7 +228,7 @@ def test_verify(run: Run, small: Path) -> None:
 
 
 def test_verify_says_no(run: Run, small: Path) -> None:
-    coded = read_coded(small)
+    coded = read_compressed(small)
     mixseq.save(small, replace(coded, parameters=replace(coded.parameters, max_error=1e-9)))
     result = run("verify", "small.h5", "bar.npz")
     assert (result.exit_code, result.stderr) == (1, "")
@@ -240,10 +239,10 @@ def test_verify_says_no(run: Run, small: Path) -> None:
 
 
 def test_verify_finds_damage(run: Run, small: Path) -> None:
-    damage(small, lambda index: index.chunks[0].tracks)
+    damage(small, lambda index: index.chunks[0].coefficients)
     result = run("verify", "small.h5")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.startswith("mixseq: error: small.h5: the tracks of frames 0 to ")
+    assert result.stderr.startswith("mixseq: error: small.h5: the coefficients of frames 0 to ")
 
 
 @pytest.mark.parametrize(

@@ -7,28 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.coding import streams as module
-from mixseq.coding.basis import Basis
-from mixseq.coding.coded import FactorName
-from mixseq.coding.factors import Factors
-from mixseq.coding.graph import SignalGraph, path_graph
-from mixseq.coding.parts import whole
+from mixseq.coding.bitstream import spatial_basis
+from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
+from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis, whole
+from mixseq.coding.encoder import trial
+from mixseq.coding.encoder.principal_components import PrincipalComponents
 
 
-def write_fields(
-    factors: Factors, step: float, graph: SignalGraph, dry: bool = False
+def write_basis(
+    components: PrincipalComponents, step: float, graph: SignalGraph, dry: bool = False
 ) -> tuple[Float, tuple[bytes, ...]]:
-    [fields], streams = module.write_fields([factors], step, whole(graph), graph, dry)
-    return fields, streams
+    [vectors], streams = trial.write_basis([components], step, whole(graph), graph, dry)
+    return vectors, streams
 
 
-def read_fields(
+def read_basis(
     streams: Sequence[bytes], rank: int, coordinates: int, step: float, graph: SignalGraph
 ) -> Float:
     no_faces = np.zeros((0, 3), dtype=np.int32)
-    [fields], _ = module.read_fields(streams, [rank], coordinates, step, no_faces, graph)
-    return fields
+    [vectors], _ = spatial_basis.read_basis(streams, [rank], coordinates, step, no_faces, graph)
+    return vectors
 
 
-def basis_of(name: FactorName, fields: Float, frame_count: int) -> Basis:
-    return module.basis_of(name, [fields], whole(path_graph(fields.shape[2])), frame_count)
+def basis_of(kind: BasisKind, vectors: Float, frame_count: int) -> SpatialBasis:
+    return spatial_basis.assemble_basis(kind, [vectors], whole(path_graph(vectors.shape[2])), frame_count)

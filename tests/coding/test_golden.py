@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.coding import streams
-from mixseq.coding.coded import Chunk, Coded, CodingParameters
-from mixseq.coding.compress import compress
-from mixseq.coding.decode import to_model
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence, to_model
+from mixseq.coding.encoder import trial
+from mixseq.coding.encoder.compress import compress
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader
 from tests.meshes import bar, rotation, tetrahedron, torus, tube
@@ -21,27 +20,27 @@ from tests.meshes import bar, rotation, tetrahedron, torus, tube
 GOLDEN = Path(__file__).parent / "golden"
 
 
-def _bounded() -> Coded:
+def _bounded() -> CompressedSequence:
     return compress(bar(sides=5, rings=9, frames=6), max_error=3e-3)
 
 
-def _shapes() -> Coded:
+def _shapes() -> CompressedSequence:
     points, faces = tube(4, 5)
     noise = np.random.default_rng(0).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.search.FACTORS", ("shapes",))
+        patch.setattr("mixseq.coding.encoder.search.KINDS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=2)
 
 
-def _long() -> Coded:
+def _long() -> CompressedSequence:
     points, faces = tetrahedron()
     frames = [points @ rotation((0.1 * t, 0.03 * t, 2.0)).T + [0.05 * t, 0, 0] for t in range(200)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streams, "CHUNK", 100)
+        patch.setattr(trial, "CHUNK", 100)
         return compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1)
 
 
-def _parts() -> Coded:
+def _parts() -> CompressedSequence:
     points, faces = torus(10, 8)
     turns = np.random.default_rng(1).normal(size=(3, 12, 3)).cumsum(axis=1)
     bodies = [
@@ -52,7 +51,7 @@ def _parts() -> Coded:
     return compress(MeshSequence.from_arrays(np.concatenate(bodies, axis=1), together), kg=0.5)
 
 
-CASES: dict[str, Callable[[], Coded]] = {
+CASES: dict[str, Callable[[], CompressedSequence]] = {
     "bounded": _bounded,
     "shapes": _shapes,
     "long": _long,
@@ -60,7 +59,7 @@ CASES: dict[str, Callable[[], Coded]] = {
 }
 
 
-def stored(name: str) -> tuple[Coded, np.ndarray, np.ndarray]:
+def stored(name: str) -> tuple[CompressedSequence, np.ndarray, np.ndarray]:
     """Return a golden sequence, the frames whose points are known, and these ``(n, V, 3)``."""
     with np.load(GOLDEN / f"{name}.npz") as file:
         parts = {key: file[key] for key in file.files}
@@ -72,22 +71,22 @@ def stored(name: str) -> tuple[Coded, np.ndarray, np.ndarray]:
         Chunk(int(first), int(count), parts[f"tracks {n}"].tobytes(), parts[f"corrections {n}"].tobytes())
         for n, (first, count) in enumerate(parts["chunks"])
     )
-    return Coded(header, parameters, fields, chunks), parts["frames"], parts["points"]
+    return CompressedSequence(header, parameters, fields, chunks), parts["frames"], parts["points"]
 
 
-def store(name: str, coded: Coded) -> None:
+def store(name: str, coded: CompressedSequence) -> None:
     """Write a golden sequence."""
     frames = np.linspace(0, coded.header.frame_count - 1, 6).astype(int)
-    parts: dict[str, bytes] = {f"fields {n}": stream for n, stream in enumerate(coded.fields)}
-    parts |= {f"tracks {n}": chunk.tracks for n, chunk in enumerate(coded.chunks)}
-    parts |= {f"corrections {n}": chunk.corrections for n, chunk in enumerate(coded.chunks)}
+    parts: dict[str, bytes] = {f"fields {n}": stream for n, stream in enumerate(coded.basis)}
+    parts |= {f"tracks {n}": chunk.coefficients for n, chunk in enumerate(coded.chunks)}
+    parts |= {f"corrections {n}": chunk.residuals for n, chunk in enumerate(coded.chunks)}
     np.savez_compressed(
         GOLDEN / f"{name}.npz",
         counts=coded.header.polygons.counts,
         indices=coded.header.polygons.indices,
         times=coded.header.times,
         parameters=json.dumps(asdict(coded.parameters)),
-        groups=len(coded.fields),
+        groups=len(coded.basis),
         chunks=[(chunk.first, chunk.count) for chunk in coded.chunks],
         frames=frames,
         points=to_model(coded).sample(frames=frames.tolist()).points,
@@ -106,9 +105,9 @@ def test_golden_streams_have_all_that_streams_can_have() -> None:
     bounded, shapes, long = (stored(name)[0] for name in ("bounded", "shapes", "long"))
     assert bounded.parameters.factors == "trajectories"
     assert bounded.parameters.promised
-    assert all(chunk.corrections for chunk in bounded.chunks)
+    assert all(chunk.residuals for chunk in bounded.chunks)
     assert shapes.parameters.factors == "shapes"
-    assert len(shapes.fields) > 1
+    assert len(shapes.basis) > 1
     assert len(long.chunks) > 1
     assert len(stored("parts")[0].parameters.ranks) == 3
 

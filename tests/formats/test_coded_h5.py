@@ -20,23 +20,25 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.coding.coded import Chunk, Coded, CodingParameters
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
+from mixseq.coding.bitstream.entropy import pack_leb128, unpack_leb128
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.spaces.basis import BasisSpace
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq_io.hdf5.coded import coded_sizes, is_coded, read_coded, read_stored
-from mixseq_io.hdf5.packing import (
-    pack_surface,
-    pack_times,
-    pack_whole,
-    unpack_surface,
-    unpack_times,
-    unpack_whole,
+from mixseq_io.hdf5.compressed_reader import (
+    COMPRESSED_VERSION,
+    Stream,
+    StreamIndex,
+    is_compressed,
+    read_compressed,
+    read_container,
+    read_index,
 )
-from mixseq_io.hdf5.salvage import salvage_coded
-from mixseq_io.hdf5.streams import CODED_VERSION, Index, Stream, read_index
+from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.hdf5.lossless import pack_surface, pack_times, unpack_surface, unpack_times
+from mixseq_io.hdf5.salvage import salvage_compressed
 from tests.meshes import bar
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -58,26 +60,26 @@ def any_bytes(size: int) -> bytes:
 
 
 @pytest.fixture
-def coded() -> Coded:
-    """Three groups of fields; chunks of 4, 4, 4 and 2 frames, the third of which has no corrections."""
+def coded() -> CompressedSequence:
+    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has no residuals."""
     header = replace(bar(5, 15, 14).header, name="Füchsin", up_axis="Z", metres_per_unit=0.01)
     sizes = [(4, 301, 50), (4, 302, 60), (4, 303, 0), (2, 304, 40)]
     chunks = tuple(
-        Chunk(4 * number, count, any_bytes(tracks), any_bytes(corrections))
-        for number, (count, tracks, corrections) in enumerate(sizes)
+        Chunk(4 * number, count, any_bytes(coefficients), any_bytes(residuals))
+        for number, (count, coefficients, residuals) in enumerate(sizes)
     )
-    return Coded(header, PARAMETERS, tuple(any_bytes(size) for size in (500, 600, 700)), chunks)
+    return CompressedSequence(header, PARAMETERS, tuple(any_bytes(size) for size in (500, 600, 700)), chunks)
 
 
 @pytest.fixture
-def path(tmp_path: Path, coded: Coded) -> Path:
+def path(tmp_path: Path, coded: CompressedSequence) -> Path:
     file = tmp_path / "small.h5"
     mixseq.save(file, coded)
     return file
 
 
-def assert_same(got: Coded, expected: Coded) -> None:
-    assert (got.parameters, got.fields, got.chunks) == (expected.parameters, expected.fields, expected.chunks)
+def assert_same(got: CompressedSequence, expected: CompressedSequence) -> None:
+    assert (got.parameters, got.basis, got.chunks) == (expected.parameters, expected.basis, expected.chunks)
     a, b = got.header, expected.header
     assert a.polygons.same_as(b.polygons)
     assert a.times.tolist() == b.times.tolist()
@@ -85,8 +87,8 @@ def assert_same(got: Coded, expected: Coded) -> None:
         assert getattr(a, name) == getattr(b, name)
 
 
-def index_of(path: Path) -> Index:
-    return read_index(path, read_stored(path))
+def index_of(path: Path) -> StreamIndex:
+    return read_index(path, read_container(path))
 
 
 def place_of(path: Path) -> int:
@@ -112,14 +114,14 @@ def damage(path: Path, *streams: Stream) -> None:
 # There and back -------------------------------------------------------------------------------------------
 
 
-def test_everything_comes_back(path: Path, coded: Coded) -> None:
-    assert is_coded(path)
-    got = read_coded(path)
+def test_everything_comes_back(path: Path, coded: CompressedSequence) -> None:
+    assert is_compressed(path)
+    got = read_compressed(path)
     assert_same(got, coded)
     assert got.header.surface.origin is None
 
 
-def test_saving_twice_makes_the_same_file(path: Path, coded: Coded, tmp_path: Path) -> None:
+def test_saving_twice_makes_the_same_file(path: Path, coded: CompressedSequence, tmp_path: Path) -> None:
     mixseq.save(tmp_path / "again.hdf5", coded)
     assert (tmp_path / "again.hdf5").read_bytes() == path.read_bytes()
 
@@ -127,18 +129,20 @@ def test_saving_twice_makes_the_same_file(path: Path, coded: Coded, tmp_path: Pa
 def test_the_file_says_what_it_is(path: Path) -> None:
     with h5py.File(path) as file:
         assert file.attrs["format"] == b"mixseq-model"
-        assert file.attrs["version"] == CODED_VERSION
+        assert file.attrs["version"] == COMPRESSED_VERSION
         assert list(file) == ["streams"]
         facts = json.loads(file.attrs["coding"])
     assert facts["coding"] == {name: value for name, value in asdict(PARAMETERS).items() if name != "ranks"}
     assert (facts["name"], facts["frame_count"], facts["polygon_count"]) == ("Füchsin", 14, 150)
 
 
-def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: Coded) -> None:
-    sizes = coded_sizes(path)
+def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: CompressedSequence) -> None:
+    sizes = compressed_sizes(path)
     assert sizes["total"] == path.stat().st_size
     assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
-    streams = sum(map(len, coded.fields)) + sum(len(each.tracks + each.corrections) for each in coded.chunks)
+    streams = sum(map(len, coded.basis)) + sum(
+        len(each.coefficients + each.residuals) for each in coded.chunks
+    )
     assert sizes["signals"] == streams + sizes["index"]
     assert sizes["surface"] == 0
     assert 0 < sizes["connectivity"] < 600
@@ -151,14 +155,14 @@ def test_any_number_of_streams(tmp_path: Path, groups: int, chunks: int) -> None
     header = bar(5, 15, 2 * chunks).header
     some = tuple(Chunk(2 * number, 2, any_bytes(number + 200), any_bytes(7)) for number in range(chunks))
     parameters = replace(PARAMETERS, frame_count=header.frame_count)
-    coded = Coded(header, parameters, tuple(any_bytes(size) for size in range(groups)), some)
+    coded = CompressedSequence(header, parameters, tuple(any_bytes(size) for size in range(groups)), some)
     file = tmp_path / "many.h5"
     mixseq.save(file, coded)
-    assert_same(read_coded(file), coded)
-    assert coded_sizes(file)["index"] < 40 + 14 * chunks
+    assert_same(read_compressed(file), coded)
+    assert compressed_sizes(file)["index"] < 40 + 14 * chunks
 
 
-def test_only_h5(tmp_path: Path, coded: Coded) -> None:
+def test_only_h5(tmp_path: Path, coded: CompressedSequence) -> None:
     with pytest.raises(OutputError, match=r"end the name in \.h5"):
         mixseq.save(tmp_path / "small.usdc", coded)
 
@@ -230,7 +234,7 @@ def test_another_number_of_times_is_refused(count: int) -> None:
 
 @given(st.lists(st.integers(0, 2**70)))
 def test_whole_numbers(numbers: list[int]) -> None:
-    assert list(unpack_whole(pack_whole(numbers))) == numbers
+    assert list(unpack_leb128(pack_leb128(numbers))) == numbers
 
 
 # Surface --------------------------------------------------------------------------------------------------
@@ -247,12 +251,12 @@ def full() -> Surface:
     )
 
 
-def test_surfaces_come_back(tmp_path: Path, coded: Coded) -> None:
+def test_surfaces_come_back(tmp_path: Path, coded: CompressedSequence) -> None:
     polygons = Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 4, 5, 6]))
     header = SequenceHeader(polygons=polygons, vertex_count=7, times=coded.header.times, surface=full())
     file = tmp_path / "surface.h5"
     mixseq.save(file, replace(coded, header=header))
-    got, expected = read_coded(file).header.surface, full()
+    got, expected = read_compressed(file).header.surface, full()
     assert got.uvs is not None and expected.uvs is not None
     np.testing.assert_array_equal(got.uvs.values, expected.uvs.values)
     np.testing.assert_array_equal(got.uvs.indices, expected.uvs.indices)
@@ -263,8 +267,8 @@ def test_surfaces_come_back(tmp_path: Path, coded: Coded) -> None:
         ("empty", [], ""),
     ]
     assert (got.objects, got.subdivision, got.origin) == (expected.objects, "loop", expected.origin)
-    assert 0 < coded_sizes(file)["surface"] < 600
-    assert read_coded(file).header.polygons.same_as(polygons)
+    assert 0 < compressed_sizes(file)["surface"] < 600
+    assert read_compressed(file).header.polygons.same_as(polygons)
 
 
 def test_no_surface_takes_nothing(tmp_path: Path) -> None:
@@ -294,41 +298,41 @@ def test_damaged_surfaces_are_refused(size: int, tmp_path: Path) -> None:
 
 # Damage ---------------------------------------------------------------------------------------------------
 
-STREAMS: list[tuple[Callable[[Index], Stream], str]] = [
-    (lambda index: index.connectivity, "the connectivity's bytes are damaged"),
-    (lambda index: index.fields[0], "the fields of group 0 are damaged"),
-    (lambda index: index.fields[2], "the fields of group 2 are damaged"),
-    (lambda index: index.chunks[0].tracks, "the tracks of frames 0 to 3 are damaged"),
-    (lambda index: index.chunks[3].tracks, "the tracks of frames 12 to 13 are damaged"),
-    (lambda index: index.chunks[1].corrections, "the corrections of frames 4 to 7 are damaged"),
+STREAMS: list[tuple[Callable[[StreamIndex], Stream], str]] = [
+    (lambda index: index.ground["connectivity"], "the connectivity's bytes are damaged"),
+    (lambda index: index.basis[0], "the basis vectors of group 0 are damaged"),
+    (lambda index: index.basis[2], "the basis vectors of group 2 are damaged"),
+    (lambda index: index.chunks[0].coefficients, "the coefficients of frames 0 to 3 are damaged"),
+    (lambda index: index.chunks[3].coefficients, "the coefficients of frames 12 to 13 are damaged"),
+    (lambda index: index.chunks[1].residuals, "the residuals of frames 4 to 7 are damaged"),
 ]
 
 
 @pytest.mark.parametrize(("stream", "message"), STREAMS, ids=[message for _, message in STREAMS])
-def test_damage_is_named(path: Path, stream: Callable[[Index], Stream], message: str) -> None:
+def test_damage_is_named(path: Path, stream: Callable[[StreamIndex], Stream], message: str) -> None:
     damage(path, stream(index_of(path)))
     with pytest.raises(FormatError, match=rf"small\.h5: {message}; restore the file, or read the rest"):
         mixseq.load(path)
 
 
-def test_damaged_times_are_named(tmp_path: Path, coded: Coded) -> None:
+def test_damaged_times_are_named(tmp_path: Path, coded: CompressedSequence) -> None:
     file = tmp_path / "times.h5"
     mixseq.save(file, replace(coded, header=coded.header.with_times(np.arange(14) ** 2)))
-    damage(file, index_of(file).times)
+    damage(file, index_of(file).ground["times"])
     with pytest.raises(FormatError, match=r"times\.h5: the times are damaged"):
         mixseq.load(file)
     with pytest.raises(FormatError, match="nothing can be salvaged"):
         mixseq.load(file, salvage=True)
 
 
-def test_every_flipped_bit_is_noticed_or_harmless(path: Path, coded: Coded) -> None:
+def test_every_flipped_bit_is_noticed_or_harmless(path: Path, coded: CompressedSequence) -> None:
     whole = path.read_bytes()
     noticed = 0
     for at in range(0, len(whole), 31):
         path.write_bytes(whole)
         flip(path, at)
         try:
-            assert_same(read_coded(path), coded)  # bytes that nobody uses: created_by, gaps
+            assert_same(read_compressed(path), coded)  # bytes that nobody uses: created_by, gaps
         except FormatError as error:
             noticed += 1
             assert str(path) in str(error)
@@ -337,8 +341,10 @@ def test_every_flipped_bit_is_noticed_or_harmless(path: Path, coded: Coded) -> N
 
 def test_truncated_files_say_what_is_missing(path: Path) -> None:
     whole, first, index = path.read_bytes(), place_of(path), index_of(path)
-    path.write_bytes(whole[: first + index.chunks[2].tracks.start + 5])
-    with pytest.raises(FormatError, match=r"small\.h5: the tracks of frames 8 to 11 are damaged; restore"):
+    path.write_bytes(whole[: first + index.chunks[2].coefficients.start + 5])
+    with pytest.raises(
+        FormatError, match=r"small\.h5: the coefficients of frames 8 to 11 are damaged; restore"
+    ):
         mixseq.load(path)
     path.write_bytes(whole[:100])
     with pytest.raises(FormatError, match=r"small\.h5 cannot be read as HDF5; it is damaged, truncated"):
@@ -404,12 +410,12 @@ def test_contradictions_are_refused(
 ) -> None:
     changed(path, change)
     with pytest.raises(FormatError, match=rf"small\.h5: .*{message}"):
-        read_coded(path)
+        read_compressed(path)
 
 
 def test_newer_versions_are_refused(path: Path) -> None:
     with h5py.File(path, "r+") as file:
-        file.attrs["version"] = CODED_VERSION + 1
+        file.attrs["version"] = COMPRESSED_VERSION + 1
     for salvage in (False, True):
         with pytest.raises(FormatError, match=r"has version 5, this mixseq reads up to 4.*upgrade with pip"):
             mixseq.load(path, salvage=salvage)
@@ -418,26 +424,26 @@ def test_newer_versions_are_refused(path: Path) -> None:
 def test_other_files_are_no_compressed_models(tmp_path: Path, bar_model: mixseq.Model) -> None:
     model = tmp_path / "model.h5"
     mixseq.save(model, bar_model)
-    assert not is_coded(model)
-    for ask in (read_coded, coded_sizes, mixseq.verify):
+    assert not is_compressed(model)
+    for ask in (read_compressed, compressed_sizes, mixseq.verify):
         with pytest.raises(
             FormatError, match=r"model\.h5 is no compressed model; make one with mixseq encode"
         ):
             ask(model)
     with pytest.raises(FormatError, match=r"none\.h5 does not exist"):
-        read_coded(tmp_path / "none.h5")
+        read_compressed(tmp_path / "none.h5")
 
 
 # Salvage --------------------------------------------------------------------------------------------------
 
 
-def salvaged(path: Path, *told: str) -> Coded:
+def salvaged(path: Path, *told: str) -> CompressedSequence:
     """What is left, after exactly these warnings."""
     if not told:
-        rest = salvage_coded(path)
+        rest = salvage_compressed(path)
     else:
         with pytest.warns(MixseqWarning) as caught:
-            rest = salvage_coded(path)
+            rest = salvage_compressed(path)
         messages = [str(each.message) for each in caught]
         assert len(messages) == len(told), messages
         for message, expected in zip(messages, told, strict=True):
@@ -446,11 +452,11 @@ def salvaged(path: Path, *told: str) -> Coded:
     return rest
 
 
-def test_of_whole_files_nothing_is_left_out(path: Path, coded: Coded) -> None:
+def test_of_whole_files_nothing_is_left_out(path: Path, coded: CompressedSequence) -> None:
     assert_same(salvaged(path), coded)
 
 
-def test_damage_of_hdf5_alone_costs_nothing(path: Path, coded: Coded) -> None:
+def test_damage_of_hdf5_alone_costs_nothing(path: Path, coded: CompressedSequence) -> None:
     whole = path.read_bytes()
     flip(path, 30)
     assert_same(salvaged(path), coded)
@@ -458,43 +464,43 @@ def test_damage_of_hdf5_alone_costs_nothing(path: Path, coded: Coded) -> None:
     assert_same(salvaged(path), coded)
 
 
-def test_damaged_tracks_cost_their_frames(path: Path, coded: Coded) -> None:
-    damage(path, index_of(path).chunks[1].tracks)
+def test_damaged_tracks_cost_their_frames(path: Path, coded: CompressedSequence) -> None:
+    damage(path, index_of(path).chunks[1].coefficients)
     rest = salvaged(path, "frames 4 to 7 are damaged and left out")
     assert rest.header.times.tolist() == np.delete(coded.header.times, range(4, 8)).tolist()
     first, _, third, fourth = coded.chunks
     assert rest.chunks == (first, replace(third, first=4), replace(fourth, first=8))
-    assert (rest.parameters, rest.fields) == (coded.parameters, coded.fields)
+    assert (rest.parameters, rest.basis) == (coded.parameters, coded.basis)
 
 
 def test_frames_that_are_lost_are_named_together(path: Path) -> None:
     index = index_of(path)
-    damage(path, index.chunks[0].tracks, index.chunks[2].tracks, index.chunks[3].tracks)
+    damage(path, index.chunks[0].coefficients, index.chunks[2].coefficients, index.chunks[3].coefficients)
     assert salvaged(path, "frames 0 to 3, 8 to 13 are damaged and left out").header.frame_count == 4
 
 
-def test_damaged_corrections_cost_the_bound(path: Path, coded: Coded) -> None:
-    damage(path, index_of(path).chunks[1].corrections)
-    rest = salvaged(path, "corrections of frames 4 to 7 are damaged; the bound does not hold there")
-    assert rest.chunks[1] == replace(coded.chunks[1], corrections=b"")
+def test_damaged_residuals_cost_the_bound(path: Path, coded: CompressedSequence) -> None:
+    damage(path, index_of(path).chunks[1].residuals)
+    rest = salvaged(path, "residuals of frames 4 to 7 are damaged; the bound does not hold there")
+    assert rest.chunks[1] == replace(coded.chunks[1], residuals=b"")
     assert rest.chunks[0] == coded.chunks[0]
     assert rest.parameters == replace(coded.parameters, promised=False)
 
 
-def test_damaged_fields_cost_the_groups_from_there_on(path: Path, coded: Coded) -> None:
-    damage(path, index_of(path).fields[1])
-    rest = salvaged(path, "fields of group 1 are damaged; decoded with 1 of 3 groups, frames are coarser")
-    assert rest.fields == coded.fields[:1]
-    assert [each.corrections for each in rest.chunks] == 4 * [b""]
-    assert [each.tracks for each in rest.chunks] == [each.tracks for each in coded.chunks]
+def test_damaged_fields_cost_the_groups_from_there_on(path: Path, coded: CompressedSequence) -> None:
+    damage(path, index_of(path).basis[1])
+    rest = salvaged(path, "vectors of group 1 are damaged; decoded with 1 of 3 groups, frames are coarser")
+    assert rest.basis == coded.basis[:1]
+    assert [each.residuals for each in rest.chunks] == 4 * [b""]
+    assert [each.coefficients for each in rest.chunks] == [each.coefficients for each in coded.chunks]
     assert not rest.parameters.promised
 
 
-def test_a_damaged_surface_costs_the_surface(tmp_path: Path, coded: Coded) -> None:
+def test_a_damaged_surface_costs_the_surface(tmp_path: Path, coded: CompressedSequence) -> None:
     path = tmp_path / "small.h5"
     surface = Surface(hard_edges=np.arange(len(coded.header.polygons.indices)))
     mixseq.save(path, replace(coded, header=replace(coded.header, surface=surface)))
-    damage(path, index_of(path).surface)
+    damage(path, index_of(path).ground["surface"])
     rest = salvaged(path, "surface is damaged and left out")
     assert rest.header.surface.hard_edges is None
     assert rest.chunks == coded.chunks
@@ -503,12 +509,20 @@ def test_a_damaged_surface_costs_the_surface(tmp_path: Path, coded: Coded) -> No
 @pytest.mark.parametrize(
     ("streams", "message"),
     [
-        (lambda index: [index.connectivity], "connectivity are damaged, so nothing can be salvaged"),
-        (lambda index: [index.fields[0]], "fields of group 0 are damaged, so nothing can be salvaged"),
-        (lambda index: [each.tracks for each in index.chunks], "tracks of all frames are damaged"),
+        (
+            lambda index: [index.ground["connectivity"]],
+            "connectivity are damaged, so nothing can be salvaged",
+        ),
+        (lambda index: [index.basis[0]], "vectors of group 0 are damaged, so nothing can be salvaged"),
+        (
+            lambda index: [each.coefficients for each in index.chunks],
+            "coefficients of all frames are damaged",
+        ),
     ],
 )
-def test_what_cannot_be_salvaged(path: Path, streams: Callable[[Index], list[Stream]], message: str) -> None:
+def test_what_cannot_be_salvaged(
+    path: Path, streams: Callable[[StreamIndex], list[Stream]], message: str
+) -> None:
     damage(path, *streams(index_of(path)))
     with pytest.raises(FormatError, match=message):
         mixseq.load(path, salvage=True)
@@ -517,25 +531,27 @@ def test_what_cannot_be_salvaged(path: Path, streams: Callable[[Index], list[Str
 def frames_within(path: Path) -> NDArray[np.int64]:
     """How many bytes of the file the frames of every chunk need."""
     first = place_of(path)
-    return np.array([first + each.tracks.start + each.tracks.size for each in index_of(path).chunks])
+    return np.array(
+        [first + each.coefficients.start + each.coefficients.size for each in index_of(path).chunks]
+    )
 
 
 @pytest.mark.filterwarnings("ignore::mixseq.errors.MixseqWarning")
-def test_truncated_files_have_the_frames_before_the_cut(path: Path, coded: Coded) -> None:
+def test_truncated_files_have_the_frames_before_the_cut(path: Path, coded: CompressedSequence) -> None:
     whole, needed = path.read_bytes(), frames_within(path)
     ends = np.cumsum([each.count for each in coded.chunks])
     for size in range(0, len(whole), 101):
         path.write_bytes(whole[:size])
         complete = int((needed <= size).sum())
         try:
-            rest = salvage_coded(path)
+            rest = salvage_compressed(path)
         except FormatError as error:
             assert "damaged" in str(error)
             rest = None
         if complete:
             assert rest is not None
             assert rest.header.frame_count == ends[complete - 1]
-            assert rest.fields == coded.fields
+            assert rest.basis == coded.basis
         else:
             assert rest is None
 
@@ -576,10 +592,10 @@ def test_the_golden_file_still_decodes_to_the_same_points() -> None:
     # Tracks were splines through the frames, and are predicted by the operator that predicts frames best now. Vertices
     # tremble by 0.01 from frame to frame, which nobody can predict.
     np.testing.assert_allclose(model.sample(between_times).points, between, atol=0.02)
-    coded = read_coded(path)
-    assert len(coded.fields) > 1
+    coded = read_compressed(path)
+    assert len(coded.basis) > 1
     assert len(coded.chunks) > 1
-    assert any(chunk.corrections for chunk in coded.chunks)
+    assert any(chunk.residuals for chunk in coded.chunks)
     assert coded.header.polygons.same_as(golden_sequence().polygons)
     assert coded.header.surface.face_sets[0].name == "end"
     assert coded.header.surface.hard_edges is not None

@@ -9,22 +9,23 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.coded import Coded
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import MeshSequence
-from mixseq_io.hdf5.coded import coded_sizes, read_coded
+from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.compressed_writer import compressed_sizes
 
 BOUND = 1e-3
 
 
 @pytest.fixture(scope="module")
-def coded(bent_bar: MeshSequence) -> Coded:
-    coded: Coded = mixseq.compress(bent_bar, max_error=BOUND)
+def coded(bent_bar: MeshSequence) -> CompressedSequence:
+    coded: CompressedSequence = mixseq.compress(bent_bar, max_error=BOUND)
     return coded
 
 
 @pytest.fixture
-def path(tmp_path: Path, coded: Coded) -> Path:
+def path(tmp_path: Path, coded: CompressedSequence) -> Path:
     file = tmp_path / "small.h5"
     mixseq.save(file, coded)
     return file
@@ -58,7 +59,9 @@ def test_the_worst_vertex_is_found(path: Path, bent_bar: MeshSequence) -> None:
     assert found.as_dict()["holds"] is False
 
 
-def test_a_bound_is_met_to_the_last_digit(path: Path, bent_bar: MeshSequence, coded: Coded) -> None:
+def test_a_bound_is_met_to_the_last_digit(
+    path: Path, bent_bar: MeshSequence, coded: CompressedSequence
+) -> None:
     error = mixseq.verify(path, bent_bar).max_error
     assert error is not None
     for bound, promised, holds in (
@@ -106,9 +109,11 @@ def test_what_is_no_original_is_refused(path: Path, bent_bar: MeshSequence) -> N
 
 def test_damage_is_refused(path: Path) -> None:
     data = bytearray(path.read_bytes())
-    data[-len(read_coded(path).chunks[-1].corrections) - 5] ^= 1
+    data[-len(read_compressed(path).chunks[-1].residuals) - 5] ^= 1
     path.write_bytes(data)
-    with pytest.raises(FormatError, match=r"small\.h5: the (tracks|corrections) of frames .* are damaged"):
+    with pytest.raises(
+        FormatError, match=r"small\.h5: the (coefficients|residuals) of frames .* are damaged"
+    ):
         mixseq.verify(path)
 
 
@@ -125,4 +130,4 @@ def test_bounds_of_real_animations_hold(name: str, data: Path, tmp_path: Path) -
     file = tmp_path / "small.h5"
     mixseq.save(file, mixseq.compress(original, max_error=BOUND))
     assert mixseq.verify(file, original).holds
-    assert coded_sizes(file)["container"] < 1200
+    assert compressed_sizes(file)["container"] < 1200

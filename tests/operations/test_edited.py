@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.coding.decode import to_model
+from mixseq.coding.bitstream.compressed_sequence import to_model
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError
 from mixseq.operations import concatenate, cut, reverse, shift

@@ -17,7 +17,7 @@
     /signals/shape/            what vectors consist of, see `shape_blocks`
     /signals/placement/        times, rotations, translations
 
-Compressed models have a layout of their own: `mixseq_io.hdf5.coded`.
+Compressed models have a layout of their own: `mixseq_io.hdf5.compressed_reader`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pathlib import Path
 
 import h5py
 
-from mixseq.coding.coded import Coded
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import (
     FormatError,
     InvalidSequenceError,
@@ -40,7 +40,8 @@ from mixseq.signals.model import Model
 from mixseq.spaces import MixedSpace
 from mixseq.version import __version__
 from mixseq_io.hdf5.arrays import increasing
-from mixseq_io.hdf5.coded import read_coded, write_coded
+from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.compressed_writer import write_compressed
 from mixseq_io.hdf5.files import (
     MODEL_FORMAT,
     check_version,
@@ -52,7 +53,7 @@ from mixseq_io.hdf5.files import (
 )
 from mixseq_io.hdf5.mixed import read_placement
 from mixseq_io.hdf5.older import read_anchored, read_v1
-from mixseq_io.hdf5.salvage import check_behind, salvage_coded
+from mixseq_io.hdf5.salvage import explain_damage, salvage_compressed
 from mixseq_io.hdf5.signals import read_signals, write_signals
 from mixseq_io.hdf5.space import FIRST_WITH_QUATERNIONS, read_space, storable, version_of, write_space
 from mixseq_io.registry import PathLike
@@ -63,16 +64,16 @@ VERSION = FIRST_WITH_QUATERNIONS
 SUFFIXES = (".h5", ".hdf5")
 
 
-def save(path: PathLike, model: Model | Coded) -> None:
+def save(path: PathLike, model: Model | CompressedSequence) -> None:
     """Store a model, or a compressed sequence, in an HDF5 file.
 
     Parameters
     ----------
     path : path-like
         The file; an existing one is replaced when the new one is complete.
-    model : Model or Coded
-        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is told in
-        a `MixseqWarning`.
+    model : Model or CompressedSequence
+        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is
+        reported by a `MixseqWarning`.
 
     Raises
     ------
@@ -83,9 +84,9 @@ def save(path: PathLike, model: Model | Coded) -> None:
     target = Path(path)
     if target.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{target}: models are HDF5 files; end the name in {' or '.join(SUFFIXES)}")
-    if isinstance(model, Coded):
+    if isinstance(model, CompressedSequence):
         with creating_h5(target) as (file, store):
-            write_coded(file, model)
+            write_compressed(file, model)
             store.check()
         return
     space = storable(model.space)
@@ -129,12 +130,12 @@ def load(path: PathLike, salvage: bool = False) -> Model:
         each other.
     """
     source = Path(path)
-    if salvage and (rest := salvage_coded(source)) is not None:
+    if salvage and (rest := salvage_compressed(source)) is not None:
         return decoded(source, rest)
     try:
         return _load(source)
     except FormatError:
-        check_behind(source)
+        explain_damage(source)
         raise
 
 
@@ -149,14 +150,14 @@ def _load(source: Path) -> Model:
             )
         check_version(source, file, VERSION)
         if "coding" in file.attrs:
-            return decoded(source, read_coded(source))
+            return decoded(source, read_compressed(source))
         try:
             return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
         except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
             raise FormatError(f"{source}: {error}; it is damaged") from error
 
 
-def decoded(path: Path, coded: Coded) -> Model:
+def decoded(path: Path, coded: CompressedSequence) -> Model:
     """Return the model of a compressed sequence that was read from a file.
 
     Raises
@@ -164,7 +165,7 @@ def decoded(path: Path, coded: Coded) -> Model:
     FormatError
         If its streams contradict each other, or what is in them does not fit in memory.
     """
-    from mixseq.coding.decode import to_model
+    from mixseq.coding.bitstream.compressed_sequence import to_model
 
     try:
         return to_model(coded)

@@ -1,13 +1,13 @@
-"""What can be read of a damaged compressed model.
+"""Read what is left of a damaged compressed model.
 
 Every stream has a checksum of its own, so damage is known by stream:
 
 ===========================  =========================================================================
 damaged                      what is left
 ===========================  =========================================================================
-fields of a group            the groups before it: all frames, coarser; the bound does not hold
-tracks of a chunk            all other frames
-corrections of a chunk       all frames; the bound does not hold in those of the chunk
+basis vectors of a group     the groups before it: all frames, coarser; the bound does not hold
+coefficients of a chunk      all other frames
+residual layer of a chunk    all frames; the bound does not hold in those of the chunk
 surface                      everything else
 connectivity, times, index   nothing
 ===========================  =========================================================================
@@ -27,10 +27,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mixseq.coding.coded import Chunk, Coded
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
-from mixseq_io.hdf5.coded import coded_of, is_coded, read_header, read_parameters, read_stored
-from mixseq_io.hdf5.streams import MAGIC, Index, Stored, StoredChunk, read_index
+from mixseq_io.hdf5.compressed_reader import (
+    MAGIC,
+    ChunkStreams,
+    Container,
+    StreamIndex,
+    is_compressed,
+    read_container,
+    read_header,
+    read_index,
+    read_parameters,
+    sequence_of,
+)
 
 _TEXT = b'{"coding":{'
 """What the attribute begins with."""
@@ -39,95 +49,98 @@ _LONGEST = 1 << 16
 """Attributes are not longer than this."""
 
 
-def salvage_coded(path: Path) -> Coded | None:
+def salvage_compressed(path: Path) -> CompressedSequence | None:
     """Read what is not damaged of a compressed model; None if the file is, or was, nothing of that kind.
 
-    Whatever is left out is told in a `MixseqWarning`; then `CodingParameters.promised` is false if the bound does not
-    hold for the frames that are left.
+    Whatever is left out is reported by a `MixseqWarning`; then `CodingParameters.promised` is false if the bound
+    does not hold for the frames that are left.
 
     Raises
     ------
     FormatError
         If nothing can be read.
     """
-    stored = _found(path)
-    if stored is None:
+    container = _found(path)
+    if container is None:
         return None
-    index = read_index(path, stored)
-    ground = {name: stream.read(stored.streams) for name, stream in index.ground().items()}
+    index = read_index(path, container)
+    ground = {name: stream.read(container.streams) for name, stream in index.ground.items()}
     if ground["surface"] is None:
-        _tell(path, "the surface is damaged and left out: texture coordinates, hard edges, face sets")
+        _warn(path, "the surface is damaged and left out: texture coordinates, hard edges, face sets")
         ground["surface"] = b""
     for name in ("connectivity", "times"):
         if ground[name] is None:
             raise FormatError(f"{path}: its {name} are damaged, so nothing can be salvaged; restore the file")
     header = read_header(
-        path, stored, index, {name: data for name, data in ground.items() if data is not None}
+        path, container, index, {name: data for name, data in ground.items() if data is not None}
     )
-    parameters = read_parameters(path, stored)
-    groups = _fields(path, stored, index)
-    complete = len(groups) == len(index.fields)
-    chunks, frames, corrected = _chunks(path, stored, index, complete)
-    return Coded(
+    parameters = read_parameters(path, container)
+    groups = _basis(path, container, index)
+    complete = len(groups) == len(index.basis)
+    chunks, frames, bounded = _chunks(path, container, index, complete)
+    return CompressedSequence(
         header if len(frames) == header.frame_count else header.with_times(header.times[frames]),
-        parameters if complete and corrected else replace(parameters, promised=False),
+        parameters if complete and bounded else replace(parameters, promised=False),
         groups,
         chunks,
     )
 
 
-def _fields(path: Path, stored: Stored, index: Index) -> tuple[bytes, ...]:
+def _basis(path: Path, container: Container, index: StreamIndex) -> tuple[bytes, ...]:
     """Return the groups before the first one that is damaged."""
     groups = []
-    for stream in index.fields:
-        data = stream.read(stored.streams)
+    for stream in index.basis:
+        data = stream.read(container.streams)
         if data is None:
             break
         groups.append(data)
-    there, all_groups = len(groups), len(index.fields)
+    there, all_groups = len(groups), len(index.basis)
     if all_groups and not there:
         raise FormatError(
-            f"{path}: {index.fields[0].what} are damaged, so nothing can be salvaged; restore the file"
+            f"{path}: {index.basis[0].what} are damaged, so nothing can be salvaged; restore the file"
         )
     if there < all_groups:
-        _tell(
+        _warn(
             path,
-            f"{index.fields[there].what} are damaged; decoded with {there} of {all_groups} groups, frames are coarser "
+            f"{index.basis[there].what} are damaged; decoded with {there} of {all_groups} groups, frames are coarser "
             "than the file promises",
         )
     return tuple(groups)
 
 
 def _chunks(
-    path: Path, stored: Stored, index: Index, complete: bool
+    path: Path, container: Container, index: StreamIndex, complete: bool
 ) -> tuple[tuple[Chunk, ...], list[int], bool]:
-    """Return the chunks that have tracks, numbered anew, the frames in them, and whether all are corrected.
+    """Return the chunks that have coefficients, numbered anew, their frames, and whether the bound holds in all.
 
-    Corrections say what is missing to all fields: they are left out unless those are `complete`.
+    Residuals are what the whole basis leaves: they are left out unless that is `complete`.
     """
-    lost: list[StoredChunk] = []
-    coarse: list[StoredChunk] = []
+    missing: list[ChunkStreams] = []
+    coarse: list[ChunkStreams] = []
     chunks: list[Chunk] = []
     frames: list[int] = []
     for each in index.chunks:
-        tracks, corrections = each.tracks.read(stored.streams), each.corrections.read(stored.streams)
-        if tracks is None:
-            lost.append(each)
+        coefficients, residuals = (
+            each.coefficients.read(container.streams),
+            each.residuals.read(container.streams),
+        )
+        if coefficients is None:
+            missing.append(each)
             continue
-        if corrections is None:
+        if residuals is None:
             coarse.append(each)
-        chunks.append(Chunk(len(frames), each.count, tracks, (corrections or b"") if complete else b""))
+        chunks.append(Chunk(len(frames), each.count, coefficients, (residuals or b"") if complete else b""))
         frames += range(each.first, each.first + each.count)
     if not chunks:
-        raise FormatError(f"{path}: the tracks of all frames are damaged; restore the file")
-    if lost:
-        _tell(path, f"frames {_ranges(lost)} are damaged and left out")
+        raise FormatError(f"{path}: the coefficients of all frames are damaged; restore the file")
+    if missing:
+        _warn(path, f"frames {_ranges(missing)} are damaged and left out")
     if coarse:
-        _tell(path, f"corrections of frames {_ranges(coarse)} are damaged; the bound does not hold there")
+        _warn(path, f"residuals of frames {_ranges(coarse)} are damaged; the bound does not hold there")
     return tuple(chunks), frames, not coarse
 
 
-def _ranges(chunks: list[StoredChunk]) -> str:
+def _ranges(chunks: list[ChunkStreams]) -> str:
     """Name the frames of chunks; those that follow each other as one range."""
     starts = np.array([each.first for each in chunks])
     ends = np.array([each.first + each.count for each in chunks])
@@ -136,7 +149,7 @@ def _ranges(chunks: list[StoredChunk]) -> str:
     return ", ".join(f"{first} to {last}" for first, last in zip(firsts, lasts, strict=True))
 
 
-def check_behind(path: Path) -> None:
+def explain_damage(path: Path) -> None:
     """Say more of a file that HDF5 cannot read, if it is, or was, a compressed model; do nothing if it is not.
 
     Raises
@@ -145,27 +158,27 @@ def check_behind(path: Path) -> None:
         Names the first stream that is damaged, or says that all are whole.
     """
     try:
-        read_stored(path)
+        read_container(path)
     except FormatError as error:
-        stored = _behind(path) if path.is_file() else None
-        if stored is not None:
-            coded_of(path, stored)
+        container = _search_bytes(path) if path.is_file() else None
+        if container is not None:
+            sequence_of(path, container)
             raise FormatError(
                 f"{path}: HDF5's own structure is damaged, but no signal is; read it with mixseq decode --salvage"
             ) from error
 
 
-def _found(path: Path) -> Stored | None:
+def _found(path: Path) -> Container | None:
     """Read attribute and streams with HDF5 if it can, else look for them in the bytes of the file."""
     try:
-        return read_stored(path) if is_coded(path) else None
+        return read_container(path) if is_compressed(path) else None
     except FormatError:
         if not path.is_file():
             raise
-    return _behind(path)
+    return _search_bytes(path)
 
 
-def _behind(path: Path) -> Stored | None:
+def _search_bytes(path: Path) -> Container | None:
     """Find attribute and streams in the bytes of a file."""
     if not path.stat().st_size:
         return None
@@ -175,10 +188,10 @@ def _behind(path: Path) -> Stored | None:
         for start in _places(data, MAGIC) if texts else ():
             for text in texts:
                 try:
-                    read_index(path, stored := Stored(text, data[start:]))
+                    read_index(path, container := Container(text, data[start:]))
                 except FormatError:
                     continue
-                return stored
+                return container
     return None
 
 
@@ -199,5 +212,5 @@ def _places(data: mmap.mmap, what: bytes) -> Iterator[int]:
         start = data.find(what, start + 1)
 
 
-def _tell(path: Path, what: str) -> None:
+def _warn(path: Path, what: str) -> None:
     warnings.warn(f"{path}: {what}", MixseqWarning, stacklevel=2)

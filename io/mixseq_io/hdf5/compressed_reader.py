@@ -1,0 +1,290 @@
+"""Read compressed models from HDF5: one dataset of streams, one attribute that says what they mean.
+
+::
+
+    /            format = "mixseq-model", version = 4, created_by,
+                 coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
+    /streams     (n,) uint8: an index, then all streams, one after the other
+
+HDF5 has little to say about this, on purpose: it takes more bytes for a second dataset than a checksum of every stream.
+The index says how long every stream is and what its CRC-32 is, so damage is known by stream. Even without HDF5 the
+index is found, by its first bytes:
+
+==========  =====================================================================================================
+bytes       meaning, all numbers little-endian
+==========  =====================================================================================================
+4           ``msq4``
+3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
+any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
+            frames of every chunk, length of every stream
+any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
+==========  =====================================================================================================
+
+Streams are in this order: connectivity, surface, times; spatial basis, group by group; coefficients and residual layer
+of the first chunk, of the second, and so on. Specification: ``docs/file-format.md``.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import h5py
+import numpy as np
+
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
+from mixseq.coding.bitstream.connectivity import decode_polygons
+from mixseq.coding.bitstream.entropy import unpack_leb128
+from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
+from mixseq.sequence import SequenceHeader
+from mixseq_io.hdf5.files import MODEL_FORMAT, kind_of, reading_h5, refuse_newer, whole
+from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
+
+COMPRESSED_VERSION = 4
+"""Version of model files that hold a compressed sequence. Frozen: breaks old files."""
+
+MAGIC = b"msq4"
+"""What the index begins with. Frozen: breaks old files."""
+
+HEAD = struct.Struct("<4sIII")
+"""Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
+
+_CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
+
+
+@dataclass(frozen=True)
+class Container:
+    """What is in a file: the attribute ``coding`` and the dataset ``streams``, as they are, and the version."""
+
+    text: bytes
+    streams: bytes
+    version: int = COMPRESSED_VERSION
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Where a stream is among the bytes of the dataset, and its CRC-32."""
+
+    what: str
+    start: int
+    size: int
+    checksum: int
+
+    def read(self, streams: bytes) -> bytes | None:
+        """Return the stream's bytes, or None if they are damaged or not all there."""
+        data = streams[self.start : self.start + self.size]
+        return data if len(data) == self.size and crc32(data) == self.checksum else None
+
+
+@dataclass(frozen=True)
+class ChunkStreams:
+    """Streams of the frames `first` to ``first + count - 1``."""
+
+    first: int
+    count: int
+    coefficients: Stream
+    residuals: Stream
+
+
+@dataclass(frozen=True)
+class StreamIndex:
+    """All streams of a file: `ground` are connectivity, surface and times; `size` is that of the index itself."""
+
+    size: int
+    ground: Mapping[str, Stream]
+    basis: tuple[Stream, ...]
+    chunks: tuple[ChunkStreams, ...]
+
+
+def is_compressed(path: Path) -> bool:
+    """Whether a file is an HDF5 file with a compressed model.
+
+    Raises
+    ------
+    FormatError
+        If it is missing or cannot be read as HDF5.
+    """
+    with reading_h5(path), h5py.File(path, "r") as file:
+        return kind_of(file) == MODEL_FORMAT and "coding" in file.attrs
+
+
+def read_compressed(path: Path) -> CompressedSequence:
+    """Read a compressed sequence, and check every byte of it.
+
+    Raises
+    ------
+    FormatError
+        If the file is no compressed model, or damaged; the message names the stream and its frames.
+    """
+    return sequence_of(path, read_container(path))
+
+
+def read_container(path: Path) -> Container:
+    """Read what HDF5 has of a compressed model.
+
+    Raises
+    ------
+    FormatError
+        If it is another file, or HDF5 cannot read it.
+    """
+    with reading_h5(path), h5py.File(path, "r") as file:
+        if kind_of(file) != MODEL_FORMAT or "coding" not in file.attrs:
+            raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
+        return Container(
+            text=bytes(file.attrs["coding"]),
+            streams=whole(path, file, "streams").astype(np.uint8).tobytes(),
+            version=int(file.attrs["version"]),
+        )
+
+
+def sequence_of(path: Path, container: Container) -> CompressedSequence:
+    """Make a compressed sequence of what is in a file, as `read_compressed`."""
+    index = read_index(path, container)
+
+    def sound(stream: Stream) -> bytes:
+        data = stream.read(container.streams)
+        if data is None:
+            raise FormatError(f"{path}: {stream.what} are damaged; {_CURE}")
+        return data
+
+    # Everything is checked before anything is made of it.
+    ground = {name: sound(stream) for name, stream in index.ground.items()}
+    basis = tuple(sound(stream) for stream in index.basis)
+    chunks = tuple(
+        Chunk(each.first, each.count, sound(each.coefficients), sound(each.residuals))
+        for each in index.chunks
+    )
+    header = read_header(path, container, index, ground)
+    return CompressedSequence(header, read_parameters(path, container), basis, chunks)
+
+
+def read_index(path: Path, container: Container) -> StreamIndex:
+    """Read where the streams are.
+
+    Raises
+    ------
+    FormatError
+        If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
+    """
+    refuse_newer(path, container.version, COMPRESSED_VERSION)
+    damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
+    if len(container.streams) < HEAD.size:
+        raise damaged
+    magic, lengths_size, checksums_size, checksum = HEAD.unpack_from(container.streams)
+    size = HEAD.size + lengths_size + checksums_size
+    body = container.streams[HEAD.size : size]
+    if magic != MAGIC or crc32(body) != checksum or checksums_size % 4:
+        raise damaged
+    numbers = list(unpack_leb128(body[:lengths_size]))
+    checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
+    if not checksums or crc32(container.text) != checksums[0]:
+        raise damaged
+    try:
+        return _index(size, numbers, checksums[1:])
+    except (IndexError, ValueError, StopIteration) as error:  # not by chance: somebody made it so
+        raise damaged from error
+
+
+def _index(size: int, numbers: list[int], checksums: list[int]) -> StreamIndex:
+    groups, chunks, *rest = numbers
+    counts, lengths = rest[:chunks], rest[chunks:]
+    if len(lengths) != 3 + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
+        raise ValueError("there cannot be so many streams, or frames, or bytes")
+    firsts = [0, *accumulate(counts)]
+    names = ["the connectivity's bytes", "the surface's bytes", "the times"]
+    names += [f"the basis vectors of group {group}" for group in range(groups)]
+    for first, count in zip(firsts, counts, strict=False):
+        frames = f"of frames {first} to {first + count - 1}"
+        names += [f"the coefficients {frames}", f"the residuals {frames}"]
+    starts = accumulate(lengths, initial=size)
+    left = iter(checksums)
+    streams = [
+        Stream(name, start, length, next(left) if length else 0)
+        for name, start, length in zip(names, starts, lengths, strict=False)
+    ]
+    if next(left, None) is not None:
+        raise ValueError("there are more checksums than streams")
+    of_chunks = zip(firsts, counts, streams[3 + groups :: 2], streams[4 + groups :: 2], strict=False)
+    return StreamIndex(
+        size=size,
+        ground=dict(zip(("connectivity", "surface", "times"), streams[:3], strict=True)),
+        basis=tuple(streams[3 : 3 + groups]),
+        chunks=tuple(ChunkStreams(*each) for each in of_chunks),
+    )
+
+
+def read_parameters(path: Path, container: Container) -> CodingParameters:
+    """Read how the streams are to be decoded.
+
+    Raises
+    ------
+    FormatError
+        If there is a parameter that this mixseq does not know, or one is missing or out of range.
+    """
+    facts = _facts(path, container)
+    given: dict[str, Any] = facts["coding"]
+    known = {field.name for field in fields(CodingParameters)}
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise FormatError(f"{path}: this mixseq does not know the parameter {unknown[0]!r}; upgrade it")
+    try:
+        parameters = CodingParameters(**given)
+    except TypeError as error:
+        raise FormatError(f"{path}: parameters are missing ({error}); it is damaged") from error
+    except SettingsError as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
+    if parameters.frame_count != facts.get("frame_count"):
+        raise FormatError(f"{path}: its two numbers of frames contradict each other; it is damaged")
+    return parameters
+
+
+def read_header(
+    path: Path, container: Container, index: StreamIndex, ground: Mapping[str, bytes]
+) -> SequenceHeader:
+    """Read mesh and times from the streams of `StreamIndex.ground`.
+
+    Raises
+    ------
+    FormatError
+        If they contradict each other.
+    """
+    facts = _facts(path, container)
+    try:
+        vertices, polygons, corners, frames = (
+            int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")
+        )
+        fps = float(facts["fps"])
+        if sum(chunk.count for chunk in index.chunks) != frames:
+            raise FormatError(f"its chunks do not add up to {frames} frames")
+        return SequenceHeader(
+            polygons=decode_polygons(ground["connectivity"], polygons, corners, vertices),
+            vertex_count=vertices,
+            times=unpack_times(ground["times"], float(facts["first_time"]), frames, fps),
+            fps=fps,
+            up_axis=str(facts["up_axis"]),
+            metres_per_unit=float(facts["metres_per_unit"]),
+            name=str(facts["name"]),
+            surface=unpack_surface(ground["surface"], path.parent),
+        )
+    except (FormatError, InvalidSequenceError, LookupError, TypeError, ValueError, OverflowError) as error:
+        raise FormatError(f"{path}: {error}; it is damaged") from error
+    except MemoryError as error:
+        raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
+
+
+def _facts(path: Path, container: Container) -> dict[str, Any]:
+    try:
+        facts = json.loads(container.text)
+    except ValueError as error:
+        raise FormatError(f"{path}: the attribute coding is no JSON ({error}); it is damaged") from error
+    if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
+        raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
+    return facts

@@ -1,0 +1,147 @@
+"""Pack times and surfaces into few bytes without loss: what compressed models have besides mesh and signals.
+
+Numbers come in runs that change little, so their first differences are stored, byte by byte: the first bytes of all
+numbers, then the second bytes, and so on. Most of those are zeros, which lzma and zlib take well.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq.surface import Surface
+from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
+
+_FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
+"""How surfaces are compressed. Frozen: breaks old files."""
+
+_MOST_BYTES = 1 << 32
+"""A surface larger than this is none: the lengths in damaged files are not to be trusted. Free: a limit."""
+
+
+def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
+    """Return how times ``(T,)`` differ from ``times[0] + n / fps``, empty if they do not.
+
+    What is stored are differences of the numbers' bits, taken as integers: nothing is rounded.
+    """
+    apart = _bits(times) - _bits(_regular(float(times[0]), len(times), fps))
+    return zlib.compress(_shuffled(np.diff(apart, prepend=0)), 9) if apart.any() else b""
+
+
+def unpack_times(packed: bytes, first: float, count: int, fps: float) -> NDArray[np.float64]:
+    """Return the times ``(T,)`` that `pack_times` was given.
+
+    Raises
+    ------
+    FormatError
+        If it was another number of times.
+    """
+    regular = _regular(first, count, fps)
+    if not packed:
+        return regular
+    apart = np.cumsum(_unshuffled(_inflated(packed, 8 * count), np.dtype("<i8"), count))
+    times: NDArray[np.float64] = (_bits(regular) + apart).view(np.float64)
+    return times
+
+
+def _regular(first: float, count: int, fps: float) -> NDArray[np.float64]:
+    with np.errstate(all="ignore"):  # damaged files have any numbers
+        regular: NDArray[np.float64] = first + np.arange(count) / fps
+    return regular
+
+
+def _bits(times: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.ascontiguousarray(times).view(np.int64)
+
+
+def _inflated(packed: bytes, size: int) -> bytes:
+    """Undo `zlib.compress`; more than was expected is not even made."""
+    inflater = zlib.decompressobj()
+    try:
+        data = inflater.decompress(packed, size + 1)
+    except zlib.error as error:
+        raise FormatError(f"{error}") from error
+    if len(data) != size:
+        raise FormatError(f"there are {len(data)} bytes of times, {size} are expected")
+    return data
+
+
+def pack_surface(surface: Surface) -> bytes:
+    """Return everything a surface has, empty if it has nothing.
+
+    A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
+    all of it compressed by lzma.
+    """
+    listed: list[list[Any]] = []
+    data = []
+    for name, array in surface_arrays(surface).items():
+        if array.dtype.kind == "U":
+            listed.append([name, array.tolist()])
+        else:
+            little = array.astype(array.dtype.newbyteorder("<"))
+            listed.append([name, little.dtype.str, little.shape])
+            data.append(_shuffled(_differences(little.reshape(-1))))
+    if not listed:
+        return b""
+    text = json.dumps(listed, separators=(",", ":")).encode("ascii")
+    return lzma.compress(b"\0".join([text, b"".join(data)]), lzma.FORMAT_RAW, filters=_FILTERS)
+
+
+def unpack_surface(packed: bytes, folder: Path) -> Surface:
+    """Return the surface that `pack_surface` was given; `folder` as in `surface_of_arrays`.
+
+    Raises
+    ------
+    FormatError, InvalidSequenceError
+        If it is damaged.
+    """
+    if not packed:
+        return Surface()
+    try:
+        whole = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(packed, _MOST_BYTES)
+        text, _, data = whole.partition(b"\0")
+        return surface_of_arrays(_arrays(json.loads(text), data), folder)
+    except (lzma.LZMAError, ValueError, TypeError, KeyError, IndexError) as error:
+        raise FormatError(f"the surface is damaged ({error})") from error
+
+
+def _arrays(listed: list[list[Any]], data: bytes) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {}
+    start = 0
+    for name, *what in listed:
+        if len(what) == 1:
+            arrays[name] = np.array(what[0], dtype=np.str_)
+            continue
+        dtype, shape = np.dtype(what[0]), tuple(what[1])
+        count = int(np.prod(shape, dtype=np.int64))
+        flat = _unshuffled(data[start : start + count * dtype.itemsize], dtype, count)
+        start += count * dtype.itemsize
+        if dtype.kind == "i":
+            flat = np.cumsum(flat, dtype=dtype)
+        arrays[name] = flat.reshape(shape).astype(dtype.newbyteorder("="))
+    return arrays
+
+
+def _differences(array: NDArray[Any]) -> NDArray[Any]:
+    """First differences of integers, which wrap around; floats as they are."""
+    return np.diff(array, prepend=array.dtype.type(0)) if array.dtype.kind == "i" else array
+
+
+def _shuffled(array: NDArray[Any]) -> bytes:
+    """The first bytes of all numbers, then their second bytes, and so on."""
+    little = array.astype(array.dtype.newbyteorder("<"))
+    return little.view(np.uint8).reshape(len(array), array.dtype.itemsize).T.tobytes()
+
+
+def _unshuffled(data: bytes, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    planes = np.frombuffer(data, dtype=np.uint8).reshape(dtype.itemsize, count)
+    return np.ascontiguousarray(planes.T).view(dtype).reshape(count)

@@ -1,0 +1,230 @@
+"""A compressed sequence: the streams and parameters that a file holds, and how they decode to a model.
+
+Frozen: the names and meanings of the parameters are those of the JSON text in files; changing them breaks old files
+(golden: ``tests/formats/golden/model-v4-coded.h5``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import get_args
+
+import numpy as np
+from scipy import linalg
+
+from mixseq.arrays import Float
+from mixseq.coding.bitstream.residual_layer import CodedResidualLayer
+from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
+from mixseq.coding.bitstream.spatial_basis import (
+    MOST_PARTS,
+    BasisKind,
+    SpatialBasis,
+    assemble_basis,
+    read_basis,
+    read_coefficients,
+)
+from mixseq.errors import FormatError, SettingsError
+from mixseq.prediction.operator import chosen, with_middles
+from mixseq.sequence import SequenceHeader
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.pose import NEGLIGIBLE, straight_modes
+from mixseq.spaces import ShapeSpace, VertexSpace
+from mixseq.spaces.basis import BasisSpace
+from mixseq.threads import one_blas_thread
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive frames, which can be decoded without those of other chunks.
+
+    Attributes
+    ----------
+    first, count : int
+        The frames: ``first`` to ``first + count - 1``.
+    coefficients : bytes
+        The coefficients of the spatial basis at these frames.
+    residuals : bytes
+        The residual layer, which brings vertices below the bound; empty if nothing has to.
+    """
+
+    first: int
+    count: int
+    coefficients: bytes
+    residuals: bytes = b""
+
+
+@dataclass(frozen=True)
+class CodingParameters:
+    """What has to be known to decode, all of it plain numbers and strings, with the names that they have in files.
+
+    Attributes
+    ----------
+    factors : {"trajectories", "shapes"}
+        Kind of the spatial basis: see `mixseq.coding.bitstream.spatial_basis`.
+    rank : int
+        Number K of basis vectors that are coded, of all parts together.
+    frame_count : int
+        Number T of frames that were coded; a damaged file may have fewer.
+    step : float
+        Quantisation step, in the units of the sequence.
+    diagonal : float
+        Diagonal of the bounding box of the first frame, in the units of the sequence.
+    max_error : float
+        Largest distance of a vertex from the original at the frames, in diagonals, measured by decoding; a promise.
+    kg_percent : float
+        KG error of all frames, measured.
+    promised : bool
+        Whether `max_error` was asked for: then it is the bound that was asked for, and the residual layer sees to it.
+    correction : float
+        Unit of the residual layer, in the units of the sequence; zero if there is none.
+    ranks : tuple of int
+        Number of basis vectors of every part, if the mesh has several.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is of another type, or out of range: somebody wrote it into a file.
+    """
+
+    factors: BasisKind
+    rank: int
+    frame_count: int
+    step: float
+    diagonal: float
+    max_error: float
+    kg_percent: float
+    promised: bool
+    correction: float = 0.0
+    ranks: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.factors not in get_args(BasisKind):
+            raise SettingsError(
+                f"factors is {self.factors!r}; {' or '.join(get_args(BasisKind))} is expected"
+            )
+        for name in ("rank", "frame_count"):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value > 0):
+                raise SettingsError(f"{name} is {value!r}; a whole number above zero is expected")
+        for name in ("step", "diagonal", "max_error", "kg_percent", "correction"):
+            value, positive = getattr(self, name), name in ("step", "diagonal")
+            if not (isinstance(value, int | float) and 0 <= value < inf and (value or not positive)):
+                raise SettingsError(
+                    f"{name} is {value!r}; a {'positive' if positive else 'non-negative'} number is expected"
+                )
+        object.__setattr__(self, "ranks", tuple(self.ranks))
+        if self.ranks and not (len(self.ranks) <= MOST_PARTS and sum(self.ranks) == self.rank):
+            raise SettingsError(
+                f"the parts have {self.ranks} basis vectors, which are not {self.rank} in all"
+            )
+        if self.ranks and self.factors == "shapes":
+            raise SettingsError("shapes are of the whole mesh, not of parts")
+        if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
+            raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
+        if not isinstance(self.promised, bool):
+            raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
+
+
+@dataclass(frozen=True)
+class CompressedSequence:
+    """A compressed sequence, as a file holds it.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    parameters : CodingParameters
+        How to read the streams.
+    basis : tuple of bytes
+        The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
+    chunks : tuple of Chunk
+        Signals over time: all frames, in order.
+    """
+
+    header: SequenceHeader
+    parameters: CodingParameters
+    basis: tuple[bytes, ...]
+    chunks: tuple[Chunk, ...]
+
+
+def to_model(coded: CompressedSequence) -> Model:
+    """Decode a compressed sequence.
+
+    Parameters
+    ----------
+    coded : CompressedSequence
+        The sequence. If groups of the basis are missing at the end, what is there is decoded.
+
+    Returns
+    -------
+    Model
+        In the basis space (trajectories) or the vertex space (shapes), with the residual layer of the file.
+
+    Raises
+    ------
+    FormatError
+        If the streams are damaged or contradict each other.
+    """
+    parameters, header = coded.parameters, coded.header
+    graph = mesh_graph(header.faces, header.vertex_count)
+    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is not finite is damaged
+        basis = decode_basis(coded, graph)
+        coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
+        if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
+            raise FormatError("coded signals are not finite; the file is damaged")
+        space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
+        pose, shapes = straight_modes(scores, mean, directions)
+    residual_layer = None
+    if any(chunk.residuals for chunk in coded.chunks):
+        residual_layer = CodedResidualLayer(
+            header.times,
+            tuple((chunk.count, chunk.residuals) for chunk in coded.chunks),
+            header.faces,
+            header.vertex_count,
+            parameters.correction,
+        )
+    times = with_middles(header.times)
+    time = Curve(times, chosen(header.times, scores).at(times).of(scores))
+    placement = Curve(times, np.zeros((len(times), 0)))
+    return Model(header, space, time, pose, shapes, placement, residual_layer)
+
+
+def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
+    """Return the spatial basis of a compressed sequence: all of it, or the groups that are there."""
+    parameters = coded.parameters
+    ranks = parameters.ranks or (parameters.rank,)
+    most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
+    if parameters.rank > most:
+        raise FormatError(
+            f"{parameters.rank} basis vectors are more than the {most} that such a sequence can have; "
+            "the file is damaged"
+        )
+    coordinates = 1 if parameters.factors == "trajectories" else 3
+    vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
+    if parameters.factors == "shapes" and not len(vectors[0]):
+        raise FormatError(
+            "the first group of the basis is missing, without which there is no shape; the file is damaged"
+        )
+    return assemble_basis(parameters.factors, vectors, parts, parameters.frame_count)
+
+
+def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
+    """Return the coefficients ``(n, K, d)`` of a chunk's frames, as many as the basis has varying vectors."""
+    return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
+
+
+def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:
+    """Return a space, and frames in it as mean plus scores ``(T, r)`` times directions ``(r, D)``."""
+    if basis.kind == "shapes":
+        vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
+        mean = vectors[0] / np.sqrt(basis.frame_count)
+        return VertexSpace(basis.vectors.shape[2], unit), coefficients[..., 0], mean, vectors[1:]
+    space = BasisSpace(basis.vectors[:, 0], unit)
+    rows = coefficients.reshape(len(coefficients), -1) / unit
+    mean = rows.mean(axis=0)
+    # PCA: pose space shall have the coordinates in which most of the motion is.
+    left, sizes, right = linalg.svd((rows - mean) * space.weights, full_matrices=False)
+    kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
+    return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights

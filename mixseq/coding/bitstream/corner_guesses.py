@@ -1,0 +1,156 @@
+"""What earlier corners of a mesh say about the next one: guesses, and what is remembered for them.
+
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
+by the text of their own file: who changes this module must change `mixseq.coding.bitstream.connectivity_kernels`, too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Index
+from mixseq.coding.bitstream.bit_mixing import SPREAD
+from mixseq.coding.bitstream.half_edges import INTO, OUT_OF, HalfEdges
+from mixseq.compiled import inlined
+
+INPUTS = 8
+"""Number of contexts of a bit. Frozen: breaks old files."""
+
+GUESSES = 16
+"""Number of guesses at a corner. Frozen: breaks old files."""
+
+BASES = 9
+"""Number of vertices from which one that no guess had is counted. Frozen: breaks old files."""
+
+_REPEATS = 1 << 16
+"""Slots for corners that come after certain differences. Frozen: breaks old files."""
+
+
+class Past(NamedTuple):
+    """What is remembered of earlier corners beside the mesh.
+
+    Attributes
+    ----------
+    guesses : (GUESSES,) int64
+        Guesses at the current corner, -1 if there is none.
+    successes : (4, GUESSES) int64
+        At every place, whether the last 8 guesses were right, as bits.
+    winners : (4, 2) int64
+        At every place of the last polygons: which guess was right, or `GUESSES` and the state of the vertex.
+    trail : (3,) int64
+        The same for the last corners.
+    near : (6,) int64
+        First, second and last corner of the polygon before, and of the one before that.
+    bases : (BASES,) int64
+        Vertices from which the current one is counted.
+    distances : (3, 4, BASES) int64
+        For every state, place and base: mean of the number of bits of the distance, in 256ths.
+    named : (4,) int64
+        The last vertex at every place that no guess had.
+    last_distances : (3,) int64
+        The last distance for every state.
+    repeats : (_REPEATS,) int64
+        Corners that come after certain differences, 0 for none.
+    about : (INPUTS,) int64
+        Contexts of the current number.
+    used : (V,) int32
+        The polygon that had a vertex last, -1 if there is none.
+    """
+
+    guesses: Index
+    successes: Index
+    winners: Index
+    trail: Index
+    near: Index
+    bases: Index
+    distances: Index
+    named: Index
+    last_distances: Index
+    repeats: Index
+    about: Index
+    used: NDArray[np.int32]
+
+
+def no_past(vertex_count: int) -> Past:
+    """Return what is remembered at the start: nothing."""
+
+    def zeros(*shape: int) -> Index:
+        return np.zeros(shape, dtype=np.int64)
+
+    return Past(
+        guesses=zeros(GUESSES),
+        successes=zeros(4, GUESSES),
+        winners=zeros(4, 2),
+        trail=zeros(3),
+        near=zeros(6),
+        bases=zeros(BASES),
+        distances=zeros(3, 4, BASES),
+        named=zeros(4),
+        last_distances=zeros(3),
+        repeats=zeros(_REPEATS),
+        about=zeros(INPUTS),
+        used=np.full(vertex_count, -1, dtype=np.int32),
+    )
+
+
+@inlined
+def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: int, last_new: int) -> None:
+    """Guess the vertex of a corner from its neighbours in the mesh, in the polygons before, and in number.
+
+    The corner stands at a place 0 to 3 of its polygon, whose first vertex is `first`; `before` is the vertex of the
+    corner before, `last_new` the one that was last used for the first time.
+    """
+    guesses = past.guesses
+    for g in range(GUESSES):
+        guesses[g] = -1
+    if place == 0:
+        for i in range(3):
+            edge = mesh.newest[INTO, past.near[i]]
+            if edge >= 0:
+                guesses[i] = mesh.tails[edge]
+            edge = mesh.newest[OUT_OF, past.near[i]]
+            if edge >= 0:
+                guesses[3 + i] = mesh.heads[edge]
+        guesses[9] = 2 * past.near[0] - past.near[3]
+    else:
+        edge = mesh.newest[INTO, before]
+        for i in range(3):
+            if edge >= 0:
+                guesses[i] = mesh.tails[edge]
+                edge = mesh.older[INTO, edge]
+    if place == 3:
+        edge = mesh.newest[OUT_OF, first]
+        for i in range(3, 6):
+            if edge >= 0:
+                guesses[i] = mesh.heads[edge]
+                edge = mesh.older[OUT_OF, edge]
+    guesses[6] = mesh.unused[1, last_new + 1] - 1
+    guesses[7] = mesh.unused[0, last_new + 1] - 1
+    for i in range(3):
+        guesses[11 + i] = past.near[i]
+    guesses[14] = before + 1
+    guesses[15] = before - 1
+
+
+@inlined
+def remember(past: Past, place: int, vertex: int, winner: int) -> None:
+    """Keep which guesses at a corner were right; `winner` is the first of them, or `GUESSES` and the state."""
+    for g in range(GUESSES):
+        if past.guesses[g] >= 0:
+            right = 1 if past.guesses[g] == vertex else 0
+            past.successes[place, g] = (past.successes[place, g] << 1 | right) & 255
+    past.trail[2], past.trail[1], past.trail[0] = past.trail[1], past.trail[0], winner
+    past.winners[place, 1], past.winners[place, 0] = past.winners[place, 0], winner
+
+
+@inlined
+def slot_of(indices: Index, corner: int, place: int) -> int:
+    """Return where it is remembered what came after the last three differences of corners, in `Past.repeats`."""
+    key = indices[corner] - indices[corner - 1]
+    key = key * 1000003 + indices[corner - 1] - indices[corner - 2]
+    key = key * 1000003 + indices[corner - 2] - indices[corner - 3]
+    slot: int = ((key * 4 + place) * SPREAD >> 32) & (_REPEATS - 1)
+    return slot

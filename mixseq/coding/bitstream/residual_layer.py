@@ -1,0 +1,269 @@
+r"""The residual layer: what is added to decoded frames to bring every vertex below a bound.
+
+A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
+none. Which of them have one is told frame by frame, in contexts of the vertices around them and of the frame before:
+where a few basis vectors too few make an error, it lasts a while.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``,
+``tests/formats/golden/model-v4-coded.h5``).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream.entropy import Reader, Tables, Writer
+from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
+from mixseq.coding.bitstream.signal_kernels import smooth, surroundings
+from mixseq.errors import FormatError
+from mixseq.pickling import PickledWithoutCaches
+
+Residuals = tuple[Index, Index]
+"""Vertices ``(n,)`` of a frame, and their displacements ``(n, 3)`` in units of the layer."""
+
+RUN = 16
+"""So many frames are coded together. Frozen: another number breaks old files."""
+
+_LEVELS = (0.0, 0.08, 0.2, 0.4, 0.7)
+"""Bounds between contexts: shares of displaced vertices that are expected. Frozen: other bounds break old files."""
+
+_BEFORE = 3
+"""Contexts by the frame before: the vertex had a residual, some around it had, none had. Frozen: breaks old files."""
+
+_FLAG_MAGNITUDES = (0.02, 0.08, 0.2, 0.4, 0.7, 0.9)
+"""What is expected of flags in the contexts, to begin with. Frozen: other magnitudes break old files."""
+
+_NUMBER_MAGNITUDES = (0.6, 0.6, 1.0, 2.0)
+"""The same of displacements, by their magnitude in the frame before. Frozen: other magnitudes break old files."""
+
+_KEPT = 8
+"""Decoded runs that are kept. Free: files know nothing of it."""
+
+_NOTHING: Residuals = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class CodedResidualLayer(PickledWithoutCaches):
+    """The residual layer of a compressed sequence, decoded where it is asked for.
+
+    Attributes
+    ----------
+    times : (T,) float64
+        Times of the frames in seconds; between them residuals are interpolated.
+    chunks : tuple of (int, bytes)
+        Number of frames of every chunk, and its stream.
+    faces : (F, 3) int32
+        Triangles of the mesh.
+    vertex_count : int
+        Number V of vertices.
+    unit : float
+        Length of the unit w, in the units of the sequence.
+    """
+
+    times: Float
+    chunks: tuple[tuple[int, bytes], ...]
+    faces: NDArray[np.int32]
+    vertex_count: int
+    unit: float
+
+    def __post_init__(self) -> None:
+        _ = self._lock, self._cache  # there before threads ask for them, who might make two
+
+    def at(self, times: Float) -> Float:
+        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
+        moved = np.zeros((len(times), self.vertex_count, 3))
+        for row, (frame, share) in enumerate(zip(*self._places(times), strict=True)):
+            for which, weight in ((frame, 1.0 - share), (frame + 1, share)):
+                if weight > 0:
+                    vertices, numbers = self._frame(int(which))
+                    moved[row, vertices] += weight * self.unit * numbers
+        return moved
+
+    def rates(self, times: Float) -> Float:
+        """Return the derivatives ``(N, V, 3)`` of the displacements by time, per second."""
+        moved = np.zeros((len(times), self.vertex_count, 3))
+        if len(self.times) == 1:
+            return moved
+        frames, _ = self._places(times)
+        for row, frame in enumerate(np.minimum(frames, len(self.times) - 2)):
+            for which, sign in ((frame, -1.0), (frame + 1, 1.0)):
+                vertices, numbers = self._frame(int(which))
+                duration = self.times[frame + 1] - self.times[frame]
+                moved[row, vertices] += sign * self.unit * numbers / duration
+        return moved
+
+    def _places(self, times: Float) -> tuple[Index, Float]:
+        """Frames before or at times, and how far times are on the way to the next."""
+        places = np.interp(times, self.times, np.arange(len(self.times)))
+        nearest = np.rint(places)
+        near = np.abs(places - nearest) < 1e-9  # a frame is a frame, after rounding
+        places = np.where(near, nearest, places)
+        frames = np.floor(places).astype(np.int64)
+        return frames, places - frames
+
+    def _frame(self, frame: int) -> Residuals:
+        chunk = int(np.searchsorted(self._starts, frame, side="right")) - 1
+        run, place = divmod(frame - int(self._starts[chunk]), RUN)
+        return self._run(chunk, run)[place]
+
+    def _run(self, chunk: int, run: int) -> list[Residuals]:
+        # Threads go through the frames in order, so that the last few runs are all they need.
+        with self._lock:
+            decoded = self._cache.get((chunk, run))
+            if decoded is None:
+                count, stream = self.chunks[chunk]
+                decoded = read_residuals(stream, count, run, self._graph)
+                self._cache[chunk, run] = decoded
+                while len(self._cache) > _KEPT:
+                    self._cache.pop(next(iter(self._cache)))
+            return decoded
+
+    @cached_property
+    def _starts(self) -> Index:
+        return np.cumsum([0, *(count for count, _ in self.chunks)])[:-1]
+
+    @cached_property
+    def _graph(self) -> SignalGraph:
+        return mesh_graph(self.faces, self.vertex_count)
+
+    @cached_property
+    def _cache(self) -> dict[tuple[int, int], list[Residuals]]:
+        return {}
+
+    @cached_property
+    def _lock(self) -> threading.Lock:
+        return threading.Lock()
+
+
+def write_residuals(frames: Iterable[Index], graph: SignalGraph) -> bytes:
+    """Code the residuals of consecutive frames, ``(V, 3)`` each; nothing at all if there are none.
+
+    Runs of `RUN` frames are coded by themselves, so that one frame can be decoded without many others: first the
+    lengths of all runs in bytes, four bytes each, then the runs.
+    """
+    runs = [_write_run(run, graph) for run in _runs(frames)]
+    if not any(runs):
+        return b""
+    return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)
+
+
+def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> list[Residuals]:
+    """Return the residuals of one run of frames.
+
+    Parameters
+    ----------
+    stream : bytes
+        What `write_residuals` returned.
+    count : int
+        Number of frames in the stream.
+    run : int
+        Which run: frames from ``run * RUN`` on.
+    graph : SignalGraph
+        Of the mesh.
+
+    Returns
+    -------
+    list of (vertices (n,), numbers (n, 3))
+        For every frame of the run, which vertices are displaced, and how far, in units of the layer.
+
+    Raises
+    ------
+    FormatError
+        If the stream is damaged.
+    """
+    frames = min(RUN, count - run * RUN)
+    if not stream:
+        return [_NOTHING] * frames
+    number = -(-count // RUN)
+    head, rest = stream[: 4 * number], len(stream) - 4 * number
+    lengths = np.frombuffer(head if rest >= 0 else b"", dtype="<u4").astype(np.int64)
+    if rest < 0 or lengths.sum() != rest:
+        raise FormatError("a coded residual layer has another length than it says; the file is damaged")
+    start = 4 * number + int(lengths[:run].sum())
+    return _read_run(stream[start : start + int(lengths[run])], frames, graph)
+
+
+def _runs(frames: Iterable[Index]) -> Iterator[list[Index]]:
+    rest = iter(frames)
+    while run := list(islice(rest, RUN)):
+        yield run
+
+
+def _write_run(frames: Iterable[Index], graph: SignalGraph) -> bytes:
+    writer, contexts, something = Writer(), _Contexts(graph), False
+    for vertices in frames:
+        frame = vertices[graph.order]
+        displaced: NDArray[np.bool_] = np.any(frame, axis=1)
+        something |= bool(displaced.any())
+        writer.put_flat(np.array([int(displaced.any())]), 2)
+        contexts.begin()
+        if displaced.any():
+            for batch in graph.batches:
+                flags = displaced[batch]
+                writer.put(flags.astype(np.int64), contexts.of(batch), contexts.tables)
+                contexts.displaced[batch] = flags
+            nodes = np.flatnonzero(displaced)
+            writer.put(frame[nodes].reshape(-1), contexts.of_numbers(nodes), contexts.number_tables)
+        contexts.finish(frame)
+    return writer.finish() if something else b""
+
+
+def _read_run(stream: bytes, count: int, graph: SignalGraph) -> list[Residuals]:
+    if not stream:
+        return [_NOTHING] * count
+    reader, contexts = Reader(stream), _Contexts(graph)
+    frames = []
+    for _ in range(count):
+        nodes, numbers = _NOTHING
+        contexts.begin()
+        if reader.get_flat(1, 2)[0]:
+            for batch in graph.batches:
+                contexts.displaced[batch] = reader.get(contexts.of(batch), contexts.tables)
+            nodes = np.flatnonzero(contexts.displaced)
+            numbers = reader.get(contexts.of_numbers(nodes), contexts.number_tables).reshape(-1, 3)
+        frame = np.zeros((graph.size, 3), dtype=np.int64)
+        frame[nodes] = numbers
+        contexts.finish(frame)
+        frames.append((graph.order[nodes], numbers))
+    return frames
+
+
+class _Contexts:
+    """What is known around a node when it is told whether it has a residual."""
+
+    def __init__(self, graph: SignalGraph) -> None:
+        self._graph = graph
+        self.tables = Tables(np.tile(_FLAG_MAGNITUDES, _BEFORE), 1)
+        self.number_tables = Tables(list(_NUMBER_MAGNITUDES), 15)
+        self._last = np.zeros((graph.size, 3), dtype=np.int64)
+        self._before = np.zeros(graph.size, dtype=np.int64)
+        self.displaced = np.zeros(graph.size)
+
+    def begin(self) -> None:
+        self.displaced = np.zeros(self._graph.size)
+
+    def of(self, batch: slice) -> Index:
+        """Contexts ``(n,)``: by the neighbours that are known, and by the frame before."""
+        graph, flags = self._graph, self.displaced
+        beside = surroundings(batch.start, batch.stop, flags, flags, graph.neighbours, graph.counts)
+        levels = np.searchsorted(_LEVELS, beside).astype(np.int64)
+        return levels + len(_FLAG_MAGNITUDES) * self._before[batch]
+
+    def of_numbers(self, nodes: Index) -> Index:
+        """Contexts ``(3 n,)`` of the coordinates: by their size in the frame before."""
+        return np.asarray(np.abs(self._last[nodes].clip(-3, 3)).reshape(-1))
+
+    def finish(self, frame: Index) -> None:
+        graph = self._graph
+        own: NDArray[np.bool_] = np.any(frame, axis=1)
+        around = smooth(np.asarray(own, dtype=np.float64), graph.ring, graph.ring_starts) > 0
+        self._before = np.where(own, 2, around.astype(np.int64))
+        self._last = frame

@@ -1,0 +1,295 @@
+"""In which order a signal over a mesh, or over time, is coded, and what every value is predicted from.
+
+A signal has a value at every node of a graph: the vertices of a mesh and its edges, or frames and the steps between
+them. Nodes are taken away level by level: an independent set of nodes with few neighbours goes, each of them is
+collapsed onto one of its neighbours, and what is left is the graph of the next level. Coding goes the other way, coarse
+to fine, so that nearly all values lie *between* values that are known, and are interpolated: a rounding error is
+averaged away there, where an extrapolation such as the parallelogram rule would enlarge it.
+
+Only the connectivity says what the levels are, so that nothing of them has to be stored.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.compiled import compiled
+from mixseq.polygons import frozen
+
+MOST = 12
+"""Nodes are predicted from so many neighbours at most. Frozen: breaks old files."""
+
+WIDEST = 6
+"""Nodes with more neighbours stay for a coarser level, if there are others. Frozen: breaks old files."""
+
+ROOTS = 6
+"""Nodes without neighbours are predicted from so many such nodes before them. Frozen: breaks old files."""
+
+FEWEST = 8
+"""Levels are coded together until they have so many nodes: models learn after each batch. Frozen: breaks old files."""
+
+FEWEST_FRAMES = 24
+"""The same of frames: their signals are many and short. Frozen: breaks old files."""
+
+_HUB = 32
+"""Neighbours that are so many times more are searched for what is shared, not gone through. Free: a matter of time."""
+
+
+@dataclass(frozen=True, eq=False)
+class SignalGraph:
+    """Nodes in the order of their coding, and the earlier nodes each is predicted from.
+
+    Nodes have the numbers of that order everywhere, so that what is coded together lies together.
+
+    Attributes
+    ----------
+    order : (N,) int64
+        Vertices, or frames, of the nodes: coarse to fine.
+    batches : tuple of slice
+        Nodes that are coded at once.
+    neighbours : (N, n) int64
+        For every node, nodes before it.
+    counts : (N,) int64
+        How many of them there are.
+    weights : (N, n) float64
+        Their weights as long as nothing is known of the signals; rows add up to one.
+    ring : (R,) int64
+    ring_starts : (N + 1,) int64
+        All nodes beside node i, before or after it: ``ring[ring_starts[i] : ring_starts[i + 1]]``.
+    """
+
+    order: Index
+    batches: tuple[slice, ...]
+    neighbours: Index
+    counts: Index
+    weights: Float
+    ring: Index
+    ring_starts: Index
+
+    @property
+    def size(self) -> int:
+        """Number N of nodes."""
+        return len(self.order)
+
+    def with_more(self, nodes: Index, sizes: Index) -> SignalGraph:
+        """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, at first without weight."""
+        neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
+        rows = np.arange(self.size)
+        for place in range(nodes.shape[1]):
+            some = sizes > place
+            neighbours[rows[some], self.counts[some] + place] = nodes[some, place]
+        weights = np.concatenate([self.weights, np.zeros((self.size, nodes.shape[1]))], axis=1)
+        return replace(self, neighbours=neighbours, counts=self.counts + sizes, weights=weights)
+
+
+def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
+    """Return the graph of a mesh: vertices and edges.
+
+    Parameters
+    ----------
+    faces : (F, 3) int
+        Triangles.
+    vertex_count : int
+        Number V of vertices; those without faces are nodes without neighbours.
+    """
+    ends = np.sort(
+        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1
+    )
+    edges = _unique(ends[ends[:, 0] != ends[:, 1]], vertex_count)
+    ring_starts, ring = _adjacency(edges, vertex_count)
+    neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
+    counts = np.zeros(vertex_count, dtype=np.int64)
+    left = np.ones(vertex_count, dtype=bool)
+    levels: list[Index] = []
+    starts, beside = ring_starts, ring
+    while len(edges):
+        degrees = np.diff(starts)
+        nodes = np.flatnonzero(left & (degrees > 0))
+        nodes = nodes[np.argsort(degrees[nodes], kind="stable")]
+        gone = _independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
+        new = _collapse(gone, starts, beside, neighbours, counts)
+        left[gone] = False
+        kept = edges[left[edges].all(axis=1)]
+        edges = _unique(np.concatenate([kept, np.sort(new, axis=1)]), vertex_count)
+        starts, beside = _adjacency(edges, vertex_count)
+        levels.append(gone)
+    roots = np.flatnonzero(left)
+    for place in range(1, len(roots)):
+        before = roots[max(0, place - ROOTS) : place]
+        neighbours[roots[place], : len(before)] = before
+        counts[roots[place]] = len(before)
+    known = np.arange(MOST) < counts[:, None]
+    weights = known / np.maximum(counts, 1)[:, None]
+    # Every root needs those before it, and is a level of its own: few, and all in the first batch.
+    return _graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+
+
+@lru_cache(maxsize=64)
+def path_graph(count: int) -> SignalGraph:
+    """Return the graph of consecutive frames: first and last, those in the middle, and so on by halves.
+
+    A frame is predicted from two known frames on either side, at first by the polynomial through them (Lagrange), and
+    from the two nearest that are known besides.
+
+    Parameters
+    ----------
+    count : int
+        Number of frames, at least one.
+    """
+    neighbours = np.zeros((count, 6), dtype=np.int64)
+    counts = np.zeros(count, dtype=np.int64)
+    weights = np.zeros((count, 6))
+    known = np.unique([0, count - 1])
+    levels = [known]
+    if count > 1:
+        counts[count - 1], weights[count - 1, 0] = 1, 1.0
+    step = 1 << max(count - 1, 1).bit_length()
+    while step > 1:
+        step //= 2
+        new = np.setdiff1d(np.arange(step, count - 1, 2 * step), known)
+        for node in new:
+            place = int(np.searchsorted(known, node))
+            beside = known[max(place - 2, 0) : place + 2]
+            weights[node, : len(beside)] = _lagrange(beside, int(node))
+            others = np.setdiff1d(np.append(known, new[new < node]), beside)
+            others = others[np.argsort(np.abs(others - node), kind="stable")][: 6 - len(beside)]
+            counts[node] = len(beside) + len(others)
+            neighbours[node, : counts[node]] = np.append(beside, others)
+        known = np.union1d(known, new)
+        levels.append(new)
+    frames = np.arange(count)
+    pairs = np.stack([frames[:-1], frames[1:]], axis=1)
+    ring_starts, ring = _adjacency(pairs, count)
+    return _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES)
+
+
+def _lagrange(nodes: Index, at: int) -> Float:
+    """Weights of the polynomial through values at nodes; quotients of whole numbers, the same on all machines."""
+    weights = np.ones(len(nodes))
+    for one, node in enumerate(nodes.tolist()):
+        over = under = 1
+        for other in nodes.tolist():
+            if other != node:
+                over, under = over * (at - other), under * (node - other)
+        weights[one] = over / under
+    return weights
+
+
+def _graph(
+    levels: list[Index],
+    neighbours: Index,
+    counts: Index,
+    weights: Float,
+    ring: Index,
+    ring_starts: Index,
+    fewest: int = FEWEST,
+) -> SignalGraph:
+    order = np.concatenate(levels)
+    cuts, done, since = [0], 0, 0
+    for level in levels:
+        done, since = done + len(level), since + len(level)
+        if since >= fewest:
+            cuts.append(done)
+            since = 0
+    cuts = [*(cut for cut in cuts if cut == 0 or len(order) - cut >= fewest or cut == len(order)), len(order)]
+    ends = sorted(set(cuts))
+    batches = tuple(slice(a, b) for a, b in pairwise(ends))
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    sizes = np.diff(ring_starts)[order]
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    ring = place[ring[np.repeat(ring_starts[:-1][order] - starts[:-1], sizes) + np.arange(starts[-1])]]
+    counts = counts[order]
+    known = np.arange(neighbours.shape[1]) < counts[:, None]
+    neighbours = np.where(known, place[neighbours[order]], 0)
+    arrays = (frozen(array) for array in (order, neighbours, counts, weights[order], ring, starts))
+    order, neighbours, counts, weights, ring, starts = arrays
+    return SignalGraph(order, batches, neighbours, counts, weights, ring, starts)
+
+
+def _unique(edges: Index, count: int) -> Index:
+    """Return edges ``(E, 2)`` without repetitions, sorted."""
+    keys = np.unique(edges[:, 0] * count + edges[:, 1])
+    return np.stack([keys // count, keys % count], axis=1)
+
+
+def _adjacency(edges: Index, count: int) -> tuple[Index, Index]:
+    """Return starts ``(N + 1,)`` and neighbours ``(2 E,)`` of all nodes, sorted."""
+    both = np.concatenate([edges, edges[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(both[:, 0], minlength=count))])
+    return starts.astype(np.int64), np.ascontiguousarray(both[:, 1])
+
+
+@compiled
+def _independent(nodes: Index, starts: Index, beside: Index, most: int) -> Index:
+    """Return nodes, first come first served, no two of which are neighbours, with at most so many neighbours.
+
+    Nodes ``(n,)`` int64 are looked at in their order; those beside a node are
+    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
+    """
+    blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
+    chosen = np.empty(len(nodes), dtype=np.int64)
+    count = 0
+    for node in nodes:
+        if blocked[node] or starts[node + 1] - starts[node] > most:
+            continue
+        chosen[count] = node
+        count += 1
+        for place in range(starts[node], starts[node + 1]):
+            blocked[beside[place]] = True
+    return chosen[:count].copy()
+
+
+@compiled
+def _collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
+    """Note neighbours ``(N, n)`` and counts ``(N,)`` of nodes that go; return edges ``(E, 2)`` that close the holes.
+
+    All neighbours of a node are joined to the one of them that has most of the others as neighbours already, or to
+    the one of fewest neighbours among those.
+    """
+    most = neighbours.shape[1]
+    size = 0
+    for node in gone:
+        size += starts[node + 1] - starts[node]
+    new = np.empty((size, 2), dtype=np.int64)
+    mark = np.full(len(starts) - 1, -1, dtype=np.int64)
+    count = 0
+    for node in gone:
+        first, last = starts[node], starts[node + 1]
+        counts[node] = min(last - first, most)
+        for place in range(counts[node]):
+            neighbours[node, place] = beside[first + place]
+        for place in range(first, last):
+            mark[beside[place]] = node
+        best, shared_best, degree_best = beside[first], -1, 0
+        for place in range(first, last):
+            other = beside[place]
+            shared = 0
+            degree = starts[other + 1] - starts[other]
+            if degree > _HUB * (last - first):
+                around = beside[starts[other] : starts[other + 1]]
+                for at in range(first, last):
+                    found = np.searchsorted(around, beside[at])
+                    if found < degree and around[found] == beside[at]:
+                        shared += 1
+            else:
+                for at in range(starts[other], starts[other + 1]):
+                    if mark[beside[at]] == node:
+                        shared += 1
+            if shared > shared_best or (shared == shared_best and degree < degree_best):
+                best, shared_best, degree_best = other, shared, degree
+        for place in range(first, last):
+            if beside[place] != best:
+                new[count, 0] = best
+                new[count, 1] = beside[place]
+                count += 1
+    return new[:count].copy()

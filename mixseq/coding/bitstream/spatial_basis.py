@@ -1,0 +1,270 @@
+r"""The spatial basis and the coefficients of a compressed sequence, read from streams of bytes.
+
+A frame is a sum of basis vectors over the mesh, with coefficients over time,
+
+.. math:: x_t(v) = \sum_k u_k(t)\, b_k(v)
+
+trajectories
+    A basis vector has one number at each vertex, and three coefficients at each frame. The first one,
+    :math:`b_0 = 1 / \sqrt V`, is known. A mesh may be cut into parts with a basis each, which is zero elsewhere.
+shapes
+    A basis vector has three coordinates at each vertex, and one coefficient at each frame. The first one is the mean
+    shape, whose coefficient :math:`u_0 = 1 / \sqrt T` is known.
+
+Basis vectors go to several streams (groups), each with twice as many as the one before, so that a damaged file still
+has the most important ones; every stream has vectors of all parts. Coefficients go to one stream for every chunk of
+frames, and every chunk is coded by itself. The part of every vertex is coded in the order of the mesh's graph: whether
+a vertex has the label that most known neighbours have, in the context of how many do, and its label, if not.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``; ``parts.npz`` has several parts,
+``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.coding.encoder.trial` writes these streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream.entropy import Reader, Tables, Writer
+from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
+from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
+from mixseq.errors import FormatError
+
+BasisKind = Literal["trajectories", "shapes"]
+
+MOST_PARTS = 128
+"""Meshes have so many parts at most. Frozen: files with more are refused."""
+
+GROUP = 12
+"""Basis vectors in the first group. Frozen: another number breaks old files."""
+
+LABEL_CONTEXTS = 8
+"""Contexts of labels: shares of the known neighbours with the expected one, in eighths. Frozen: breaks old files."""
+
+
+class Part(NamedTuple):
+    """Vertices ``(n,)`` of a part, increasing, and the graph over them."""
+
+    vertices: Index
+    graph: SignalGraph
+
+
+def whole(graph: SignalGraph) -> tuple[Part, ...]:
+    """Return the mesh as its only part."""
+    return (Part(np.arange(graph.size), graph),)
+
+
+def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
+    """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
+    found = []
+    for part in range(int(labels.max(initial=-1)) + 1):
+        vertices = np.flatnonzero(labels == part)
+        inside = faces[(labels[faces] == part).all(axis=1)]
+        found.append(Part(vertices, mesh_graph(np.searchsorted(vertices, inside), len(vertices))))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialBasis:
+    """A basis, as a decoder has it.
+
+    Attributes
+    ----------
+    kind : {"trajectories", "shapes"}
+        What is compared: vertices or frames.
+    vectors : (K, c, V) float64
+        Basis vectors in the units of the sequence: c = 1 of trajectories, the first of which are constant, one for
+        every part; c = 3 of shapes.
+    frame_count : int
+        Number T of frames.
+    parts : (K,) int64
+        Part of the mesh that a vector belongs to; it is zero elsewhere.
+    """
+
+    kind: BasisKind
+    vectors: Float
+    frame_count: int
+    parts: Index
+
+    @property
+    def norms(self) -> Float:
+        """Norms ``(K,)`` of the vectors."""
+        norms: Float = np.sqrt(np.square(self.vectors).sum(axis=(1, 2)))
+        return norms
+
+    @property
+    def varying(self) -> slice:
+        """Vectors whose coefficients are coded: all but the mean shape."""
+        return slice(0 if self.kind == "trajectories" else 1, None)
+
+    @property
+    def mean(self) -> Float:
+        """The mean ``(V, 3)`` of shapes."""
+        mean: Float = self.vectors[0].T / np.sqrt(self.frame_count)
+        return mean
+
+    def frames(self, coefficients: Float) -> Float:
+        """Return the frames ``(T, V, 3)`` of coefficients ``(T, K, 3 / c)`` of the varying vectors."""
+        if self.kind == "trajectories":
+            return np.asarray(np.einsum("kv,tki->tvi", self.vectors[:, 0], coefficients, optimize=True))
+        return np.asarray(
+            self.mean + np.einsum("kiv,tk->tvi", self.vectors[1:], coefficients[..., 0], optimize=True)
+        )
+
+
+def groups(rank: int) -> list[slice]:
+    """Return which basis vectors are in which stream: 12, 24, 48, ..."""
+    ends, size = [0], GROUP
+    while ends[-1] < rank:
+        ends.append(min(ends[-1] + size, rank))
+        size *= 2
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def groups_of_parts(ranks: Sequence[int]) -> list[list[tuple[int, slice]]]:
+    """Return which vectors of which parts are in which stream: parts, and slices of their vectors."""
+    of_parts = [groups(rank) for rank in ranks]
+    return [
+        [(place, some[number]) for place, some in enumerate(of_parts) if number < len(some)]
+        for number in range(max(map(len, of_parts)))
+    ]
+
+
+def read_basis(
+    streams: Sequence[bytes],
+    ranks: Sequence[int],
+    coordinates: int,
+    step: float,
+    faces: NDArray[np.integer],
+    graph: SignalGraph,
+) -> tuple[list[Float], tuple[Part, ...]]:
+    """Return the basis vectors ``(K, c, n)`` of every part, and the parts; groups may be missing at the end.
+
+    Raises
+    ------
+    FormatError
+        If the streams are damaged.
+    """
+    models, parts = NumberModels(), whole(graph)
+    readers = [Reader(stream) for stream in streams]
+    if len(ranks) > 1:
+        if not readers:
+            raise FormatError(
+                "the first group of the basis is missing, with the parts of the mesh; the file is damaged"
+            )
+        parts = parts_of(read_labels(readers[0], len(ranks), graph), faces)
+    coders = [SignalCoder(part.graph, coordinates, models) for part in parts]
+    vectors: list[list[Float]] = [[] for _ in parts]
+    for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=False):
+        for place, group in of_parts:
+            for _ in range(group.start, group.stop):
+                vectors[place].append(np.stack([coders[place].read(reader) for _ in range(coordinates)]))
+    decoded = [
+        step * np.array(some).reshape(-1, coordinates, part.graph.size)
+        for some, part in zip(vectors, parts, strict=True)
+    ]
+    return decoded, parts
+
+
+def assemble_basis(
+    kind: BasisKind, vectors: Sequence[Float], parts: Sequence[Part], frame_count: int
+) -> SpatialBasis:
+    """Return the basis of coded vectors ``(K, c, n)`` of all parts, without those that are zero.
+
+    These have no coefficients. Vectors are in the order of their groups, so that those of the first groups come first.
+    """
+    vertices = sum(len(part.vertices) for part in parts)
+    found: list[tuple[int, Float]] = []
+    if kind == "trajectories":
+        found += [
+            (place, np.full((1, 1, len(part.vertices)), 1 / np.sqrt(len(part.vertices))))
+            for place, part in enumerate(parts)
+        ]
+    for of_parts in groups_of_parts([len(some) for some in vectors]) if any(map(len, vectors)) else ():
+        for place, group in of_parts:
+            some = vectors[place][group]
+            there: NDArray[np.bool_] = np.any(some, axis=(1, 2))
+            there[:1] |= kind == "shapes" and group.start == 0  # the mean, which may be zero
+            found.append((place, some[there]))
+    scattered = np.zeros((sum(len(some) for _, some in found), 1 if kind == "trajectories" else 3, vertices))
+    done = 0
+    for place, some in found:
+        scattered[done : done + len(some), :, parts[place].vertices] = some
+        done += len(some)
+    owners = np.repeat([place for place, _ in found], [len(some) for _, some in found]).astype(np.int64)
+    return SpatialBasis(kind, scattered, frame_count, owners)
+
+
+def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
+    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames."""
+    scales = basis.norms[basis.varying] / step
+    coders, reader = coefficient_coders(basis, count), Reader(stream)
+    coefficients = np.empty((count, len(scales), 3 if basis.kind == "trajectories" else 1))
+    for place, coordinate in np.ndindex(coefficients.shape[1:]):
+        coder = coders[basis.parts[basis.varying][place]]
+        coefficients[:, place, coordinate] = coder.read(reader) / scales[place]
+    return coefficients
+
+
+def coefficient_coders(basis: SpatialBasis, count: int) -> list[SignalCoder]:
+    """Return the coders of all parts' coefficients in a chunk of so many frames; they share their models."""
+    models, dim = NumberModels(), 3 if basis.kind == "trajectories" else 1
+    number = int(basis.parts.max(initial=0)) + 1
+    return [SignalCoder(path_graph(count), dim, models) for _ in range(number)]
+
+
+def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
+    """Code the part ``(V,)`` of every vertex; `graph` is that of the whole mesh."""
+    tables, number = _label_tables(), int(labels.max(initial=0)) + 1
+    nodes = labels[graph.order]
+    for batch in graph.batches:
+        likely, contexts = _expected(nodes, batch, graph, number)
+        other = nodes[batch] != likely
+        writer.put(other.astype(np.int64), contexts, tables)
+        writer.put_flat(nodes[batch][other], number)
+
+
+def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
+    """Return the labels ``(V,)`` of so many parts that `write_labels` wrote.
+
+    Raises
+    ------
+    FormatError
+        If they are damaged.
+    """
+    tables = _label_tables()
+    nodes = np.zeros(graph.size, dtype=np.int64)
+    for batch in graph.batches:
+        likely, contexts = _expected(nodes, batch, graph, number)
+        flags = reader.get(contexts, tables)
+        if ((flags < 0) | (flags > 1)).any():
+            raise FormatError("labels of parts are damaged")
+        likely[flags == 1] = reader.get_flat(int(flags.sum()), number)
+        nodes[batch] = likely
+    labels = np.empty_like(nodes)
+    labels[graph.order] = nodes
+    if len(np.unique(labels)) < number:
+        raise FormatError("a part has no vertices; the file is damaged")
+    return labels
+
+
+def _label_tables() -> Tables:
+    return Tables([0.5] * (LABEL_CONTEXTS + 1), 1)
+
+
+def _expected(nodes: Index, batch: slice, graph: SignalGraph, number: int) -> tuple[Index, Index]:
+    """Return the label ``(n,)`` that most known neighbours have, and contexts ``(n,)``: how many have it."""
+    neighbours = graph.neighbours[batch]
+    known = (np.arange(neighbours.shape[1]) < graph.counts[batch, None]) & (neighbours < batch.start)
+    votes = np.zeros((len(neighbours), number), dtype=np.int64)
+    rows, _ = np.nonzero(known)
+    np.add.at(votes, (rows, nodes[neighbours[known]]), 1)
+    likely = votes.argmax(axis=1)
+    most = votes[np.arange(len(votes)), likely]
+    return likely, LABEL_CONTEXTS * most // np.maximum(known.sum(axis=1), 1)

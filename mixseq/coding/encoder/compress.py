@@ -1,0 +1,148 @@
+"""Compress a sequence to an error or a size, and measure the error of what was written by decoding it.
+
+The step is found by `mixseq.coding.encoder.search`; nothing is promised that was not measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence, to_model
+from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.coding.encoder.search import ROUNDS, Search
+from mixseq.coding.encoder.trial import Trial, width
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.frame_store import FrameStore, blocks_of, frame_store
+from mixseq.progress import Progress, Stages, silent
+from mixseq.sequence import Frames, bounding_diagonal, check_frames
+from mixseq.threads import one_blas_thread
+
+
+def compress(
+    sequence: Frames,
+    max_error: float | None = None,
+    kg: float | None = None,
+    size: int | None = None,
+    progress: Progress = silent,
+) -> CompressedSequence:
+    """Compress a sequence.
+
+    Parameters
+    ----------
+    sequence : MeshSequence or SequenceReader
+        The animation.
+    max_error : float, optional
+        Largest distance of a vertex from the original at any frame, as a fraction of the bounding box's diagonal in
+        the first frame: a promise.
+    kg : float, optional
+        KG error in percent: root mean square distance, relative to that of the vertices from their centroid.
+    size : int, optional
+        Number of bytes of the signals.
+    progress : callable, optional
+        Told about every stage.
+
+    Returns
+    -------
+    CompressedSequence
+        `mixseq.save` writes it, `mixseq.load` makes a model of it.
+
+    Raises
+    ------
+    SettingsError
+        If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached.
+    """
+    check_frames(sequence)
+    _check(max_error, kg, size)
+    stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
+    with one_blas_thread():
+        frames = frame_store(sequence, stages.at(0))
+        unit = bounding_diagonal(frames.points[:1][0]) or 1.0
+        search = Search(frames, mesh_graph(sequence.header.faces, sequence.header.vertex_count), stages)
+        if max_error is not None:
+            best = search.within(_with_margin(max_error * unit, frames))
+        elif kg is not None:
+            best = search.with_error(kg / 100 * _deviation(frames))
+        else:
+            best = search.with_size(int(size or 0), _deviation(frames))
+        stages.at(1 + ROUNDS)(0, 1, "checking")
+        return _checked(frames, best, unit, max_error)
+
+
+def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
+    given = {"max_error": max_error, "kg": kg, "size": size}
+    values = {name: value for name, value in given.items() if value is not None}
+    if len(values) != 1:
+        raise SettingsError(
+            f"{' and '.join(values) or 'nothing'} is given; give one of max_error, kg and size"
+        )
+    [(name, value)] = values.items()
+    least = 1 if name == "size" else 0
+    if not (np.isfinite(value) and value > 0 and value >= least):
+        raise SettingsError(f"{name} is {value}; a positive number{' of bytes' * least} is expected")
+
+
+def _with_margin(bound: float, sequence: FrameStore) -> float:
+    """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
+    largest = max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(sequence.points))
+    last = largest * 2.0**-40
+    if bound < last:
+        raise SettingsError(
+            f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
+            f"{largest:.3g}; give at least {last:.3g} of these units, or move the sequence to the origin"
+        )
+    single = sequence.points.dtype == np.float32
+    rounding = largest * 2.0**-24 * 3**0.5 if single else last
+    return bound - min(1e-9 * bound + rounding, bound / 2)
+
+
+def _deviation(sequence: FrameStore) -> float:
+    """Root of the sum of all squared distances from the centroids of the frames."""
+    squares = largest = 0.0
+    for block in blocks_of(sequence.points):
+        points = block.astype(np.float64)
+        squares += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
+        largest = max(largest, float(np.abs(points).max()))
+    if squares <= np.prod(sequence.points.shape) * (2.0**-40 * largest) ** 2:
+        raise SettingsError("all vertices are at one place, and have no KG error; give max_error")
+    return float(np.sqrt(squares))
+
+
+def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None) -> CompressedSequence:
+    """Decode what was coded, and measure its errors: nothing is promised that was not observed."""
+    coded = CompressedSequence(
+        sequence.header,
+        CodingParameters(
+            factors=best.basis.kind,
+            rank=sum(best.ranks),
+            frame_count=len(sequence.points),
+            step=best.step,
+            diagonal=unit,
+            max_error=0.0,
+            kg_percent=0.0,
+            promised=bound is not None,
+            correction=0.0 if best.bound is None else width(best.bound),
+            ranks=best.ranks if len(best.ranks) > 1 else (),
+        ),
+        best.basis_streams,
+        best.chunks,
+    )
+    model = to_model(coded)
+    squares = spread = largest = 0.0
+    done = 0
+    for block in model.blocks(model.times):
+        points = sequence.points[done : done + len(block)].astype(np.float64)
+        distances = np.square(points - block).sum(axis=2)
+        squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
+        spread += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
+        done += len(block)
+    error = float(np.sqrt(largest)) / unit
+    if bound is not None and error > bound:
+        raise ReconstructionError(
+            f"a vertex is off by {error:.3g} diagonals after decoding, more than {bound:g}; please report this"
+        )
+    rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
+    kg_percent = 100 * float(np.sqrt(squares / spread)) if spread > rounding else 0.0
+    parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
+    return replace(coded, parameters=parameters)

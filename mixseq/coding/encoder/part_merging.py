@@ -1,0 +1,140 @@
+r"""Parts of the mesh with a basis each: near-rigid parts, merged as long as there are too many.
+
+Vertices that move with the same few bones need few components; all vertices together need as many as there are bones.
+So the mesh is cut into parts, as clustered principal components do (Sattler, Sarlette and Klein 2005, *Simple and
+efficient compression of animation sequences*), all with one step.
+
+Merged are, again and again, the two parts whose union adds least to the error of the nearest rigid motions from the
+first frame,
+
+.. math:: E(S) = \min_{R_t, c_t} \sum_{t,\, v \in S} |R_t x_0(v) + c_t - x_t(v)|^2,
+
+whether they touch or not: what hangs on the same bone may be in pieces.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream.spatial_basis import MOST_PARTS
+from mixseq.errors import SegmentationError
+from mixseq.frame_store import FrameStore
+from mixseq.segmentation import segment
+from mixseq.topology import Topology
+
+FACES = 8
+"""Meshes with fewer faces for every part are not cut."""
+
+FRAMES = 32
+"""So many frames, evenly spread, are looked at."""
+
+
+def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Index]:
+    """Return labels ``(V,)`` of the vertices, for those of the numbers of parts that there can be, increasing.
+
+    Parameters
+    ----------
+    sequence : FrameStore
+        The sequence.
+    counts : tuple of int
+        Numbers of parts, increasing.
+    """
+    header = sequence.header
+    if len(header.faces) < FACES * counts[-1]:
+        return {}
+    frames = np.unique(np.linspace(0, len(sequence.points) - 1, FRAMES).astype(np.int64))
+    points = sequence.points[frames].astype(np.float64)
+    topology = Topology(header.faces, header.vertex_count)
+    try:
+        of_faces = segment(points, topology, parts=counts[-1])
+    except SegmentationError:
+        return {}
+    number = int(of_faces.max(initial=0)) + 1
+    if number == 1 or number > MOST_PARTS:
+        return {}
+    votes = np.zeros((header.vertex_count, number), dtype=np.int64)
+    np.add.at(votes, (header.faces.reshape(-1), np.repeat(of_faces, 3)), 1)
+    labels = np.unique(votes.argmax(axis=1), return_inverse=True)[1].astype(np.int64)
+    return dict(sorted(merged(points, labels, counts).items()))
+
+
+def merged(points: NDArray[np.floating], labels: Index, counts: tuple[int, ...]) -> dict[int, Index]:
+    """Merge parts two by two.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float
+        The sequence, or some of its frames.
+    labels : (V,) int64
+        Parts 0 ... P - 1 to begin with.
+    counts : tuple of int
+        Numbers of parts that are asked for.
+
+    Returns
+    -------
+    dict of int to (V,) int64
+        Labels for those of `counts` that do not exceed P.
+    """
+    number = int(labels.max(initial=0)) + 1
+    sums = _Sums.of(points, labels, number)
+    own = sums.energies()
+    costs = np.full((number, number), np.inf)
+    for one in range(number - 1):
+        others = np.arange(one + 1, number)
+        costs[one, others] = sums.merged(one, others).energies() - own[one] - own[others]
+    labels, alive, found = labels.copy(), np.ones(number, dtype=bool), {}
+    for left in range(number, 0, -1):
+        if left in counts:
+            found[left] = np.unique(labels, return_inverse=True)[1].astype(np.int64)
+        if left == 1:
+            break
+        one, other = (int(index) for index in np.unravel_index(np.argmin(costs), costs.shape))
+        labels[labels == other] = one
+        union = sums.merged(one, np.array([other]))
+        for mine, new in zip(sums, union, strict=True):
+            mine[one] = new[0]
+        own[one], alive[other] = union.energies()[0], False
+        costs[other], costs[:, other] = np.inf, np.inf
+        others = np.flatnonzero(alive & (np.arange(number) != one))
+        if len(others):
+            new_costs = sums.merged(one, others).energies() - own[one] - own[others]
+            costs[np.minimum(one, others), np.maximum(one, others)] = new_costs
+    return found
+
+
+class _Sums(NamedTuple):
+    """Sums over the vertices of sets: number ``(n,)``, x_0 ``(n, 3)``, x_t ``(n, T, 3)``, products and squares."""
+
+    sizes: Float
+    first: Float
+    points: Float
+    products: Float
+    squares: Float
+
+    @classmethod
+    def of(cls, points: NDArray[np.floating], labels: Index, number: int) -> _Sums:
+        rows = []
+        for part in range(number):
+            x = points[:, labels == part].astype(np.float64)
+            squares = len(x) * np.square(x[0]).sum() + np.square(x).sum()
+            products = np.einsum("vi,tvj->tij", x[0], x)
+            rows.append((float(x.shape[1]), x[0].sum(axis=0), x.sum(axis=1), products, squares))
+        return cls(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
+
+    def merged(self, one: int, others: Index) -> _Sums:
+        return _Sums(*(values[one] + values[others] for values in self))
+
+    def energies(self) -> Float:
+        """Errors ``(n,)`` of the nearest rigid motions, by the singular values of the products (Kabsch 1976)."""
+        about = self.first[:, None, :, None] * self.points[:, :, None, :] / self.sizes[:, None, None, None]
+        products = self.products - about
+        values = np.linalg.svd(products, compute_uv=False)
+        turned = values[..., 0] + values[..., 1] + np.sign(np.linalg.det(products)) * values[..., 2]
+        means = self.points.shape[1] * np.square(self.first).sum(axis=1) + np.square(self.points).sum(
+            axis=(1, 2)
+        )
+        return np.asarray(self.squares - means / self.sizes - 2 * turned.sum(axis=1))
