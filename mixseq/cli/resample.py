@@ -120,7 +120,7 @@ def command(
         raise SettingsError("--linear is about the points of --retime; give both, or neither")
     check_target(target, source)
     from mixseq.operations.resampling import plan
-    from mixseq.operations.retime import read_retiming
+    from mixseq.operations.retiming_files import read_retiming
     from mixseq_io import in_step
 
     retiming = None if retime is None else read_retiming(retime, smooth=not linear)

@@ -9,19 +9,17 @@ Operations are pure functions from models to a model, which compose::
     mixseq.save("attack.h5", transition(twice, mixseq.load("slash.h5"), at=1.0, duration=0.3))
 """
 
-from mixseq.operations.articulated import exaggerate_part, hold
-from mixseq.operations.composition import retime
+from mixseq.operations.common_space import into
 from mixseq.operations.dragging import drag
-from mixseq.operations.exaggeration import exaggerate
-from mixseq.operations.keys import swap_key
+from mixseq.operations.filters import exaggerate, smooth
+from mixseq.operations.hand_edits import swap_key
+from mixseq.operations.limb_edits import exaggerate_part, hold
 from mixseq.operations.resampling import resample
-from mixseq.operations.retime import Retiming, read_retiming
+from mixseq.operations.retiming import Retiming, retime
+from mixseq.operations.retiming_files import read_retiming
 from mixseq.operations.sculpt import sculpt
-from mixseq.operations.sections import cut, loop, repeat
-from mixseq.operations.sharing import into
 from mixseq.operations.sketch import sketch
-from mixseq.operations.smoothing import smooth
-from mixseq.operations.timing import reverse, shift, speed
+from mixseq.operations.timeline import cut, loop, repeat, reverse, shift, speed
 from mixseq.operations.transitions import blend, concatenate, transition
 
 __all__ = [

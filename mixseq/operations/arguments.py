@@ -13,7 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.retime import read_keys
+from mixseq.operations.retiming_files import read_keys
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model

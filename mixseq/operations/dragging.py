@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.passes import SLACK, snapped
-from mixseq.operations.pieces import between, breakpoints, sites_of
+from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
+from mixseq.operations.splines import between, breakpoints, sites_of
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
 from mixseq.signals.model import Model

@@ -2,7 +2,7 @@ r"""Resampling: a model at other times, at another rate, speed or direction.
 
 Frames of the output are at whole multiples of ``1 / fps``, where the frames of a time line are: all of those from
 the start of the output to its end. What the output lasts before the first of them and after the last, less than a
-frame each, has no frame. With the retiming :math:`r` (`mixseq.operations.retime`) the frame at the time :math:`o`
+frame each, has no frame. With the retiming :math:`r` (`mixseq.operations.retiming`) the frame at the time :math:`o`
 is the model at :math:`r(o)`, and its velocities, per second of the output, are those of the model times
 :math:`r'(o)`.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.mapping import Executor
-from mixseq.operations.retime import Retiming
+from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq.signals.model import FRAMES, MOST_FRAMES, Model

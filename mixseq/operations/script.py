@@ -32,24 +32,24 @@ from mixseq.operations.arguments import Readers, WrongTypeError, keys_of
 from mixseq.signals.model import Model
 
 OPERATIONS: Mapping[str, str] = {
-    "cut": "sections:cut",
-    "repeat": "sections:repeat",
-    "loop": "sections:loop",
-    "shift": "timing:shift",
-    "speed": "timing:speed",
-    "reverse": "timing:reverse",
-    "retime": "composition:retime",
+    "cut": "timeline:cut",
+    "repeat": "timeline:repeat",
+    "loop": "timeline:loop",
+    "shift": "timeline:shift",
+    "speed": "timeline:speed",
+    "reverse": "timeline:reverse",
+    "retime": "retiming:retime",
     "concatenate": "transitions:concatenate",
     "transition": "transitions:transition",
     "blend": "transitions:blend",
-    "exaggerate": "exaggeration:exaggerate",
-    "exaggerate_part": "articulated:exaggerate_part",
-    "hold": "articulated:hold",
-    "smooth": "smoothing:smooth",
+    "exaggerate": "filters:exaggerate",
+    "exaggerate_part": "limb_edits:exaggerate_part",
+    "hold": "limb_edits:hold",
+    "smooth": "filters:smooth",
     "sculpt": "sculpt:sculpt",
     "drag": "dragging:drag",
     "sketch": "sketch:sketch",
-    "swap_key": "keys:swap_key",
+    "swap_key": "hand_edits:swap_key",
 }
 """Modules of this package and functions in them, by the names of operations; imported when they are asked for."""
 

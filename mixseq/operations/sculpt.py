@@ -26,10 +26,9 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.edited import edited_difference
-from mixseq.operations.passes import snapped
-from mixseq.operations.pieces import breakpoints, refined, sites_of
-from mixseq.operations.sampling import sampled, shape_measure
+from mixseq.operations.hand_edits import edited_difference
+from mixseq.operations.joining import snapped
+from mixseq.operations.splines import breakpoints, refined, sampled, shape_measure, sites_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model

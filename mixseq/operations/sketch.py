@@ -27,7 +27,7 @@ from scipy.spatial.distance import cdist
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
-from mixseq.operations.sampling import placement_measure, sampled, shape_measure
+from mixseq.operations.splines import placement_measure, sampled, shape_measure
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
 from mixseq.signals.model import MOST_FRAMES, Model

@@ -3,7 +3,7 @@ r"""From one motion into another: concatenation, transitions, blends.
 .. math:: s(t) = (1 - w(t))\, s_a(t) + w(t)\, s_b(t)
 
 for all signals but rotations, which go along the turn from one to the other, parts in their joints
-(`mixseq.operations.means`). In a transition the weight is the step
+(`mixseq.operations.placements`). In a transition the weight is the step
 :math:`w = 6x^5 - 15x^4 + 10x^3`, which is two times continuously differentiable. Weight times signal is no cubic
 spline; there, and only there, the result is the spline through many points.
 """
@@ -17,23 +17,25 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.means import mean, mean_placements
-from mixseq.operations.passes import (
-    DENSE,
+from mixseq.operations.common_space import together
+from mixseq.operations.joining import (
     SLACK,
-    Pass,
+    ModelSection,
+    Seam,
     concatenated,
-    continued,
     fade_of,
     frames_of,
     section_of,
     shifted,
     snapped,
 )
-from mixseq.operations.pieces import Fade, Piece, between, breakpoints, refined, sites_of
-from mixseq.operations.sharing import together
+from mixseq.operations.placements import continued, mean, mean_placements
+from mixseq.operations.splines import between, breakpoints, refined, sites_of
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
+
+DENSE = 8
+"""A curve that is no cubic spline is made one by so many knots for each that it had."""
 
 Weight = Callable[[Float], Float]
 
@@ -63,7 +65,7 @@ def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
     first, last = section_of(b, b.start, b.end)
     seconds = fade_of(fade, min(seam - start, last - first))
     later = shifted(b, seam - first)
-    return concatenated([Pass(a, start, seam), Pass(later, seam, later.end)], [Fade(seconds)])
+    return concatenated([ModelSection(a, start, seam), ModelSection(later, seam, later.end)], [Seam(seconds)])
 
 
 def transition(a: Model, b: Model, at: float, duration: float) -> Model:
@@ -102,15 +104,19 @@ def transition(a: Model, b: Model, at: float, duration: float) -> Model:
     if not end - at > SLACK / a.header.fps:
         raise SettingsError(f"duration is {duration:g} s, next to no time; give more, or concatenate")
     middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
-    passes = [Pass(a, a.start, at), Pass(middle, at, end), Pass(later, end, later.end)]
+    sections = [
+        ModelSection(a, a.start, at),
+        ModelSection(middle, at, end),
+        ModelSection(later, end, later.end),
+    ]
     # What little the points leave of jumps is taken up next to the ends of the middle, not to touch what is outside.
     point = (end - at) / (len(middle.time.times) - 1)
-    fades = [Fade(3 * point, share=0.0), Fade(3 * point, share=1.0)]
-    if passes[2].end - end <= 0:
-        passes, fades = passes[:2], fades[:1]
+    seams = [Seam(3 * point, share=0.0), Seam(3 * point, share=1.0)]
+    if sections[2].end - end <= 0:
+        sections, seams = sections[:2], seams[:1]
     if at - a.start <= 0:
-        passes, fades = passes[1:], fades[1:]
-    return concatenated(passes, fades)
+        sections, seams = sections[1:], seams[1:]
+    return concatenated(sections, seams)
 
 
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
@@ -194,7 +200,7 @@ def _mix(
         Into how many parts knot intervals are cut; 1 is exact for a constant weight.
     """
     start, end = ends
-    goes_on = continued(a.space, Piece(b.placement, start, end), a.placement([start])[0])
+    goes_on = continued(a.space, b.placement, start, a.placement([start])[0])
 
     def mixed(one: Curve, other: Curve, means: Callable[[Float, Float, Float], Float]) -> Curve:
         inner = [breakpoints(one), breakpoints(other), *([] if knots is None else [knots])]
@@ -204,5 +210,5 @@ def _mix(
     return a.with_motion(
         mixed(a.time, b.time, mean),
         mixed(a.placement, goes_on, partial(mean_placements, a.space)),
-        a.header.with_times(frames_of([Pass(a, start, end)])),
+        a.header.with_times(frames_of([ModelSection(a, start, end)])),
     )

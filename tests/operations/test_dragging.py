@@ -16,7 +16,7 @@ import mixseq
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, exaggerate, sculpt, transition
-from mixseq.operations.passes import snapped
+from mixseq.operations.joining import snapped
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from mixseq.signals.layout import Plane

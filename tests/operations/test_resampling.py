@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
-from mixseq.operations.retime import Retiming
+from mixseq.operations.retiming import Retiming
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals import Model, fit
 from mixseq.signals.curve import Curve

@@ -13,8 +13,8 @@ from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
-from mixseq.operations.means import mean_placements
-from mixseq.operations.sharing import together
+from mixseq.operations.common_space import together
+from mixseq.operations.placements import mean_placements
 from mixseq.prediction.poses import Poses
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit

@@ -15,7 +15,7 @@ from mixseq.viewing.live.editing import SHORTEST, duration, pause, reach_of
 from mixseq.viewing.live.stage import linear
 
 NEAR = 4e-4
-"""A ten thousandth of the bar's length: curves that were retimed are no nearer, see `mixseq.operations.composition`."""
+"""A ten thousandth of the bar's length: curves that were retimed are no nearer, see `mixseq.operations.retiming`."""
 
 
 @pytest.mark.parametrize("time", [0.0, 0.1, 0.17, 0.3])

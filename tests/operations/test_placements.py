@@ -8,8 +8,8 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rotations import matrices, vectors
-from mixseq.operations.limbs import limb_of
-from mixseq.operations.means import mean, mean_placements
+from mixseq.operations.limb_joints import limb_of
+from mixseq.operations.placements import mean, mean_placements
 from mixseq.signals import Curve
 from mixseq.signals.fit import SpaceName
 from tests.operations.chains import TIMES, chain

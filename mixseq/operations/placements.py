@@ -1,11 +1,11 @@
-r"""What is between two placements: rotations along the turn from one to the other, parts in their joints.
+r"""Placements of two motions: one that goes on from another, and what is between two.
 
 A rotation goes from :math:`R_a` to :math:`R_b` along the turn between them,
 
 .. math:: R_a \exp(w\, \tau), \qquad \exp(\tau) = R_a^T R_b,
 
 which is unwrapped over time: one motion may turn more than the other, by whole turns. Parts that meet stay together: a
-part that hangs on another (`mixseq.operations.limbs`) goes so as this one sees it, and so does the middle of their
+part that hangs on another (`ShapeSpace.parents`) goes so as this one sees it, and so does the middle of their
 boundary. Only roots go as the world sees them, with their centres along straight lines.
 """
 
@@ -18,7 +18,40 @@ from mixseq.geometry.quaternions import exponentials, inverse, normalised, produ
 from mixseq.geometry.rigid import turned
 from mixseq.geometry.rotations import continuous_vectors
 from mixseq.prediction.poses import Poses
+from mixseq.signals.curve import Curve
 from mixseq.spaces.base import ShapeSpace
+
+
+def centre_columns(space: ShapeSpace) -> Index:
+    """Return which numbers ``(g, 3)`` of a placement are centres."""
+    return np.arange(4 * space.rotation_count, space.placement_dim).reshape(-1, 3)
+
+
+def continued(space: ShapeSpace, curve: Curve, start: float, reference: Float) -> Curve:
+    """Return a placement whose quaternions begin with the signs nearest to given ones: the same motion.
+
+    Parts of a body get one sign, so that they all go the same way round from one motion into the other, but for parts
+    that would go by more than two thirds of a turn.
+
+    Parameters
+    ----------
+    space : ShapeSpace
+        The space.
+    curve : Curve
+        A placement.
+    start : float
+        When it begins, in seconds.
+    reference : (P,) float64
+        Where the placement is before that.
+    """
+    here, before = (space.poses(each).rotations[0] for each in (curve([start]), reference[None]))
+    cosines = np.einsum("gi,gi->g", normalised(here), normalised(before))
+    together = np.bincount(space.bodies, cosines)[space.bodies]
+    signs = np.where(np.where(np.abs(cosines) > 0.5, cosines, together) < 0, -1.0, 1.0)
+    if (signs > 0).all():
+        return curve
+    turns, centres = space.poses(curve.values)
+    return Curve(curve.times, space.placements(Poses(turns * signs[:, None], centres)))
 
 
 def mean(one: Float, other: Float, share: Float) -> Float:

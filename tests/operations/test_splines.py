@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.operations.sampling import ROUNDS, placement_measure, sampled, shape_measure
+from mixseq.operations.splines import ROUNDS, placement_measure, sampled, shape_measure
 from mixseq.signals import fit
 from tests.meshes import bar
 

@@ -1,4 +1,4 @@
-"""A frame that somebody edited by hand: whether it is the model's, and what was changed."""
+"""Frames edited by hand: whether one is the model's, what was changed, and key shapes exchanged for it."""
 
 from __future__ import annotations
 
@@ -54,6 +54,42 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     model = replace(model, space=space, shapes=carry(model.shapes))
     _doubt(before, edited, time)
     return model, space.shape_difference(model.curve([time])[0], before, edited)
+
+
+def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
+    """Put an edited mesh in the place of a key shape.
+
+    For models whose key shapes are frames, ``mixseq.fit(sequence, pose="keys")``: an artist takes the frame of a key,
+    reworks it, and the whole sequence follows, as much as the key is part of every frame. The residual layer is kept.
+
+    Parameters
+    ----------
+    model : Model
+        The motion.
+    key : int
+        Number of the key shape, from 0 on. `Model.key_frames` tells its frame.
+    points : (V, 3) array_like or MeshSequence of one frame
+        That frame with vertices moved, in the units of the sequence. Vertices that were not moved stay where they are.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such key shape, or it is no frame of the model.
+    InvalidSequenceError
+        If the points are not those of the mesh, or not finite.
+    """
+    if not 0 <= key < len(model.shapes):
+        raise SettingsError(f"key is {key}; the model has key shapes 0 to {len(model.shapes) - 1}")
+    frame = int(model.key_frames[key])
+    if frame < 0:
+        raise SettingsError(
+            f"key shape {key} is no frame of the model; fit one with pose='keys', or sculpt a frame instead"
+        )
+    time = float(model.times[frame])
+    model, difference = edited_difference(model, time, points)
+    shapes = np.array(model.shapes)
+    shapes[key] += difference
+    return replace(model, shapes=shapes)
 
 
 def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> Float:

@@ -1,7 +1,7 @@
 r"""Edits of one limb: exaggerate or damp how a part moves in its joint, or hold it.
 
-The stance of a part is how it is turned and placed against its parent (`mixseq.operations.limbs`), six numbers over
-time, :math:`\tau(t)`, turns being unwrapped rotation vectors. An edit changes them,
+The stance of a part is how it is turned and placed against its parent (`mixseq.operations.limb_joints`), six numbers
+over time, :math:`\tau(t)`, turns being unwrapped rotation vectors. An edit changes them,
 
 .. math::
 
@@ -22,12 +22,18 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.exaggeration import check_gain
-from mixseq.operations.limbs import Limb, limb_of
-from mixseq.operations.passes import snapped
-from mixseq.operations.pieces import Fade, Piece, between, breakpoints, join, sites_of
-from mixseq.operations.sampling import placement_measure, sampled, shape_measure
+from mixseq.operations.filters import check_gain
+from mixseq.operations.joining import CurveSection, Seam, join, snapped
+from mixseq.operations.limb_joints import Limb, limb_of
 from mixseq.operations.sculpt import smoothstep
+from mixseq.operations.splines import (
+    between,
+    breakpoints,
+    placement_measure,
+    sampled,
+    shape_measure,
+    sites_of,
+)
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -161,14 +167,14 @@ def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:
     first, last = inside.start, inside.end
     if first == last:
         return inside
-    pieces, fades = [Piece(inside, first, last)], []
+    sections, seams = [CurveSection(inside, first, last)], []
     if model.start < first:
-        pieces.insert(0, Piece(curve, model.start, first))
-        fades.append(Fade(inside.times[2] - first, share=0.0))
+        sections.insert(0, CurveSection(curve, model.start, first))
+        seams.append(Seam(inside.times[2] - first, share=0.0))
     if last < model.end:
-        pieces.append(Piece(curve, last, model.end))
-        fades.append(Fade(last - inside.times[-3], share=1.0))
-    return join(pieces, fades)
+        sections.append(CurveSection(curve, last, model.end))
+        seams.append(Seam(last - inside.times[-3], share=1.0))
+    return join(sections, seams)
 
 
 # Joints ---------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Curves through functions of time that are no splines, and how far apart two points of pose space are."""
+"""Splines over time: where they must be known, through functions that are none, and how far apart their values are."""
 
 from __future__ import annotations
 
@@ -12,6 +12,54 @@ from mixseq.signals.model import Model
 
 ROUNDS = 6
 """An interval between two sites is halved at most so often."""
+
+EQUAL = 1e-8
+"""Knots closer than this fraction of their mean distance are one, but for rounding."""
+
+
+def breakpoints(curve: Curve) -> Float:
+    """Return the times ``(n,)`` where the curve passes from one cubic to another: all but two knots at each end."""
+    return curve.times[2:-2]
+
+
+def between(times: Float, start: float, end: float) -> Float:
+    """Return those of the times that are after the start and before the end."""
+    return times[(times > start) & (times < end)]
+
+
+def sites_of(edges: Float, inner: Float) -> Float:
+    """Return times that a spline with given breakpoints must be known at: these, and one in its first and last piece.
+
+    Parameters
+    ----------
+    edges : (n,) float64
+        Breakpoints that stay, increasing: the first and the last are the ends of the spline.
+    inner : (m,) float64
+        Others, in any order, between the ends; those that equal another one up to rounding are left out.
+    """
+    inner = np.unique(inner)
+    close = EQUAL * (edges[-1] - edges[0]) / (len(edges) + len(inner))
+    after = np.clip(np.searchsorted(edges, inner), 1, len(edges) - 1)
+    nearest = np.minimum(np.abs(inner - edges[after - 1]), np.abs(inner - edges[after]))
+    inner = inner[nearest > close]
+    inner = inner[np.diff(inner, prepend=-np.inf) > close]
+    breaks = np.sort(np.concatenate([edges, inner]))
+    if len(breaks) == 2:
+        return np.linspace(breaks[0], breaks[1], 4)
+    return np.sort(np.concatenate([breaks, (breaks[[0, -2]] + breaks[[1, -1]]) / 2]))
+
+
+def refined(times: Float, parts: int) -> Float:
+    """Return times with every interval between them cut into so many parts."""
+    steps = np.arange(parts) / parts
+    between = times[:-1, None] + steps * np.diff(times)[:, None]
+    return np.append(between.reshape(-1), times[-1])
+
+
+def moved(curve: Curve, scale: float, offset: float) -> Curve:
+    """Return the curve with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
+    times, values = scale * curve.times + offset, curve.values
+    return Curve(times, values) if scale > 0 else Curve(times[::-1], values[::-1])
 
 
 def sampled(function: Callable[[Float], Float], sites: Float, tolerance: float, measure: Measure) -> Curve:

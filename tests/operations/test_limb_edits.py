@@ -10,8 +10,8 @@ import pytest
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.articulated import exaggerate_part, hold
-from mixseq.operations.limbs import limb_of
+from mixseq.operations.limb_edits import exaggerate_part, hold
+from mixseq.operations.limb_joints import limb_of
 from mixseq.operations.sculpt import smoothstep
 from mixseq.signals import Curve, Model, fit
 from tests.meshes import bar

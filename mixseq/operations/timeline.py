@@ -1,4 +1,4 @@
-"""Sections of a motion: cut them out, repeat them, make them loops."""
+"""Edits of the time line: sections cut out, repeated, made loops; a motion earlier, faster, backwards."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.passes import (
-    Pass,
-    centre_columns,
+from mixseq.operations.joining import (
+    ModelSection,
+    Seam,
+    affine,
     concatenated,
     fade_of,
     section_of,
     shifted,
 )
-from mixseq.operations.pieces import Fade
-from mixseq.operations.timing import shift
+from mixseq.operations.placements import centre_columns
 from mixseq.sequence import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
 MOST = 10_000
-"""More passes of a section would be a slip."""
+"""A section shown more often would be a slip."""
 
 
 def cut(model: Model, start: float, end: float, at: float | None = None) -> Model:
@@ -46,7 +46,7 @@ def cut(model: Model, start: float, end: float, at: float | None = None) -> Mode
         If the section is outside the model, does not last, or has no frame.
     """
     first, last = section_of(model, start, end)
-    section = concatenated([Pass(model, first, last)], [])
+    section = concatenated([ModelSection(model, first, last)], [])
     return section if at is None else shift(section, at - first)
 
 
@@ -60,9 +60,9 @@ def repeat(
 ) -> Model:
     """Show a section of a model several times.
 
-    The first pass comes from what is before the section, the last runs into what is after it, and neither of these
-    changes, but for its time. Where one pass follows another, value, slope and curvature of all signals meet: what
-    they jump by is taken up within the passes. The residual layer is left out.
+    What is before the section and what is after it does not change, but for its time. Where the section follows itself,
+    value, slope and curvature of all signals meet: what they jump by is taken up within it.
+    The residual layer is left out.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def repeat(
         Seconds before and after every seam over which jumps are taken up, at most the section; by default a quarter
         of it.
     travel : bool
-        Whether every pass starts where the one before got to: it is moved along the ground by the mean of what the
+        Whether it starts every time where it got to before: it is moved along the ground by the mean of what the
         parts moved by. It is not turned, nor moved up or down. A section should be a whole cycle.
 
     Raises
@@ -90,18 +90,18 @@ def repeat(
         raise SettingsError(f"times is {times}; a section is shown 1 to {MOST:,} times")
     seconds = fade_of(fade, last - first)
     step = _travelled(model, first, last) if travel else np.zeros(3)
-    passes = []
+    sections = []
     for number in range(times):
         here = shifted(_translated(model, number * step), number * (last - first)) if number else model
         later = number * (last - first)
-        passes.append(
-            Pass(
+        sections.append(
+            ModelSection(
                 here,
                 here.start if number == 0 else first + later,
                 here.end if number == times - 1 else last + later,
             )
         )
-    return concatenated(passes, [Fade(seconds)] * (times - 1))
+    return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 
 def loop(model: Model, fade: float | None = None) -> Model:
@@ -126,12 +126,51 @@ def loop(model: Model, fade: float | None = None) -> Model:
     seconds, length = fade_of(fade, (end - start) / 2), end - start
     # The model twice: the second pass knows how to start after an end, the first how to end before a start.
     twice = concatenated(
-        [Pass(model, start, end), Pass(shifted(model, length), start + length, end + length)],
-        [Fade(seconds)],
+        [ModelSection(model, start, end), ModelSection(shifted(model, length), start + length, end + length)],
+        [Seam(seconds)],
     )
     middle = (start + end) / 2
-    passes = [Pass(shifted(twice, -length), start, middle), Pass(twice, middle, end)]
-    return concatenated(passes, [Fade(length / 4)])
+    sections = [ModelSection(shifted(twice, -length), start, middle), ModelSection(twice, middle, end)]
+    return concatenated(sections, [Seam(length / 4)])
+
+
+def shift(model: Model, seconds: float) -> Model:
+    """Return the model with everything later by so many seconds, or earlier where they are negative.
+
+    The residual layer is left out.
+
+    Raises
+    ------
+    SettingsError
+        If that is not finite.
+    """
+    if not np.isfinite(seconds):
+        raise SettingsError(f"seconds is {seconds}; a number is expected")
+    return shifted(model, float(seconds))
+
+
+def speed(model: Model, factor: float) -> Model:
+    """Return the model so many times faster, from its start on.
+
+    The frames are the same ones; `Model.sample` and `mixseq.operations.resampling` make others.
+    The residual layer is left out.
+
+    Raises
+    ------
+    SettingsError
+        If the factor is not positive.
+    """
+    if not (np.isfinite(factor) and factor > 0):
+        raise SettingsError(f"factor is {factor}; a positive number is expected (reverse runs backwards)")
+    return affine(model, 1.0 / factor, model.start * (1.0 - 1.0 / factor))
+
+
+def reverse(model: Model) -> Model:
+    """Return the model backwards, from the same start to the same end.
+
+    The residual layer is left out.
+    """
+    return affine(model, -1.0, model.start + model.end)
 
 
 def _travelled(model: Model, start: float, end: float) -> Float:

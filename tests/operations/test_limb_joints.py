@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mixseq.operations.limbs import limb_of
+from mixseq.operations.limb_joints import limb_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 from mixseq.spaces.mixed import AnchoredSpace

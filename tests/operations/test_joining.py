@@ -1,4 +1,4 @@
-"""Curves from pieces: exact where nothing jumps, and smooth where something does."""
+"""Curves from sections: exact where nothing jumps, and smooth where something does."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixseq.operations.pieces import Fade, Piece, join, moved, refined, sites_of
+from mixseq.operations.joining import CurveSection, Seam, join
+from mixseq.operations.splines import moved, refined, sites_of
 from mixseq.signals import Curve
 from tests.meshes import seeds
 from tests.operations.motions import jets, jumps
@@ -26,13 +27,13 @@ def wild(seed: int, knots: int = 9, start: float = 0.0, end: float = 2.0) -> Cur
 
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds, cuts=st.lists(st.floats(0.05, 1.95), max_size=3, unique=True), knots=st.integers(2, 12))
-def test_pieces_of_one_curve_make_that_curve(seed: int, cuts: list[float], knots: int) -> None:
+def test_sections_of_one_curve_make_that_curve(seed: int, cuts: list[float], knots: int) -> None:
     curve = wild(seed, knots)
     edges = [0.0, *sorted(cut for cut in cuts if np.abs(curve.times - cut).min() > 1e-3), 2.0]
     edges = [edge for edge, after in zip(edges, [*edges[1:], np.inf], strict=True) if after - edge > 1e-2]
-    pieces = [Piece(curve, start, end) for start, end in pairwise(edges)]
-    shortest = min(end - start for _, start, end in pieces)
-    whole = join(pieces, [Fade(shortest)] * (len(pieces) - 1))
+    sections = [CurveSection(curve, start, end) for start, end in pairwise(edges)]
+    shortest = min(end - start for _, start, end in sections)
+    whole = join(sections, [Seam(shortest)] * (len(sections) - 1))
     times = np.linspace(0, 2, 301)
     sizes = np.abs(jets(curve, times)).max(axis=(1, 2))
     errors = np.abs(jets(whole, times) - jets(curve, times)).max(axis=(1, 2))
@@ -43,7 +44,7 @@ def test_pieces_of_one_curve_make_that_curve(seed: int, cuts: list[float], knots
 @given(seed=seeds, fade=st.floats(0.05, 1.0), share=st.sampled_from([0.0, 0.3, 0.5, 1.0]))
 def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float) -> None:
     before, after = wild(seed, start=0, end=1), wild(seed + 1, start=1, end=2)
-    whole = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(fade, share)])
+    whole = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(fade, share)])
     assert (jumps(whole) < 1e-9).all()
     reach = 1.02 * fade  # its end may move to a knot
     for piece, times in ((before, np.linspace(0, 1 - reach, 50)), (after, np.linspace(1 + reach, 2, 50))):
@@ -58,10 +59,10 @@ def test_a_jump_is_taken_up_within_the_fade(seed: int, fade: float, share: float
 def test_without_a_share_a_side_stays_as_it_is() -> None:
     before, after = wild(1, start=0, end=1), wild(2, start=1, end=2)
     times = np.linspace(0, 1, 50)
-    kept = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(0.5, share=0.0)])
+    kept = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, share=0.0)])
     np.testing.assert_allclose(kept(times), before(times), atol=1e-12)
     assert np.abs(kept(1 + times) - after(1 + times)).max() > 0.1
-    kept = join([Piece(before, 0, 1), Piece(after, 1, 2)], [Fade(0.5, share=1.0)])
+    kept = join([CurveSection(before, 0, 1), CurveSection(after, 1, 2)], [Seam(0.5, share=1.0)])
     np.testing.assert_allclose(kept(1 + times), after(1 + times), atol=1e-12)
 
 
@@ -69,7 +70,7 @@ def test_a_step_closes_by_the_formula() -> None:
     """From 0 to 1: up to the middle at the seam, level there, by three cubics of length 1 each."""
     flat = Curve(np.array([0.0, 10.0]), np.array([[0.0], [0.0]]))
     high = Curve(flat.times, flat.values + 1)
-    whole = join([Piece(flat, 0, 5), Piece(high, 5, 10)], [Fade(3.0)])
+    whole = join([CurveSection(flat, 0, 5), CurveSection(high, 5, 10)], [Seam(3.0)])
     np.testing.assert_allclose(jets(whole, np.array([5.0]))[:, 0, 0], [0.5, 0, 0], atol=1e-12)
     # a (r^3) = 1/2 with sum a r^2 = sum a r = 0 for r = 1, 2, 3: a = 1/4, -1/4, 1/12.
     np.testing.assert_allclose(whole([4.0, 3.0])[:, 0], [8 / 12 - 1 / 4, 1 / 12], atol=1e-12)
@@ -78,7 +79,7 @@ def test_a_step_closes_by_the_formula() -> None:
 
 def test_curves_of_no_coordinates() -> None:
     nothing = Curve(np.arange(5.0), np.zeros((5, 0)))
-    whole = join([Piece(nothing, 0, 2), Piece(nothing, 2, 4)], [Fade(1)])
+    whole = join([CurveSection(nothing, 0, 2), CurveSection(nothing, 2, 4)], [Seam(1)])
     assert whole.values.shape == (len(whole.times), 0)
     assert (whole.start, whole.end) == (0, 4)
 

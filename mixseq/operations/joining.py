@@ -1,0 +1,248 @@
+r"""One motion from sections of others, exactly.
+
+A section of a cubic spline is a cubic spline. Where sections meet, value, slope and curvature jump by
+:math:`d_0, d_1, d_2`. Half of the jump is taken up before the *seam* and half after it, by offsets that are cubic
+splines themselves, of three cubics on a window next to the seam, and two times continuously differentiable:
+
+.. math:: p(u) = \sum_{j=1}^3 a_j\, (r_j - u)_+^3, \qquad u = |t - t_\text{seam}|, \qquad r_j = j / 3 \cdot \text{fade}
+
+They end smoothly, whatever the coefficients :math:`a_j`, and these follow from the three jumps. So the whole is a cubic
+spline again, equal to the sections outside the windows. Every knot of a section, a seam or a window is a knot of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mixseq.arrays import Float
+from mixseq.errors import SettingsError
+from mixseq.operations.placements import continued
+from mixseq.operations.splines import between, breakpoints, moved, sites_of
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+
+REACHES = np.array([1.0, 2.0, 3.0]) / 3.0
+"""Where the three cubics of an offset end, as fractions of the fade."""
+
+NEAR = 0.02
+"""Ends of offsets that miss a knot by less, as a fraction of the fade, move there: close knots lose digits."""
+
+SLACK = 1e-3
+"""Fraction of a frame by which times may miss a frame or a knot: they are typed and printed with a few digits."""
+
+SHORTEST = 1e-6
+"""Shortest fade, as a fraction of the longest: in a shorter one the digits of times do not tell its knots apart."""
+
+
+class CurveSection(NamedTuple):
+    """What a curve does from `start` to `end`, in seconds."""
+
+    curve: Curve
+    start: float
+    end: float
+
+
+class Seam(NamedTuple):
+    """How the jump between two sections is taken up.
+
+    Attributes
+    ----------
+    fade : float
+        Seconds before and after the seam over which it is, not longer than the sections there.
+    share : float
+        Fraction of the jump that is taken up before the seam.
+    """
+
+    fade: float
+    share: float = 0.5
+
+
+class ModelSection(NamedTuple):
+    """What a model does from `start` to `end`, in seconds."""
+
+    model: Model
+    start: float
+    end: float
+
+
+def join(sections: Sequence[CurveSection], seams: Sequence[Seam]) -> Curve:
+    """Make one curve of sections that follow each other.
+
+    Parameters
+    ----------
+    sections : sequence of n CurveSection
+        Each starts where the one before ends, up to rounding, and lasts.
+    seams : sequence of n - 1 Seam
+        How the jumps between them are taken up.
+
+    Returns
+    -------
+    Curve
+        From the first start to the last end, two times continuously differentiable.
+    """
+    edges = np.array([sections[0].start, *(section.end for section in sections)])
+    offsets: list[list[_Offset]] = [[] for _ in sections]
+    for number, (before, after, seam) in enumerate(zip(sections, sections[1:], seams, strict=False)):
+        jump = _jet(after.curve, after.start) - _jet(before.curve, before.end)
+        for section, side, part in ((before, -1, seam.share), (after, 1, seam.share - 1)):
+            if part:
+                offset = _Offset.closing(part * jump, section, edges[number + 1], side, seam.fade)
+                offsets[number + (side > 0)].append(offset)
+    inner = [
+        between(knots, start, end)
+        for section, own, start, end in zip(sections, offsets, edges, edges[1:], strict=False)
+        for knots in (breakpoints(section.curve), *(offset.knots for offset in own))
+    ]
+    sites = sites_of(edges, np.concatenate(inner))
+    of_site = np.searchsorted(edges[1:-1], sites, side="left")
+    values = np.concatenate(
+        [
+            section.curve(at) + sum((offset(at) for offset in own), start=np.zeros(()))
+            for number, (section, own) in enumerate(zip(sections, offsets, strict=True))
+            for at in (sites[of_site == number],)
+        ]
+    )
+    return Curve(sites, values)
+
+
+def _jet(curve: Curve, time: float) -> Float:
+    """Value, slope and curvature ``(3, k)`` at a time."""
+    return np.concatenate([curve([time]), curve.derivative([time]), curve.derivative([time], 2)])
+
+
+class _Offset(NamedTuple):
+    """A spline ``(3, k)`` of three truncated cubics on one side of a seam: -1 before it, 1 after it."""
+
+    seam: float
+    side: int
+    reaches: Float
+    coefficients: Float
+
+    @classmethod
+    def closing(cls, jet: Float, section: CurveSection, seam: float, side: int, fade: float) -> _Offset:
+        """Make the offset with given value, slope and curvature ``(3, k)`` at the seam."""
+        knots = between(breakpoints(section.curve), section.start, section.end)
+        reaches = fade * REACHES
+        away = side * (np.concatenate([knots, [section.start, section.end]]) - seam)
+        for number, reach in enumerate(reaches):
+            near = away[np.abs(away - reach) < NEAR * fade]
+            if len(near):
+                reaches[number] = near[np.abs(near - reach).argmin()]
+        r = reaches / fade
+        system = np.stack([r**3, -3.0 * r**2, 6.0 * r])
+        scaled = jet * np.array([1.0, side * fade, fade**2])[:, None]
+        return cls(seam, side, reaches, np.linalg.solve(system, scaled) / fade**3)
+
+    @property
+    def knots(self) -> Float:
+        """Where its cubics end ``(3,)``."""
+        return self.seam + self.side * self.reaches
+
+    def __call__(self, times: Float) -> Float:
+        left = np.maximum(self.reaches - self.side * (times - self.seam)[:, None], 0.0)
+        return np.asarray(left**3 @ self.coefficients)
+
+
+# Models ---------------------------------------------------------------------------------------------------
+
+
+def shifted(model: Model, seconds: float) -> Model:
+    """Return the model with everything later by so many seconds."""
+    return affine(model, 1.0, seconds)
+
+
+def affine(model: Model, scale: float, offset: float) -> Model:
+    """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
+    times = scale * model.times + offset
+    return model.with_motion(
+        moved(model.time, scale, offset),
+        moved(model.placement, scale, offset),
+        model.header.with_times(times if scale > 0 else times[::-1]),
+    )
+
+
+def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:
+    """Make one model of sections that follow each other, of models that share space, pose and shapes.
+
+    Quaternions go on from section to section with the signs nearest for a body. The frames are those of the sections;
+    at a seam it is the frame of the later one, if there is any.
+    """
+    first = sections[0].model
+    placements = [CurveSection(first.placement, sections[0].start, sections[0].end)]
+    for model, start, end in sections[1:]:
+        before = placements[-1]
+        reference = before.curve([before.end])[0]
+        curve = continued(model.space, model.placement, start, reference)
+        placements.append(CurveSection(curve, start, end))
+    return first.with_motion(
+        join([CurveSection(model.time, start, end) for model, start, end in sections], seams),
+        join(placements, seams),
+        first.header.with_times(frames_of(sections)),
+    )
+
+
+def frames_of(sections: Sequence[ModelSection]) -> Float:
+    """Return the times ``(T,)`` of the frames of sections, increasing; both ends, if no frame is within.
+
+    A frame at the end of a section is left to the next one.
+    """
+    slack = 1e-6 / sections[0].model.header.fps
+    start, end = sections[0].start, sections[-1].end
+    times = [between(each.model.times, each.start - slack, each.end - slack) for each in sections]
+    times.append(between(sections[-1].model.times, end - slack, end + slack))
+    frames = np.clip(np.concatenate(times), start, end)
+    return frames if len(frames) else np.array([start, end])
+
+
+# Times ----------------------------------------------------------------------------------------------------
+
+
+def snapped(model: Model, time: float, name: str = "time") -> float:
+    """Return the time, or the end, frame or knot that it misses by no more than rounding.
+
+    Raises
+    ------
+    SettingsError
+        If the time is outside the model.
+    """
+    slack = SLACK / model.header.fps
+    if not model.start - slack <= time <= model.end + slack:
+        raise SettingsError(
+            f"{name} is {time:g} s; the model is from {model.start:g} to {model.end:g} s, give a time within"
+        )
+    known = np.concatenate([[model.start, model.end], model.times, model.time.times, model.placement.times])
+    nearest = float(known[np.abs(known - time).argmin()])
+    return nearest if abs(nearest - time) <= slack else float(time)
+
+
+def section_of(model: Model, start: float, end: float) -> tuple[float, float]:
+    """Return the ends of a section, see `snapped`.
+
+    Raises
+    ------
+    SettingsError
+        If an end is outside the model, or the section does not last.
+    """
+    first, last = snapped(model, start, "start"), snapped(model, end, "end")
+    if not first < last:
+        raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
+    return first, last
+
+
+def fade_of(fade: float | None, longest: float) -> float:
+    """Return the length of the windows next to a seam: a quarter of the longest that is possible, or as given.
+
+    Raises
+    ------
+    SettingsError
+        If it is too short to tell from a jump, or longer than possible.
+    """
+    if fade is None:
+        return longest / 4
+    shortest = SHORTEST * longest
+    if not shortest <= fade <= longest * (1 + 1e-9):
+        raise SettingsError(f"fade is {fade:g} s; {shortest:g} to {longest:g} s are expected")
+    return min(float(fade), longest)

@@ -1,0 +1,256 @@
+r"""Retiming: which time of the source is shown at which time of the output, and models along such a map.
+
+.. math:: s = r(o), \qquad y_\text{out}(o) = y(r(o)), \qquad \dot y_\text{out}(o) = r'(o)\, \dot y(r(o))
+
+for frames, and for all signals y of a model. Both times are in seconds. The map :math:`r` need not increase: where it
+falls, the source runs backwards, where it is level, the source stands still. Its slope :math:`r'` is the speed of the
+source.
+
+Where r is straight, a retimed signal is a cubic spline, whose knots are the times at which r passes those of y.
+Elsewhere it is no spline, and the one through enough of its points stands for it: through the keys, the times at which
+r passes knots, and what it takes between these. Next to a kink of r, points are dense: the distances to it double from
+one to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator, PPoly
+
+from mixseq.arrays import Float
+from mixseq.errors import SettingsError
+from mixseq.operations.joining import SLACK
+from mixseq.operations.splines import (
+    between,
+    breakpoints,
+    placement_measure,
+    sampled,
+    shape_measure,
+    sites_of,
+)
+from mixseq.pickling import PickledWithoutCaches
+from mixseq.signals.curve import Curve, Measure
+from mixseq.signals.model import MOST_FRAMES, Model, ResidualLayer
+
+ACCURACY = 2e-6
+"""Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""
+
+DOUBLINGS = 10
+"""So often distances to a kink double, up to half the distance to the next key."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retiming:
+    """A map from times of the output to times of the source.
+
+    Make it with `through`, `section` or `hold`, or read it from a file with `read_retiming`.
+
+    Attributes
+    ----------
+    start, end : float
+        From where to where the output lasts, in seconds.
+    curve : scipy.interpolate.PPoly
+        Times of the source, a piecewise polynomial of the time of the output.
+
+    Examples
+    --------
+    >>> slow = Retiming.section(1.0, 2.0, speed=0.5)
+    >>> slow.start, slow.end, slow([1.0, 2.0, 3.0]).tolist(), slow.slope([2.0]).item()
+    (1.0, 3.0, [1.0, 1.5, 2.0], 0.5)
+    """
+
+    start: float
+    end: float
+    curve: PPoly
+
+    @classmethod
+    def through(cls, outputs: ArrayLike, sources: ArrayLike, smooth: bool = True) -> Retiming:
+        """Make the map through points.
+
+        Parameters
+        ----------
+        outputs : (n,) array_like
+            Times of the output, increasing.
+        sources : (n,) array_like
+            Times of the source.
+        smooth : bool
+            Join the points by a curve whose slope is continuous, and which rises and falls only where they do
+            (Fritsch and Carlson's monotone cubic); else by straight lines, whose slope jumps.
+
+        Raises
+        ------
+        SettingsError
+            If there are fewer than two points, or they are not finite, or outputs do not increase.
+        """
+        x, y = np.asarray(outputs, dtype=np.float64), np.asarray(sources, dtype=np.float64)
+        if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
+            raise SettingsError(
+                f"a retiming has {x.size} output times and {y.size} source times; two of each, or more, are expected"
+            )
+        if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
+            raise SettingsError("the times of a retiming must be finite, and its output times increase")
+        lines = np.stack([np.diff(y) / np.diff(x), y[:-1]])
+        return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(lines, x))
+
+    @classmethod
+    def section(cls, start: float, end: float, speed: float = 1.0, reverse: bool = False) -> Retiming:
+        """Make the map that shows the source from `start` to `end` at a constant speed, forwards or backwards.
+
+        The output begins at `start` too, so that at the speed 1 all times are kept.
+
+        Raises
+        ------
+        SettingsError
+            If the end is before the start, or the speed is not positive.
+        """
+        if not (np.isfinite(start) and np.isfinite(end) and start <= end):
+            raise SettingsError(f"there is no time between the start, {start:g} s, and the end, {end:g} s")
+        if not (np.isfinite(speed) and speed > 0):
+            raise SettingsError(f"speed is {speed:g}; a positive number is expected (1 keeps the speed)")
+        first, slope = (end, -speed) if reverse else (start, speed)
+        return cls(start, start + (end - start) / speed, _line(first - slope * start, slope))
+
+    @classmethod
+    def hold(cls, source: float, start: float, end: float) -> Retiming:
+        """Make the map that shows one time of the source from `start` to `end` of the output.
+
+        Raises
+        ------
+        SettingsError
+            If the end is before the start, or a time is not finite.
+        """
+        if not (np.isfinite([source, start, end]).all() and start <= end):
+            raise SettingsError(f"{source:g} s cannot be held from {start:g} to {end:g} s")
+        return cls(start, end, _line(source, 0.0))
+
+    def __call__(self, times: ArrayLike) -> Float:
+        """Return the times ``(N,)`` of the source at times ``(N,)`` of the output.
+
+        Raises
+        ------
+        SettingsError
+            If a time is outside the retiming.
+        """
+        return np.asarray(self.curve(self._inside(times)), dtype=np.float64)
+
+    def slope(self, times: ArrayLike) -> Float:
+        """Return seconds of the source per second of the output ``(N,)``; at a kink those of what follows."""
+        return np.asarray(self.curve(self._inside(times), nu=1), dtype=np.float64)
+
+    def _inside(self, times: ArrayLike) -> Float:
+        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        outside = ~((wanted >= self.start) & (wanted <= self.end))
+        if outside.any():
+            raise SettingsError(
+                f"the retiming is from {self.start:g} to {self.end:g} s of the output, and tells nothing of "
+                f"{wanted[outside][0]:g} s"
+            )
+        return wanted
+
+
+def _line(origin: float, slope: float) -> PPoly:
+    return PPoly(np.array([[slope], [origin]]), np.array([0.0, 1.0]))  # beyond which it goes on
+
+
+def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
+    """Return the model faster and slower, backwards or standing still, along a map of time.
+
+    As `mixseq.operations.resample` with a `Retiming`, but the result is a model.
+    The residual layer is retimed with the signals.
+
+    Parameters
+    ----------
+    model : Model
+        The source.
+    keys : (n, 2) array_like
+        Points of the map: a time of the output and the time of the source that it shows, in seconds; two points or
+        more, output times increasing.
+    smooth : bool
+        Join the points by a curve whose slope is continuous, else by straight lines, see `Retiming.through`.
+
+    Returns
+    -------
+    Model
+        From the first output time to the last, with frames from the first one on at the rate of the model.
+
+    Raises
+    ------
+    SettingsError
+        If the keys are no retiming, ask for times outside the model, or make too many frames.
+    """
+    points = np.asarray(keys, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise SettingsError(
+            f"keys have shape {points.shape}; (n, 2) is expected, pairs of a time of the output and one of the source"
+        )
+    outputs, sources = points.T
+    retiming = Retiming.through(outputs, sources, smooth)
+    try:
+        model.inside(sources)  # between the keys the map is between them, too
+    except SettingsError as error:
+        raise SettingsError(f"the retiming asks for more than there is: {error}") from None
+    frames = _frames(model, retiming)
+
+    dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
+    time = _composed(model, model.time, retiming, dense, shape_measure(model))
+    placement = _composed(model, model.placement, retiming, dense, placement_measure(model))
+    layer = model.residual_layer
+    retimed = None if layer is None else RetimedLayer(layer, retiming)
+    return model.with_motion(time, placement, model.header.with_times(frames), retimed)
+
+
+def _frames(model: Model, retiming: Retiming) -> Float:
+    lasting, fps = retiming.end - retiming.start, model.header.fps
+    if lasting * fps >= MOST_FRAMES:
+        raise SettingsError(
+            f"the output lasts {lasting:g} s, which makes more than {MOST_FRAMES:,} frames; give less"
+        )
+    frames = retiming.start + np.arange(int(np.floor(lasting * fps + SLACK)) + 1) / fps
+    return np.asarray(np.minimum(frames, retiming.end))
+
+
+def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: Measure) -> Curve:
+    """A signal of the model along the map; `dense` are times that are sites in any case."""
+    keys = retiming.curve.x
+    passed = [retiming.curve.solve(knot, extrapolate=False) for knot in breakpoints(curve)]
+    inner = np.concatenate([dense, *passed])  # with NaN where the source stands still
+    sites = sites_of(keys, between(inner, retiming.start, retiming.end))
+    return sampled(lambda at: curve(model.inside(retiming(at))), sites, ACCURACY, measure)
+
+
+def _near_kinks(outputs: Float, sources: Float) -> Float:
+    """Times on both sides of the keys where the slope of straight lines jumps."""
+    slopes = np.diff(sources) / np.diff(outputs)
+    kinks = 1 + np.flatnonzero(np.abs(np.diff(slopes)) > 1e-9 * np.abs(slopes).max())
+    away = 0.5 ** np.arange(1, DOUBLINGS + 1)
+    before = outputs[kinks, None] + (outputs[kinks - 1] - outputs[kinks])[:, None] * away
+    after = outputs[kinks, None] + (outputs[kinks + 1] - outputs[kinks])[:, None] * away
+    return np.concatenate([before, after]).reshape(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class RetimedLayer(PickledWithoutCaches):
+    """A residual layer along a map of time.
+
+    Attributes
+    ----------
+    source : ResidualLayer
+        The layer by times of the source.
+    retiming : Retiming
+        The map.
+    """
+
+    source: ResidualLayer
+    retiming: Retiming
+
+    def at(self, times: Float) -> Float:
+        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
+        return self.source.at(self.retiming(times))
+
+    def rates(self, times: Float) -> Float:
+        """Return the derivatives ``(N, V, 3)`` of the displacements by time, per second."""
+        slopes = self.retiming.slope(times)
+        return np.asarray(slopes[:, None, None] * self.source.rates(self.retiming(times)))
