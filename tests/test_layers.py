@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 LAYERS = (
-    ("arrays",),
+    ("arrays", "choices"),
     ("compiled", "errors", "pickling", "progress", "statistics", "threads", "version"),
     ("cluster", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("surface",),

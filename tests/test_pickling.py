@@ -7,10 +7,9 @@ import pickle
 import numpy as np
 import pytest
 
+from mixseq.choices import SPACES, PlacementName, SpaceName
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
-from mixseq.spaces.making import SPACES, SpaceName
-from mixseq.spaces.mixed import PlacementName
 from mixseq.topology import Topology
 from tests.meshes import tetrahedron, topology_of
 

@@ -10,9 +10,9 @@ import pytest
 
 import mixseq
 from mixseq.arrays import FloatArray
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import PLACEMENTS, PlacementName
 
 pytestmark = pytest.mark.realdata
 

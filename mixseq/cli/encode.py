@@ -5,11 +5,12 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import mixseq
+from mixseq.choices import POSE_FORMS, PoseForm
 from mixseq.cli.compressed import aim_options, coding_facts, coding_rows
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.files import Decoded, check_model_target
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
 )
 @setting(
     "--pose",
-    type=click.Choice(["modes", "keys"]),
+    type=click.Choice(POSE_FORMS),
     default="modes",
     show_default=True,
     help="Key shapes: the mean and modes, or frames of the sequence.",
@@ -81,7 +82,7 @@ def command(
     labels: Path | None,
     label_source: str | None,
     knots: int | None,
-    pose: Literal["modes", "keys"],
+    pose: PoseForm,
     check: bool,
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],

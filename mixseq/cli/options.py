@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mixseq.choices import PLACEMENTS, PROJECTIONS, SEGMENTATIONS, SPACES
 from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 Command = Callable[..., None]
 
 FILE = click.Path(path_type=Path)
-
-SEGMENTATIONS = ("motion", "silhouettes", "spanning-tree")
-"""Ways to find parts, as in `mixseq.segmentation.METHODS`, which is not imported for it."""
 
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print neither progress nor tables.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
@@ -147,7 +145,7 @@ def space_options(command: Command) -> Command:
 
     @click.option(
         "--space",
-        type=click.Choice(["mixed", "vertex", "gradient", "lri", "edge"]),
+        type=click.Choice(SPACES),
         default="mixed",
         show_default=True,
         help="Shape space: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles.",
@@ -175,7 +173,7 @@ def space_options(command: Command) -> Command:
     )
     @setting(
         "--placement",
-        type=click.Choice(["anchored", "free"]),
+        type=click.Choice(PLACEMENTS),
         default="anchored",
         show_default=True,
         help="How parts are placed: by a pose each, or where lengths and angles put them.",
@@ -189,7 +187,7 @@ def space_options(command: Command) -> Command:
     )
     @setting(
         "--projection",
-        type=click.Choice(["steps", "dso"]),
+        type=click.Choice(PROJECTIONS),
         help="How the edge space finds meshes: in a few steps, or by Gauss-Newton.  [default: steps]",
     )
     @setting(

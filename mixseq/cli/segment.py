@@ -11,18 +11,11 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 import mixseq
+from mixseq.choices import SEGMENTATIONS
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
 from mixseq.cli.files import check_target
 from mixseq.cli.labelled import chosen_labels, connected
-from mixseq.cli.options import (
-    FILE,
-    SEGMENTATIONS,
-    examples,
-    json_option,
-    labels_options,
-    quiet_option,
-    reader_options,
-)
+from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import OutputError, SettingsError
 
@@ -31,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixseq.arrays import FloatArray
-    from mixseq.segmentation.methods import MethodName
+    from mixseq.choices import SegmentationName
     from mixseq.sequence import SequenceHeader
     from mixseq_io import Labels, SequenceReader
 
@@ -215,7 +208,7 @@ def _found(
 
     topology = Topology(header.faces, header.vertex_count)
     settings = None if seed is None else SilhouetteSettings(seed=seed)
-    labels = segment(points, topology, cast("MethodName", method), parts, settings)
+    labels = segment(points, topology, cast("SegmentationName", method), parts, settings)
     return Labels(labels, tuple(f"part_{number:02d}" for number in range(int(labels.max(initial=-1)) + 1)))
 
 

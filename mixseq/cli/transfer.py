@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 import mixseq
+from mixseq.choices import TRANSFERS
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
 from mixseq.cli.files import check_target, is_model, options_of, write_sequence
 from mixseq.cli.labelled import parts_given
@@ -32,11 +33,12 @@ from mixseq.warned import warnings_heard
 
 if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
+    from mixseq.choices import TransferName
     from mixseq.correspondence.dense import Correspondence
     from mixseq.correspondence.markers import Markers
     from mixseq.mapping import Executor
     from mixseq.retargeting.sources import SourceMotion
-    from mixseq.retargeting.transfer import MethodName, Transfer
+    from mixseq.retargeting.transfer import Transfer
     from mixseq.sequence import MeshSequence
     from mixseq.signals import Model
     from mixseq_io import SequenceReader
@@ -71,7 +73,7 @@ _OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for every f
 @click.option("--save-map", type=FILE, metavar="FILE", help="Keep the correspondence, for --map.")
 @click.option(
     "--method",
-    type=click.Choice(["mixed", "gradients"]),
+    type=click.Choice(TRANSFERS),
     default="mixed",
     show_default=True,
     help="Parts, joints and poses, or deformation gradients (Sumner and Popović).",
@@ -189,7 +191,7 @@ def command(
             shape,
             pairs,
             _map(map_file, motion, shape),
-            cast("MethodName", method),
+            cast("TransferName", method),
             contacts=feet,
             joint_width=joint_width or 3,
             progress=progress,

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
+from mixseq.choices import PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, frame_store
 from mixseq.mapping import Executor, on_threads
@@ -35,13 +36,11 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.making import (
     MAKING,
     MixedSettings,
-    SpaceName,
     SpaceOptions,
     make_space,
     part_of_faces,
     space_settings,
 )
-from mixseq.spaces.mixed import PlacementName
 from mixseq.threads import one_blas_thread
 
 SUM = 1e-6

@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq import segmentation
-from mixseq.segmentation import MethodName, MethodSettings
+from mixseq.choices import SegmentationName
+from mixseq.segmentation import MethodSettings
 from mixseq.sequence import MeshSequence, check_frames
 from mixseq.topology import Topology
 
 
 def segment(
     sequence: MeshSequence,
-    method: MethodName = "motion",
+    method: SegmentationName = "motion",
     parts: int | None = None,
     settings: MethodSettings | None = None,
 ) -> NDArray[np.int64]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray
+from mixseq.choices import TRANSFERS, TransferName
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.quality import Quality
@@ -28,9 +29,6 @@ from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.model import Model
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
-
-MethodName = Literal["mixed", "gradients"]
-METHODS: tuple[MethodName, ...] = ("mixed", "gradients")
 
 
 class TransferMethod(Protocol):
@@ -119,7 +117,7 @@ def plan(
     target: Frames,
     markers: Markers | ArrayLike | None = None,
     mapping: Correspondence | None = None,
-    method: MethodName = "mixed",
+    method: TransferName = "mixed",
     rest: int | MeshSequence = 0,
     contacts: Mapping[str, ArrayLike] | None = None,
     *,
@@ -133,8 +131,8 @@ def plan(
 
     A source that was looked at before (`source_motion`) has its rest and its parts.
     """
-    if method not in METHODS:
-        raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, METHODS))} is expected")
+    if method not in TRANSFERS:
+        raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
     if contacts is not None and not isinstance(contacts, Mapping):
         raise SettingsError(
             f"contacts are {type(contacts).__name__}; vertices by the name of each contact are expected, such as "
@@ -207,7 +205,7 @@ def transfer(
     target: Frames,
     markers: Markers | ArrayLike | None = None,
     mapping: Correspondence | None = None,
-    method: MethodName = "mixed",
+    method: TransferName = "mixed",
     rest: int | MeshSequence = 0,
     contacts: Mapping[str, ArrayLike] | None = None,
     *,

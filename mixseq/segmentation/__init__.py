@@ -3,7 +3,7 @@
 from mixseq.segmentation.agreement import adjusted_rand_index
 from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import Decomposition, Joint, decompose
-from mixseq.segmentation.methods import METHODS, MethodName, MethodSettings, Segmentation, chosen, segment
+from mixseq.segmentation.methods import METHODS, MethodSettings, Segmentation, chosen, segment
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, gather, observe
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
@@ -14,7 +14,6 @@ __all__ = [
     "METHODS",
     "Decomposition",
     "Joint",
-    "MethodName",
     "MethodSettings",
     "MotionSettings",
     "Observed",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from mixseq.arrays import FloatArray, Index
+from mixseq.choices import SegmentationName
 from mixseq.errors import SettingsError
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
@@ -13,9 +14,8 @@ from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_s
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
-MethodName = Literal["motion", "silhouettes", "spanning-tree"]
 MethodSettings = MotionSettings | SilhouetteSettings | SpanningTreeSettings
-Segmentation = MethodName | MethodSettings
+Segmentation = SegmentationName | MethodSettings
 """A method by its name, or with settings of its own, which tell what method they are for."""
 
 
@@ -26,7 +26,7 @@ class Method(NamedTuple):
     settings: type[MethodSettings]
 
 
-METHODS: dict[MethodName, Method] = {
+METHODS: dict[SegmentationName, Method] = {
     "motion": Method(segment_by_motion, MotionSettings),
     "silhouettes": Method(segment_by_silhouettes, SilhouetteSettings),
     "spanning-tree": Method(segment_by_spanning_tree, SpanningTreeSettings),
@@ -34,7 +34,7 @@ METHODS: dict[MethodName, Method] = {
 """The methods that need nothing but the moving mesh."""
 
 
-def chosen(segmentation: Segmentation) -> tuple[MethodName, MethodSettings]:
+def chosen(segmentation: Segmentation) -> tuple[SegmentationName, MethodSettings]:
     """Return a method and its settings.
 
     Raises
@@ -49,14 +49,14 @@ def chosen(segmentation: Segmentation) -> tuple[MethodName, MethodSettings]:
             return name, method.settings()
     raise SettingsError(
         f"segmentation is {segmentation!r}; one of {', '.join(METHODS)}, or settings of one, is expected "
-        "(labels of the faces are given as parts)"
+        "(labels of the faces are given as parts, those in files are read by mixseq_io.read_labels)"
     )
 
 
 def segment(
     points: FloatArray,
     topology: Topology,
-    method: MethodName = "motion",
+    method: SegmentationName = "motion",
     parts: int | None = None,
     settings: MethodSettings | None = None,
 ) -> Index:
@@ -88,12 +88,7 @@ def segment(
         If there is no such method, the settings are another method's, or `parts` is below one or above the number of
         faces.
     """
-    if method not in METHODS:
-        raise SettingsError(
-            f"there is no segmentation method {method!r}; there are: {', '.join(METHODS)} "
-            "(labels and skeletons are read by mixseq_io.read_labels)"
-        )
-    found = METHODS[method]
+    found = METHODS[chosen(method)[0]]
     if settings is not None and not isinstance(settings, found.settings):
         raise SettingsError(
             f"settings are {type(settings).__name__}; method {method!r} takes {found.settings.__name__}"

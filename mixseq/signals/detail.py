@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index, evenly
+from mixseq.choices import PoseForm
 from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, blocks_of
@@ -23,9 +24,6 @@ from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import Modes, choose_keys, key_map, principal_modes
 from mixseq.spaces.base import ShapeSpace
-
-PoseForm = Literal["modes", "keys"]
-
 
 SAMPLED = 256
 """So many vertices tell which operator in time predicts a sequence best."""

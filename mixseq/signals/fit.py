@@ -8,6 +8,7 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mixseq.choices import POSE_FORMS, SPACES, PlacementName, PoseForm, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.frame_store import frame_store
 from mixseq.mapping import Executor, on_threads
@@ -15,20 +16,18 @@ from mixseq.progress import Progress, Stages, silent
 from mixseq.renamed import renamed
 from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
-from mixseq.signals.detail import Detail, PoseForm, build, encode
+from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
 from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
 from mixseq.spaces.edge.edge_space import EdgeSettings
 from mixseq.spaces.making import (
     MAKING,
-    SPACES,
     MixedSettings,
-    SpaceName,
     SpaceOptions,
     make_space,
     space_settings,
 )
-from mixseq.spaces.mixed import FAR, PlacementName
+from mixseq.spaces.mixed import FAR
 from mixseq.threads import one_blas_thread
 
 __all__ = ["SPACES", "SpaceName", "fit"]
@@ -179,5 +178,5 @@ def _check(
         raise SettingsError(f"tolerance is {tolerance}; a positive number is expected (or exact=True)")
     if rank is not None and not (isinstance(rank, int | np.integer) and rank >= 0):
         raise SettingsError(f"rank is {rank}; a whole number of shape modes, zero or more, is expected")
-    if pose not in ("modes", "keys"):
+    if pose not in POSE_FORMS:
         raise SettingsError(f"pose is {pose!r}; 'modes' or 'keys' is expected")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, TypedDict, get_args
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.choices import SPACES, PlacementName, ProjectionName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, blocks_of
 from mixseq.mapping import Executor, serially
@@ -30,16 +31,13 @@ from mixseq.segmentation import (
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.shells.fitting import ShellSettings
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace, ProjectionName
+from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.metric import mean_lengths
-from mixseq.spaces.mixed import NEVER, MixedSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import NEVER, MixedSpace, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.topology import Topology
-
-SpaceName = Literal["mixed", "vertex", "gradient", "lri", "edge"]
-SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
 
 MAKING = 3
 """Stages of the work, each of which counts as much as all frames."""

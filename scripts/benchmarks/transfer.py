@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.choices import TRANSFERS, TransferName
 from mixseq.correspondence.correspond import Assessed, correspond_and_assess
 from mixseq.retargeting.report import TransferReport, measure
-from mixseq.retargeting.transfer import METHODS, MethodName, Transfer, plan
+from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence import MeshSequence
 from mixseq_io.correspondence.markers import read_markers
 
@@ -95,7 +96,7 @@ def compare(name: str, pair: Pair) -> None:
     columns = "method", "s / frame", "strain", "unlike the source's", "acceleration", "worst frame"
     print("| " + " | ".join((*columns, "crossings", "turned over")) + " |\n|" + "---|" * 8)
     posed = target.frame_count == source.frame_count
-    results = {method: run(source, rest, target, found, method) for method in METHODS}
+    results = {method: run(source, rest, target, found, method) for method in TRANSFERS}
     if posed:
         row(
             "the reference",
@@ -110,7 +111,7 @@ def compare(name: str, pair: Pair) -> None:
 
 
 def run(
-    source: MeshSequence, rest: MeshSequence, target: MeshSequence, found: Assessed, method: MethodName
+    source: MeshSequence, rest: MeshSequence, target: MeshSequence, found: Assessed, method: TransferName
 ) -> tuple[Transfer, Float]:
     """Transfer by a method, and print its row."""
     planned = plan(source, first(target), mapping=found.correspondence, method=method, rest=rest)

@@ -10,9 +10,9 @@ import pytest
 from click.testing import Result
 
 import mixseq
+from mixseq.choices import SPACES
 from mixseq.cli.interpolate import command
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES
 
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
@@ -122,7 +122,7 @@ HALVES = "--pose 0=1/2 --pose 1=1/2"
         (f"bar.npz new.npz {HALVES} --space vertex --parts 2", "the vertex space has no use for parts"),
         (
             f"bar.npz new.npz {HALVES} --volume 1",
-            "--volume is for the edge space; leave it out, or give --space edge",
+            "the mixed space has no use for volume; leave it out, or choose space='edge'",
         ),
         (f"bar.npz new.npz {HALVES} --space edge --projection steps --volume 1", "has no use for volume"),
         (f"bar.npz bar.npz {HALVES}", "bar.npz is the source itself"),

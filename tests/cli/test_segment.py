@@ -13,8 +13,8 @@ from click.testing import Result
 from pxr import Usd, UsdGeom
 
 import mixseq
+from mixseq.choices import SEGMENTATIONS
 from mixseq.cli.labelled import numbered
-from mixseq.cli.options import SEGMENTATIONS
 from mixseq.segmentation import METHODS
 from mixseq_io import read_labels
 from tests.formats.gltf_maker import Maker

@@ -10,9 +10,10 @@ import pytest
 from click.testing import Result
 
 import mixseq
+from mixseq.choices import SPACES
 from mixseq.cli.encode import command
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES, EdgeSpace
+from mixseq.spaces import EdgeSpace
 
 Run = Callable[..., Result]
 

@@ -19,6 +19,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
+from mixseq.choices import PLACEMENTS
 from mixseq.errors import FormatError, OutputError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles
 from mixseq.geometry.quaternions import rotations_of
@@ -36,7 +37,6 @@ from mixseq.spaces import (
     MixedSpace,
     VertexSpace,
 )
-from mixseq.spaces.mixed import PLACEMENTS
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
 from mixseq_io.surface_arrays import surface_arrays
 from tests.meshes import SEQUENCES, bar

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.choices import SpaceName
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
-from mixseq.signals.fit import SpaceName
 from tests.meshes import bar, rotation, tube
 
 AXIS = np.array([2.0, 1.0, -2.0]) / 3.0

@@ -11,10 +11,10 @@ import pytest
 
 import mixseq
 from mixseq import operations
+from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.spaces import SPACES, SpaceName
 from tests.meshes import bar
 
 FORTH: MeshSequence = bar(sides=4, rings=9, frames=8)

@@ -10,12 +10,12 @@ import pytest
 
 import mixseq
 from mixseq.arrays import Float
+from mixseq.choices import PLACEMENTS, SPACES, PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.operations.interpolation import Blend
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES, SpaceName
-from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, PlacementName
+from mixseq.spaces.mixed import AnchoredSpace
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
 
 POSES = bar(sides=5, rings=13, frames=4)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
+from mixseq.choices import SpaceName
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rotations import matrices, vectors
 from mixseq.operations.limb_joints import limb_of
 from mixseq.operations.placements import mean, mean_placements
 from mixseq.signals import Curve
-from mixseq.signals.fit import SpaceName
 from tests.operations.chains import TIMES, chain
 from tests.operations.motions import bar_motion, spin
 

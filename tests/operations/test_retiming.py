@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.arrays import Float
+from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import Retiming, cut, repeat, resample, retime, reverse, shift, speed
 from mixseq.operations.splines import shape_measure
 from mixseq.sequence import bounding_diagonal
 from mixseq.signals import Model, fit
-from mixseq.signals.fit import SpaceName
 from tests.meshes import seeds
 from tests.operations.motions import bar_motion, signals, spin
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixseq.choices import SpaceName
 from mixseq.errors import SettingsError
 from mixseq.operations import cut, loop, repeat, reverse, shift, speed
 from mixseq.signals import Model
-from mixseq.signals.fit import SpaceName
 from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, signals, spin, spinning
 
 MODELS = [("mixed", None), ("mixed", 2), ("vertex", None)]

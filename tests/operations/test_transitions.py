@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
+from mixseq.choices import SpaceName
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
@@ -18,7 +19,6 @@ from mixseq.operations.placements import mean_placements
 from mixseq.prediction.poses import Poses
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
-from mixseq.signals.fit import SpaceName
 from tests.meshes import bar, bending, rotation, tube
 from tests.operations.chains import chain, labels
 from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, signals, spin, spinning

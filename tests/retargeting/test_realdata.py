@@ -9,7 +9,8 @@ import pytest
 
 import mixseq
 from mixseq.arrays import FloatArray
-from mixseq.retargeting.transfer import METHODS, MethodName, plan
+from mixseq.choices import TRANSFERS, TransferName
+from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence
 from mixseq_io.correspondence.markers import read_markers
 from tests.meshes import rotation
@@ -17,7 +18,7 @@ from tests.retargeting.pairs import furthest
 
 pytestmark = pytest.mark.realdata
 
-both = pytest.mark.parametrize("method", METHODS)
+both = pytest.mark.parametrize("method", TRANSFERS)
 
 
 def some_frames(folder: Path, name: str, count: int) -> MeshSequence:
@@ -35,7 +36,7 @@ def still(points: FloatArray, like: MeshSequence) -> MeshSequence:
 @pytest.mark.parametrize(
     ("name", "frames"), [("q_wolf_gallop", 6), ("cat_poses", 4), ("q_man_run", 6), ("camel_poses", 2)]
 )
-def test_onto_itself_nothing_changes(data: Path, name: str, frames: int, method: MethodName) -> None:
+def test_onto_itself_nothing_changes(data: Path, name: str, frames: int, method: TransferName) -> None:
     sequence = some_frames(data, name, frames)
     moved = mixseq.transfer(sequence, still(sequence.points[0], sequence), method=method)
     error = furthest(moved.points, sequence.points.astype(np.float64))
@@ -43,7 +44,7 @@ def test_onto_itself_nothing_changes(data: Path, name: str, frames: int, method:
 
 
 @both
-def test_a_wolf_on_a_copy_of_another_size(data: Path, method: MethodName) -> None:
+def test_a_wolf_on_a_copy_of_another_size(data: Path, method: TransferName) -> None:
     wolf = some_frames(data, "q_wolf_gallop", 6)
     turn, size, shift = rotation((0.7, -2.0, 0.4)), 3.7, np.array([10.0, 20.0, -5.0])
     copies = size * wolf.points.astype(np.float64) @ turn.T + shift

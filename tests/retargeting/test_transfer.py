@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 import mixseq
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.choices import TRANSFERS, TransferName
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
@@ -20,14 +21,14 @@ from mixseq.mapping import on_threads, serially
 from mixseq.retargeting.gradients import GradientTransfer
 from mixseq.retargeting.mixed import MixedTransfer
 from mixseq.retargeting.sources import source_motion
-from mixseq.retargeting.transfer import METHODS, MethodName, plan
+from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.spaces import MixedSpace
 from tests.meshes import SEQUENCES, bar, rigid_motions, rotation
 from tests.retargeting.pairs import from_subdivided, furthest, subdivided, to_subdivided
 
-both = pytest.mark.parametrize("method", METHODS)
+both = pytest.mark.parametrize("method", TRANSFERS)
 
 
 def first(sequence: MeshSequence) -> MeshSequence:
@@ -46,7 +47,7 @@ def shaped(points: FloatArray) -> Float:
 
 @both
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_onto_itself_nothing_changes(name: str, method: MethodName) -> None:
+def test_onto_itself_nothing_changes(name: str, method: TransferName) -> None:
     sequence = SEQUENCES[name]()
     moved = mixseq.transfer(sequence, first(sequence), method=method)
     assert furthest(moved.points, sequence.points) <= 1e-6 * sequence.diagonal
@@ -56,7 +57,7 @@ def test_onto_itself_nothing_changes(name: str, method: MethodName) -> None:
 @pytest.mark.parametrize(
     "name", ["bar", "rigid component", "several components", "three pages", "unused vertices"]
 )
-def test_onto_a_copy_of_another_size_it_commutes(name: str, method: MethodName) -> None:
+def test_onto_a_copy_of_another_size_it_commutes(name: str, method: TransferName) -> None:
     sequence = SEQUENCES[name]()
     turn, size, shift = rotation((0.5, -1.3, 2.1)), 7.3, np.array([10.0, -3.0, 5.0])
     copies = size * sequence.points @ turn.T + shift
@@ -68,7 +69,7 @@ def test_onto_a_copy_of_another_size_it_commutes(name: str, method: MethodName) 
 @given(motion=rigid_motions)
 @settings(max_examples=8, deadline=None)
 def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
-    method: MethodName, motion: tuple[Float, Float]
+    method: TransferName, motion: tuple[Float, Float]
 ) -> None:
     """With the rest where it was; whatever body the target is."""
     turn, shift = motion
@@ -93,7 +94,7 @@ def test_a_rigid_motion_of_all_frames_is_one_of_the_result(
 
 
 @both
-def test_a_source_that_lies_elsewhere_moves_the_target_the_same_way(method: MethodName) -> None:
+def test_a_source_that_lies_elsewhere_moves_the_target_the_same_way(method: TransferName) -> None:
     """Source and rest moved together: that is only another place of the source."""
     source = bar(sides=5, rings=15, frames=3)
     target = one(2.0 * source.points[0], source)
@@ -108,7 +109,7 @@ def lower(mesh: tuple[FloatArray, Index], height: float = 2.2) -> Index:
 
 
 @both
-def test_there_and_back_over_a_dense_map(method: MethodName) -> None:
+def test_there_and_back_over_a_dense_map(method: TransferName) -> None:
     """A to its subdivision, and back: exact by gradients; with joints solved twice within 3 % of the diagonal."""
     source = bar(sides=6, rings=21, frames=4)
     mesh = source.points[0], source.faces.astype(np.int64)
@@ -123,7 +124,7 @@ def test_there_and_back_over_a_dense_map(method: MethodName) -> None:
 
 
 @both
-def test_there_and_back_on_the_same_triangles(method: MethodName) -> None:
+def test_there_and_back_on_the_same_triangles(method: TransferName) -> None:
     """Within 0.6 % of the diagonal, whatever body is in between."""
     source = bar(sides=6, rings=21, frames=4)
     parts = lower((source.points[0], source.faces.astype(np.int64)))
@@ -136,7 +137,7 @@ def test_there_and_back_on_the_same_triangles(method: MethodName) -> None:
 def test_methods_differ_where_proportions_do() -> None:
     source = bar(frames=3)
     target = one(shaped(source.points[0]), source)
-    mixed, gradients = (mixseq.transfer(source, target, method=method).points for method in METHODS)
+    mixed, gradients = (mixseq.transfer(source, target, method=method).points for method in TRANSFERS)
     assert 1e-4 * source.diagonal < furthest(mixed, gradients) < 0.1 * source.diagonal
     np.testing.assert_allclose(mixed[0], target.points[0], atol=1e-6)
     np.testing.assert_allclose(gradients[0], target.points[0], atol=1e-9)
@@ -167,7 +168,7 @@ def test_a_model_moves_as_its_frames_do_with_its_own_parts(bent_bar: MeshSequenc
 
 
 @both
-def test_any_frame_may_be_the_rest(method: MethodName) -> None:
+def test_any_frame_may_be_the_rest(method: TransferName) -> None:
     """Onto the shape of another frame: all come back from there."""
     source = bar(frames=4)
     for rest in (2, -1):
@@ -179,7 +180,7 @@ def test_any_frame_may_be_the_rest(method: MethodName) -> None:
 
 
 @both
-def test_a_rest_of_another_size_is_brought_to_size(method: MethodName) -> None:
+def test_a_rest_of_another_size_is_brought_to_size(method: TransferName) -> None:
     source = bar(frames=4)
     target = one(shaped(source.points[0]), source)
     rest = one(1.67 * source.points[0], source)
@@ -190,7 +191,7 @@ def test_a_rest_of_another_size_is_brought_to_size(method: MethodName) -> None:
 
 
 @both
-def test_one_frame_is_a_motion_as_well(method: MethodName) -> None:
+def test_one_frame_is_a_motion_as_well(method: TransferName) -> None:
     source = bar(frames=4)
     target = one(shaped(source.points[0]), source)
     parts = lower((source.points[0], source.faces.astype(np.int64)))
@@ -204,7 +205,7 @@ def test_one_frame_is_a_motion_as_well(method: MethodName) -> None:
 
 
 @both
-def test_blocks_are_the_whole(method: MethodName) -> None:
+def test_blocks_are_the_whole(method: TransferName) -> None:
     source = bar(sides=5, rings=15, frames=21)
     target = one(shaped(source.points[0]), source)
     told: list[tuple[int, int, str]] = []
@@ -219,7 +220,7 @@ def test_blocks_are_the_whole(method: MethodName) -> None:
 
 
 @both
-def test_threads_do_not_change_a_bit(method: MethodName) -> None:
+def test_threads_do_not_change_a_bit(method: TransferName) -> None:
     source = bar(sides=6, rings=15, frames=20)
     mesh = source.points[0], source.faces.astype(np.int64)
     fine = MeshSequence.from_arrays(shaped(subdivided(mesh)[0])[None], subdivided(mesh)[1])
@@ -269,7 +270,7 @@ def test_a_map_of_the_same_triangles_may_exchange_them() -> None:
 
 
 @both
-def test_what_was_used_goes_to_other_processes(method: MethodName) -> None:
+def test_what_was_used_goes_to_other_processes(method: TransferName) -> None:
     """As cluster workers need it, also when feet were placed before."""
     source = bar(sides=5, rings=15, frames=3)
     contacts = {"end": [0]} if method == "mixed" else None
@@ -351,14 +352,14 @@ def test_settings_that_cannot_be_are_refused(options: dict[str, object], message
 
 @both
 @pytest.mark.parametrize("across", [0.0, 1.0], ids=["point", "line"])
-def test_a_target_without_area_is_refused(method: MethodName, across: float) -> None:
+def test_a_target_without_area_is_refused(method: TransferName, across: float) -> None:
     flat = one(TARGET.points[0] * [0.0, 0.0, across], SOURCE)
     with pytest.raises(InvalidSequenceError, match="no area at rest"):
         mixseq.transfer(SOURCE, flat, method=method)
 
 
 @both
-def test_a_source_without_size_is_refused(method: MethodName) -> None:
+def test_a_source_without_size_is_refused(method: TransferName) -> None:
     with pytest.raises(InvalidSequenceError, match="of the source is in one place at rest"):
         mixseq.transfer(SOURCE.with_points(0 * SOURCE.points), TARGET, method=method)
 

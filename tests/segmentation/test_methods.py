@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.choices import SegmentationName
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.segmentation import (
     METHODS,
-    MethodName,
     MethodSettings,
     MotionSettings,
     SilhouetteSettings,
@@ -39,7 +39,7 @@ def assert_sound(topology: Topology, labels: np.ndarray) -> None:
 
 @methods
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_awkward_meshes_have_sound_parts(name: str, method: MethodName) -> None:
+def test_awkward_meshes_have_sound_parts(name: str, method: SegmentationName) -> None:
     sequence = SEQUENCES[name]()
     topology = Topology(sequence.faces, sequence.vertex_count)
     assert_sound(topology, segment(sequence.points, topology, method))
@@ -50,7 +50,7 @@ def test_awkward_meshes_have_sound_parts(name: str, method: MethodName) -> None:
 
 
 @methods
-def test_three_bones_are_found(method: MethodName) -> None:
+def test_three_bones_are_found(method: SegmentationName) -> None:
     sequence, bones = three_bones()
     topology = Topology(sequence.faces, sequence.vertex_count)
     for parts in (None, 3):
@@ -61,7 +61,7 @@ def test_three_bones_are_found(method: MethodName) -> None:
 
 @methods
 @pytest.mark.parametrize("parts", [1, 2, 5, 9])
-def test_as_many_parts_as_asked_for(method: MethodName, parts: int) -> None:
+def test_as_many_parts_as_asked_for(method: SegmentationName, parts: int) -> None:
     sequence = bar()
     topology = Topology(sequence.faces, sequence.vertex_count)
     labels = segment(sequence.points, topology, method, parts)
@@ -72,7 +72,7 @@ def test_as_many_parts_as_asked_for(method: MethodName, parts: int) -> None:
 
 
 @methods
-def test_a_part_for_every_component_of_what_does_not_deform(method: MethodName) -> None:
+def test_a_part_for_every_component_of_what_does_not_deform(method: SegmentationName) -> None:
     sequence = SEQUENCES["several components"]()
     topology = Topology(sequence.faces, sequence.vertex_count)
     still = np.stack([sequence.points[0], sequence.points[0] @ rotation((1, 2, 0.3)).T + 5.0])
@@ -81,7 +81,7 @@ def test_a_part_for_every_component_of_what_does_not_deform(method: MethodName) 
 
 
 @methods
-def test_units_and_place_do_not_matter(method: MethodName) -> None:
+def test_units_and_place_do_not_matter(method: SegmentationName) -> None:
     sequence, _ = three_bones()
     topology = Topology(sequence.faces, sequence.vertex_count)
     moved = 0.01 * sequence.points @ rotation((0, 0, 0.2)).T + 3.0
@@ -90,7 +90,7 @@ def test_units_and_place_do_not_matter(method: MethodName) -> None:
 
 
 @methods
-def test_again_the_same(method: MethodName) -> None:
+def test_again_the_same(method: SegmentationName) -> None:
     sequence = bar(10, 31)
     topology = Topology(sequence.faces, sequence.vertex_count)
     np.testing.assert_array_equal(
@@ -105,7 +105,7 @@ def test_motion_is_the_default() -> None:
 
 
 @methods
-def test_of_a_sequence(method: MethodName) -> None:
+def test_of_a_sequence(method: SegmentationName) -> None:
     sequence = bar()
     settings = METHODS[method].settings(crumb=0.02)
     topology = Topology(sequence.faces, sequence.vertex_count)
@@ -125,7 +125,7 @@ def test_fit_takes_them() -> None:
 
 @methods
 @pytest.mark.parametrize("parts", [0, 10_000])
-def test_impossible_numbers_of_parts(method: MethodName, parts: int) -> None:
+def test_impossible_numbers_of_parts(method: SegmentationName, parts: int) -> None:
     with pytest.raises(SettingsError, match=f"parts is {parts}; a whole number from 1 to"):
         mixseq.segment(bar(), method, parts)
 
@@ -134,14 +134,14 @@ def test_impossible_numbers_of_parts(method: MethodName, parts: int) -> None:
 @pytest.mark.parametrize(
     ("parts", "told"), [(2.5, "2.5"), ("3", "3"), (np.zeros(150, dtype=int), "of type ndarray")]
 )
-def test_what_is_no_number_of_parts(method: MethodName, parts: Any, told: str) -> None:
+def test_what_is_no_number_of_parts(method: SegmentationName, parts: Any, told: str) -> None:
     with pytest.raises(SettingsError, match=f"parts is {told}; a whole number from 1 to"):
         mixseq.segment(bar(), method, parts)
 
 
 @methods
 @pytest.mark.parametrize("extent", [(0, 0, 0), (1, 0, 0), (0, 1, 1)])
-def test_meshes_without_extent(method: MethodName, extent: tuple[int, int, int]) -> None:
+def test_meshes_without_extent(method: SegmentationName, extent: tuple[int, int, int]) -> None:
     """All in a point, on a line, in a plane."""
     sequence = bar()
     topology = Topology(sequence.faces, sequence.vertex_count)
@@ -149,7 +149,7 @@ def test_meshes_without_extent(method: MethodName, extent: tuple[int, int, int])
 
 
 @methods
-def test_a_first_frame_that_is_a_point(method: MethodName) -> None:
+def test_a_first_frame_that_is_a_point(method: SegmentationName) -> None:
     sequence = bar()
     points = sequence.points.copy()
     points[0] = 0.0
@@ -158,7 +158,9 @@ def test_a_first_frame_that_is_a_point(method: MethodName) -> None:
 
 
 def test_unknown_methods() -> None:
-    with pytest.raises(SettingsError, match="'magic'; there are: motion, silhouettes, spanning-tree"):
+    with pytest.raises(
+        SettingsError, match="segmentation is 'magic'; one of motion, silhouettes, spanning-tree"
+    ):
         mixseq.segment(bar(), "magic")  # type: ignore[arg-type]
 
 
@@ -170,7 +172,7 @@ def test_unknown_methods() -> None:
         ("spanning-tree", MotionSettings(), "method 'spanning-tree' takes SpanningTreeSettings"),
     ],
 )
-def test_settings_of_another_method(method: MethodName, settings: MethodSettings, message: str) -> None:
+def test_settings_of_another_method(method: SegmentationName, settings: MethodSettings, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         mixseq.segment(bar(), method, settings=settings)
 
@@ -221,7 +223,7 @@ SMALLEST = 0.005
 @pytest.mark.realdata
 @pytest.mark.parametrize("method", ["silhouettes", "spanning-tree"])
 @pytest.mark.parametrize("name", ARTICULATED)
-def test_parts_of_real_animations(data: Path, name: str, method: MethodName) -> None:
+def test_parts_of_real_animations(data: Path, name: str, method: SegmentationName) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     topology = Topology(sequence.faces, sequence.vertex_count)
     labels = mixseq.segment(sequence, method)

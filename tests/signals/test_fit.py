@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.choices import SPACES, SegmentationName, SpaceName
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.operations.segmenting import segment
-from mixseq.segmentation import METHODS, MethodName, MotionSettings, segment_by_labels
+from mixseq.segmentation import METHODS, MotionSettings, segment_by_labels
 from mixseq.sequence import MeshSequence
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals import fit
-from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, SpaceName
+from mixseq.spaces import EdgeSettings, EdgeSpace
 from mixseq.spaces.mixed import FreeSpace, MixedSpace
 from mixseq.topology import Topology
 from tests.meshes import bar
@@ -143,7 +144,7 @@ def test_other_spaces_have_no_parts(space: SpaceName) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_parts_are_found_by_any_method(method: MethodName) -> None:
+def test_parts_are_found_by_any_method(method: SegmentationName) -> None:
     by_name = fit(SMALL, segmentation=method, rank=1)
     by_settings = fit(SMALL, segmentation=METHODS[method].settings(), rank=1)
     labels = segment(SMALL, method)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.spaces.mixed import PLACEMENTS, PlacementName
 from tests.meshes import bar, rotation, tube
 
 UNEVEN = [-0.5, 0.0, 0.1, 0.75, 2.0]

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.choices import SPACES, SpaceName
 from mixseq.mapping import on_threads, serially
 from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
-from mixseq.spaces import SPACES, EdgeSettings, EdgeSpace, MixedSettings, MixedSpace, SpaceName, make_space
+from mixseq.spaces import EdgeSettings, EdgeSpace, MixedSettings, MixedSpace, make_space
 from tests.meshes import bar, bending, tube
 
 LONG = bar(sides=4, rings=9, frames=19)

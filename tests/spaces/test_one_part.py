@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.geometry.rigid import kabsch, mean_shape, transform
 from mixseq.segmentation import decompose
 from mixseq.spaces import VertexSpace, mixed_space
-from mixseq.spaces.mixed import PLACEMENTS, PlacementName
 from tests.meshes import rotation, topology_of, tube
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.choices import PLACEMENTS
 from mixseq.errors import FormatError
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
-from mixseq.spaces.mixed import PLACEMENTS
 from mixseq.topology import Topology
 from mixseq_io.hdf5.arrays import floats, get_lists, integers, put, put_lists
 from mixseq_io.hdf5.settings import read_relaxation, read_scale

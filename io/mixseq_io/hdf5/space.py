@@ -8,10 +8,10 @@ from pathlib import Path
 import h5py
 
 from mixseq.arrays import Float
+from mixseq.choices import SPACES
 from mixseq.errors import FormatError, OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import (
-    SPACES,
     AnchoredSpace,
     EdgeSettings,
     EdgeSpace,

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
 
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.choices import PROJECTIONS, ProjectionName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, length_weights, unwrap_angles
 from mixseq.progress import Progress, silent
@@ -28,9 +28,6 @@ from mixseq.spaces.edge.relaxed_shell import RelaxedShell
 from mixseq.spaces.metric import ANGLE
 from mixseq.spaces.posed import PosedSpace
 from mixseq.threads import one_blas_thread
-
-ProjectionName = Literal["steps", "dso"]
-PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,13 @@
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.construction import FAR, NEVER, mixed_space
 from mixseq.spaces.mixed.free import FreeSpace
-from mixseq.spaces.mixed.mixed_space import PLACEMENTS, MixedSpace, PlacementName
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 __all__ = [
     "FAR",
     "NEVER",
-    "PLACEMENTS",
     "AnchoredSpace",
     "FreeSpace",
     "MixedSpace",
-    "PlacementName",
     "mixed_space",
 ]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray, Mask
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
@@ -28,7 +29,7 @@ from mixseq.shells.shell import Relaxation
 from mixseq.spaces.metric import mean_lengths
 from mixseq.spaces.mixed.anchored import AnchoredSpace
 from mixseq.spaces.mixed.free import FreeSpace
-from mixseq.spaces.mixed.mixed_space import PLACEMENTS, MixedSpace, PlacementName
+from mixseq.spaces.mixed.mixed_space import MixedSpace
 from mixseq.spaces.mixed.shares import fitted_shares
 from mixseq.topology import Topology
 

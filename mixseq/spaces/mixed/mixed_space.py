@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
+from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.segmentation.joints import Decomposition
@@ -19,9 +20,6 @@ from mixseq.topology import Topology
 
 if TYPE_CHECKING:
     from mixseq.spaces.mixed.anchored import AnchoredSpace
-
-PlacementName = Literal["anchored", "free"]
-PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mixseq.arrays import Float
+from mixseq.choices import SpaceName
 from mixseq.operations.interpolation import Blend
-from mixseq.spaces import SpaceName
 from scripts.paper_study.common.errors import error_table, errors
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery

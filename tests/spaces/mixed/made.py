@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import Float, Index
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.segmentation import decompose, segment_by_labels, segment_by_motion
 from mixseq.sequence import MeshSequence
-from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, FreeSpace, MixedSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
 from mixseq.topology import Topology
 from tests.meshes import (
     SEQUENCES,

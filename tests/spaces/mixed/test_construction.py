@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float
+from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.quaternions import product, quaternions, rotations_of
 from mixseq.mapping import on_threads
 from mixseq.segmentation import decompose, segment_by_labels
-from mixseq.spaces.mixed import PLACEMENTS, AnchoredSpace, FreeSpace, PlacementName, mixed_space
+from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, mixed_space
 from tests.meshes import SEQUENCES, Mesh, bar, bending, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import MESHES, error, in_both, sequence_of, space_of
 

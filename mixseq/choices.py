@@ -1,0 +1,33 @@
+"""Names that users choose from, in Python and on the command line; importing them costs nothing.
+
+What a name stands for is in the tables of the folders: `mixseq.segmentation.METHODS`, `mixseq.spaces.making`, and
+`mixseq.retargeting.transfer`.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+SpaceName = Literal["mixed", "vertex", "gradient", "lri", "edge"]
+SPACES: tuple[SpaceName, ...] = get_args(SpaceName)
+"""Shape spaces: parts and joints, vertices, deformation gradients, LRI coordinates, lengths and angles of edges."""
+
+PlacementName = Literal["anchored", "free"]
+PLACEMENTS: tuple[PlacementName, ...] = get_args(PlacementName)
+"""How parts are placed in the mixed space: by a pose each, or where lengths and angles put them."""
+
+SegmentationName = Literal["motion", "silhouettes", "spanning-tree"]
+SEGMENTATIONS: tuple[SegmentationName, ...] = get_args(SegmentationName)
+"""How parts are found."""
+
+ProjectionName = Literal["steps", "dso"]
+PROJECTIONS: tuple[ProjectionName, ...] = get_args(ProjectionName)
+"""How the edge space finds meshes: in a few steps, or by Gauss-Newton until it converges."""
+
+PoseForm = Literal["modes", "keys"]
+POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
+"""What key shapes of a model are: mean and modes, or frames."""
+
+TransferName = Literal["mixed", "gradients"]
+TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
+"""How motions are transferred: part by part and joint by joint, or by deformation gradients."""
