@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mixseq.topology import Topology
     from mixseq_io import open_sequence, read, write, write_blocks, write_rig
     from mixseq_io.correspondence.markers import read_markers
-    from mixseq_io.hdf5.model import load, save
+    from mixseq_io.hdf5.model_files import load, save
     from mixseq_io.verification import Verification, verify
 
 _HOME = {
@@ -60,11 +60,11 @@ _HOME = {
     "fit_morph": "mixseq.rigging",
     "fit_skin": "mixseq.rigging",
     "interpolate": "mixseq.operations.interpolation",
-    "load": "mixseq_io.hdf5.model",
+    "load": "mixseq_io.hdf5.model_files",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "read_markers": "mixseq_io.correspondence.markers",
-    "save": "mixseq_io.hdf5.model",
+    "save": "mixseq_io.hdf5.model_files",
     "segment": "mixseq.operations.segmenting",
     "transfer": "mixseq.retargeting.transfer",
     "verify": "mixseq_io.verification",

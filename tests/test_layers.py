@@ -88,7 +88,7 @@ def test_layers_stand_on_those_before(file: Path) -> None:
         ("import mixseq.spaces.mixed", {"spaces"}),
         ("from mixseq.signals import fit", {"signals"}),
         ("from mixseq import topology", {"topology"}),
-        ("def f():\n    from mixseq_io.hdf5.files import whole", {"mixseq_io"}),
+        ("def f():\n    from mixseq_io.hdf5.h5_files import whole", {"mixseq_io"}),
         ("import numpy as np, mixseq", set()),
     ],
 )

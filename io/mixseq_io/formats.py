@@ -43,8 +43,8 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(
             animation="point samples, models", points="float32, float64", units=True, velocities=True
         ),
-        reader="mixseq_io.hdf5.sequence:open_h5",
-        writer="mixseq_io.hdf5.sequence:write_h5",
+        reader="mixseq_io.hdf5.sequence_files:open_h5",
+        writer="mixseq_io.hdf5.sequence_files:write_h5",
         signatures=(b"\x89HDF\r\n\x1a\n",),
     ),
     Format(

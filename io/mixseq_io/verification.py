@@ -24,7 +24,7 @@ from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
 from mixseq.signals.model import FRAMES, Model
 from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.model import decoded
+from mixseq_io.hdf5.model_files import decoded
 from mixseq_io.hdf5.salvage import explain_damage
 from mixseq_io.registry import PathLike
 

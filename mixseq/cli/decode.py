@@ -122,7 +122,7 @@ def command(
     settings.check(velocities, writing)
     check_target(target, source)
     if kind is not None:
-        from mixseq_io.rigs import check_rig_target
+        from mixseq_io.rig_files import check_rig_target
 
         check_rig_target(target)
         with workers as work, progress_bar(quiet) as progress:

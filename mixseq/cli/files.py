@@ -28,7 +28,7 @@ def is_model(path: Path) -> bool:
         return False
     import h5py
 
-    from mixseq_io.hdf5.files import MODEL_FORMAT, kind_of, reading_h5
+    from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, reading_h5
 
     with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
         return bool(kind_of(file) == MODEL_FORMAT)

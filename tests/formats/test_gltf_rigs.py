@@ -17,7 +17,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, Sett
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence import MeshSequence
 from mixseq_io.gltf.measuring import measure, size_as_frames
-from mixseq_io.gltf.skinned import four_influences
+from mixseq_io.gltf.skin_rig import four_influences
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
 from tests.meshes import bar, bent, rotation, tube

@@ -18,10 +18,14 @@ from mixseq.surface import FaceSet
 from mixseq.topology import Topology
 from mixseq_io import Labels, open_sequence, read, read_labels, write
 from mixseq_io.labels.faces import polygon_labels, triangle_labels
-from mixseq_io.labels.given import labels_of_colours, labels_of_sets, labels_of_skinning
+from mixseq_io.labels.from_markings import (
+    labels_of_colours,
+    labels_of_sets,
+    labels_of_skinning,
+    without_small_regions,
+)
 from mixseq_io.labels.markings import Skinning, joined_skinning
 from mixseq_io.labels.reading import labels_of
-from mixseq_io.labels.tidying import without_crumbs
 from mixseq_io.labels.writing import write_labels
 from tests.formats.gltf_maker import SQUARE, Maker, skinned, split_square
 from tests.formats.usd_maker import Asset, mesh_at, problems
@@ -122,15 +126,15 @@ def test_meshes_share_joints_and_those_without_a_skin_follow_themselves() -> Non
     assert whole.weights.toarray().argmax(axis=1).tolist() == [0, 1, 2, 3, 3, 2, 1, 0]
 
 
-def test_crumbs_join_the_neighbour_with_most_edges_in_common() -> None:
+def test_small_regions_join_the_neighbour_with_most_edges_in_common() -> None:
     points, triangles = grid(4, 4)
     polygons = Polygons.from_triangles(triangles)
     labels = np.repeat([0, 1], 16)
     labels[2] = 1  # one astray, amidst of zeros
-    tidy = without_crumbs(labels, polygons, len(points), fewest=2)
+    tidy = without_small_regions(labels, polygons, len(points), fewest=2)
     assert tidy.tolist() == [0] * 16 + [1] * 16
-    np.testing.assert_array_equal(without_crumbs(labels, polygons, len(points), fewest=0), labels)
-    assert len(set(without_crumbs(labels, polygons, len(points), fewest=99).tolist())) == 1
+    np.testing.assert_array_equal(without_small_regions(labels, polygons, len(points), fewest=0), labels)
+    assert len(set(without_small_regions(labels, polygons, len(points), fewest=99).tolist())) == 1
 
 
 # Files.

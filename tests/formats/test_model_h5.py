@@ -383,7 +383,7 @@ def test_a_failed_save_leaves_the_old_file(model: Model, copy: Path, monkeypatch
     def fail(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mixseq_io.hdf5.model.write_signals", fail)
+    monkeypatch.setattr("mixseq_io.hdf5.model_files.write_signals", fail)
     with pytest.raises(OutputError, match=r"bar\.h5"):
         mixseq.save(copy, model)
     assert copy.read_bytes() == before

@@ -19,13 +19,22 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import SequenceHeader
+from mixseq_io.alembic.archive_meshes import Mesh, choose_meshes
 from mixseq_io.alembic.library import ERRORS, length, open_archive, values
-from mixseq_io.alembic.placement import Placement, determinant, moved, place
-from mixseq_io.alembic.scene import Mesh, choose_meshes
-from mixseq_io.alembic.surfaces import Source, read_scene_mesh
-from mixseq_io.alembic.timing import Track, frame_rate, locate, merged, sample_times
+from mixseq_io.alembic.polymesh import Source, read_scene_mesh
+from mixseq_io.alembic.samples import (
+    SAME_TIME,
+    SampleWeights,
+    Transforms,
+    determinant,
+    frame_rate,
+    locate,
+    moved,
+    sample_times,
+)
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
+from mixseq_io.key_times import joined
 from mixseq_io.reader import SequenceReader, naming, reading
 from mixseq_io.scene_meshes import join
 
@@ -55,27 +64,29 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         meshes = choose_meshes(path, archive, prim)
         frames = _frames(meshes)
         room = path.stat().st_size
-        parts = _parts(path, room, meshes, frames)
-        polygons, surface = join(path, [read_scene_mesh(part.source) for part in parts], None)
+        animated_meshes = _animated_meshes(path, room, meshes, frames)
+        polygons, surface = join(
+            path, [read_scene_mesh(animated.source) for animated in animated_meshes], None
+        )
         metadata = archive.getTop().getMetaData()
         header = SequenceHeader(
             polygons=polygons,
-            vertex_count=parts[-1].source.vertices.stop,
+            vertex_count=animated_meshes[-1].source.vertices.stop,
             times=frames,
             fps=frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")),
             name=common_name([mesh.place for mesh in meshes]) or path.stem,
             surface=surface,
         )
-        return _AlembicReader(path, header, parts, _have_velocities(path, parts))
+        return _AlembicReader(path, header, animated_meshes, _have_velocities(path, animated_meshes))
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """One of the meshes: where its samples of points are, and where the transforms put it."""
+class _AnimatedMesh:
+    """One of the meshes: which samples its points are between, and the transforms above it."""
 
     source: Source
-    track: Track
-    placement: Placement
+    samples: SampleWeights
+    transforms: Transforms
 
     def place(self, frame: int) -> str:
         """Name a frame in a message."""
@@ -83,14 +94,16 @@ class _Part:
 
 
 class _AlembicReader(SequenceReader):
-    def __init__(self, path: Path, header: SequenceHeader, parts: list[_Part], moving: bool) -> None:
+    def __init__(
+        self, path: Path, header: SequenceHeader, animated_meshes: list[_AnimatedMesh], moving: bool
+    ) -> None:
         super().__init__(path, header, has_velocities=moving)
-        self._parts = parts
+        self._meshes = animated_meshes
 
     def close(self) -> None:
         """Let the archive go: it is closed when the last of its objects is."""
         super().close()
-        self._parts = []
+        self._meshes = []
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         return self._read(_world_points, size)
@@ -98,14 +111,14 @@ class _AlembicReader(SequenceReader):
     def _read_velocities(self, size: int) -> Iterator[FloatArray]:
         return self._read(_world_velocities, size)
 
-    def _read(self, part_of: Callable[[_Part, int], FloatArray], size: int) -> Iterator[FloatArray]:
+    def _read(self, values_of: Callable[[_AnimatedMesh, int], FloatArray], size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
             with reading(self.path, "Alembic", *ERRORS), naming(self.path):
                 for frame in range(start, stop):
-                    for part in self._parts:
-                        block[frame - start, part.source.vertices] = part_of(part, frame)
+                    for animated in self._meshes:
+                        block[frame - start, animated.source.vertices] = values_of(animated, frame)
             yield block
 
 
@@ -115,35 +128,39 @@ def _frames(meshes: list[Mesh]) -> Float:
     transforms = [schema for mesh in meshes for schema in mesh.above]
     changing = [each for each in (*points, *transforms) if not each.isConstant()]
     longest = max(points, key=lambda each: int(each.getNumSamples()))
-    return merged([sample_times(each) for each in changing or [longest]])
+    return joined([sample_times(each) for each in changing or [longest]], SAME_TIME)
 
 
-def _parts(path: Path, room: int, meshes: list[Mesh], frames: Float) -> list[_Part]:
-    parts, vertex = [], 0
+def _animated_meshes(path: Path, room: int, meshes: list[Mesh], frames: Float) -> list[_AnimatedMesh]:
+    animated_meshes, vertex = [], 0
     for mesh in meshes:
-        points, placement = mesh.schema.getPositionsProperty(), place(mesh.above, frames)
-        track = locate(sample_times(points), frames)
-        end = vertex + length(points, track.at(0)[0])
+        points, transforms = mesh.schema.getPositionsProperty(), Transforms.at(mesh.above, frames)
+        samples = locate(sample_times(points), frames)
+        end = vertex + length(points, samples.at(0)[0])
         if 12 * (end - vertex) > room:
             raise FormatError(
                 f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold"
             )
-        mirrored = determinant(placement.to_world(0)) < 0
-        parts.append(_Part(Source(path, room, mesh, slice(vertex, end), mirrored, frames), track, placement))
+        mirrored = determinant(transforms.to_world(0)) < 0
+        animated_meshes.append(
+            _AnimatedMesh(Source(path, room, mesh, slice(vertex, end), mirrored, frames), samples, transforms)
+        )
         vertex = end
-    return parts
+    return animated_meshes
 
 
-def _sampled(part: _Part, array: Any, frame: int, what: str) -> NDArray[np.float32]:
+def _sampled(animated: _AnimatedMesh, array: Any, frame: int, what: str) -> NDArray[np.float32]:
     """Return an array property in a frame, between two samples if the frame is."""
-    count = part.source.vertices.stop - part.source.vertices.start
-    sample, weight = part.track.at(frame)
-    rows = [values(array, each, part.source.room) for each in ((sample, sample + 1) if weight else (sample,))]
+    count = animated.source.vertices.stop - animated.source.vertices.start
+    sample, weight = animated.samples.at(frame)
+    rows = [
+        values(array, each, animated.source.room) for each in ((sample, sample + 1) if weight else (sample,))
+    ]
     for each in rows:
         if each.shape != (count, 3):
             raise InvalidSequenceError(
-                f"{part.place(frame)} has {len(each)} {what}, the first frame {count} points; every frame needs the "
-                "same vertices in the same order"
+                f"{animated.place(frame)} has {len(each)} {what}, the first frame {count} points; every frame needs "
+                "the same vertices in the same order"
             )
     if not weight:
         return rows[0]
@@ -151,40 +168,46 @@ def _sampled(part: _Part, array: Any, frame: int, what: str) -> NDArray[np.float
     return mixed.astype(np.float32)
 
 
-def _world_points(part: _Part, frame: int) -> NDArray[np.float32]:
-    points = _sampled(part, part.source.mesh.schema.getPositionsProperty(), frame, "points")
-    matrix = part.placement.to_world(frame)
+def _world_points(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
+    points = _sampled(animated, animated.source.mesh.schema.getPositionsProperty(), frame, "points")
+    matrix = animated.transforms.to_world(frame)
     size = determinant(matrix)
-    if size > 0 if part.source.mirrored else size < 0:
+    if size > 0 if animated.source.mirrored else size < 0:
         raise InvalidSequenceError(
-            f"{part.place(frame)}: the transform mirrors the mesh relative to the first frame, which turns its faces "
-            "inside out; give the animated scale one sign"
+            f"{animated.place(frame)}: the transform mirrors the mesh relative to the first frame, which turns its "
+            "faces inside out; give the animated scale one sign"
         )
     return moved(points, matrix)
 
 
-def _world_velocities(part: _Part, frame: int) -> NDArray[np.float32]:
-    velocities = part.source.mesh.schema.getVelocitiesProperty()
+def _world_velocities(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32]:
+    velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # a mesh that stands still
-        return np.zeros((part.source.vertices.stop - part.source.vertices.start, 3), np.float32)
-    return moved(_sampled(part, velocities, frame, "velocities"), part.placement.to_world(frame)[:3, :3])
+        return np.zeros((animated.source.vertices.stop - animated.source.vertices.start, 3), np.float32)
+    return moved(
+        _sampled(animated, velocities, frame, "velocities"), animated.transforms.to_world(frame)[:3, :3]
+    )
 
 
-def _have_velocities(path: Path, parts: list[_Part]) -> bool:
+def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
     """Whether the velocities of all meshes can be read; warn of those that cannot."""
-    having = [part for part in parts if part.source.mesh.schema.getVelocitiesProperty().valid()]
-    for part in parts if having else []:
-        mesh = part.source.mesh
+    having = [
+        animated
+        for animated in animated_meshes
+        if animated.source.mesh.schema.getVelocitiesProperty().valid()
+    ]
+    for animated in animated_meshes if having else []:
+        mesh = animated.source.mesh
         points, velocities = mesh.schema.getPositionsProperty(), mesh.schema.getVelocitiesProperty()
-        if part not in having:
+        if animated not in having:
             problem = "are missing, and others have some" if mesh.moves else ""
         elif not np.array_equal(sample_times(velocities), sample_times(points)):
             problem = "are not sampled at the times of the points"
-        elif length(velocities, 0) != part.source.vertices.stop - part.source.vertices.start:
+        elif length(velocities, 0) != animated.source.vertices.stop - animated.source.vertices.start:
             problem = f"are {length(velocities, 0)}, not as many as its points"
         elif not all(schema.isConstant() for schema in mesh.above):
             problem = "are those under a transform that moves, too"
-        elif mesh.moves and not part.track.exact:
+        elif mesh.moves and not animated.samples.exact:
             problem = "are not sampled in every frame"
         else:
             problem = ""

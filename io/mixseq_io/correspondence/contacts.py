@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mixseq.errors import FormatError
-from mixseq_io.correspondence.text import parse_json, read_text
+from mixseq_io.correspondence.text_files import parse_json, read_text
 from mixseq_io.registry import PathLike
 
 

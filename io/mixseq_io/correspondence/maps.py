@@ -40,7 +40,7 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_triangles, from_vertices
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq_io.atomic import replacing
-from mixseq_io.correspondence.rows import Kind, read_rows
+from mixseq_io.correspondence.text_files import Kind, read_rows
 from mixseq_io.npz import DAMAGE
 from mixseq_io.reader import reading
 from mixseq_io.registry import PathLike

@@ -27,7 +27,7 @@ from typing import Any
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import FormatError, MissingExtraError
 from mixseq_io.atomic import replacing
-from mixseq_io.correspondence.text import parse_json, read_text
+from mixseq_io.correspondence.text_files import parse_json, read_text
 from mixseq_io.reader import brief
 from mixseq_io.registry import PathLike
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq_io.blocks import warn
 from mixseq_io.gltf.document import Document
-from mixseq_io.gltf.fields import Fields
-from mixseq_io.gltf.scene import Pose
-from mixseq_io.gltf.timing import time_tolerance
+from mixseq_io.gltf.frame_times import time_tolerance
+from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.node_tree import Pose
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")

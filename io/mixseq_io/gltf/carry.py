@@ -27,15 +27,19 @@ from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
 from mixseq_io.gltf.buffers import GENERATOR, INDICES, Json, Layout, append
 from mixseq_io.gltf.document import Document
-from mixseq_io.gltf.extensions import COMPRESSIONS
-from mixseq_io.gltf.fields import Fields
-from mixseq_io.gltf.images import embed_images
+from mixseq_io.gltf.document_edits import (
+    detach,
+    embed_images,
+    moved_by_animations,
+    prune,
+    used_extensions,
+    vacant,
+)
+from mixseq_io.gltf.json_fields import COMPRESSIONS, Fields
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
+from mixseq_io.gltf.new_document import add_vertex_numbers, group, upright
+from mixseq_io.gltf.node_tree import Scene, read_scene
 from mixseq_io.gltf.primitives import Primitive
-from mixseq_io.gltf.pruning import prune, used_extensions
-from mixseq_io.gltf.roots import detach, moved_by_animations, vacant
-from mixseq_io.gltf.scene import Scene, read_scene
-from mixseq_io.gltf.standalone import add_vertex_numbers, group, upright
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.scene_meshes import SceneMesh, split
 

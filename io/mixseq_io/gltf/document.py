@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.gltf.containers import chunks, data_of_uri
-from mixseq_io.gltf.data import Data, data_of_file
-from mixseq_io.gltf.extensions import check_extensions
-from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.containers import Data, chunks, data_of_file, data_of_uri
+from mixseq_io.gltf.json_fields import Fields, check_extensions
 from mixseq_io.reader import reading
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

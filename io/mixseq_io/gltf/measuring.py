@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq_io.gltf.buffers import glb_size
 from mixseq_io.gltf.morphs import Morphs, time_shift
+from mixseq_io.gltf.new_document import new_scene, upright
 from mixseq_io.gltf.reader import open_gltf
-from mixseq_io.gltf.standalone import new_scene, upright
 from mixseq_io.scene_meshes import split
 
 

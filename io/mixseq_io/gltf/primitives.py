@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import IntArray
 from mixseq_io.gltf.document import Document
-from mixseq_io.gltf.extensions import COMPRESSIONS
-from mixseq_io.gltf.fields import Fields
+from mixseq_io.gltf.json_fields import COMPRESSIONS, Fields
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 

@@ -2,9 +2,9 @@
 
 Frames are at all keys of what moves the chosen meshes, or at a rate that is asked for. Between two keys of a rotation
 points move on arcs, so where more moves than translations and morph weights with linear keys, the frames at which the
-file is played are added in the gaps between keys, see `mixseq_io.gltf.timing.played_times`. Keys are float32; frames
+file is played are added in the gaps between keys (`mixseq_io.gltf.frame_times.played_times`). Keys are float32; frames
 that are on the grid of the frame rate but for that rounding are exactly there, in float64. Vertices that glTF splits
-are welded, see `mixseq_io.gltf.welding`. Points are computed in float64 and rounded to float32.
+are welded (`mixseq_io.gltf.welding`). Points are computed in float64 and rounded to float32.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -26,18 +26,17 @@ from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
 from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels
 from mixseq_io.gltf.document import Document, load_document
-from mixseq_io.gltf.fields import Fields
-from mixseq_io.gltf.markings import colours_of, skinning_of
-from mixseq_io.gltf.objects import chosen_nodes, moving_nodes, scene_mesh_of
+from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
+from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.node_meshes import chosen_nodes, colours_of, moving_nodes, scene_mesh_of, skinning_of
+from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
-from mixseq_io.gltf.scene import Pose, Scene, read_scene
-from mixseq_io.gltf.skinning import Shape, bearers, read_shape
-from mixseq_io.gltf.timing import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.welding import Weld, weld
+from mixseq_io.gltf.world_points import Shape, bearers, read_shape
+from mixseq_io.key_times import on_grid
 from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
-from mixseq_io.times import on_grid
 
 
 def open_gltf(

@@ -6,7 +6,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from mixseq.arrays import FloatArray
@@ -17,10 +17,11 @@ from mixseq_io.blocks import as_float32, checked, warn
 from mixseq_io.gltf.buffers import Layout, writing_buffer
 from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.document import load_document
-from mixseq_io.gltf.losses import lost_alone, warn_of_changes, warn_of_many_frames
-from mixseq_io.gltf.morphs import Morphs, MovingMesh
-from mixseq_io.gltf.standalone import new_scene
+from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
+from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
+from mixseq_io.losses import warn_of_losses
 from mixseq_io.reader import reading
+from mixseq_io.scene_meshes import SceneMesh, split
 
 _DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError)
 
@@ -100,3 +101,56 @@ def _overlay(
             f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
         )
         return None
+
+
+# Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.
+_USUAL_LIMIT_OF_FRAMES = 1000
+
+
+def lost_alone(header: SequenceHeader) -> list[str]:
+    """Return what of the mesh itself is lost in a document of its own."""
+    lost = []
+    if not header.polygons.only_triangles:
+        lost.append("polygons other than triangles (they are cut)")
+    if header.surface.subdivision != "none":
+        lost.append(f"{header.surface.subdivision} subdivision")
+    meshes = split(header)
+    if any(_overlap(mesh) for mesh in meshes):
+        lost.append("face sets that overlap")
+    if any(each.name != material_name(each) for mesh in meshes for each in mesh.face_sets):
+        lost.append("names of face sets other than their materials'")
+    empty = [mesh.name for mesh in meshes if not mesh.polygons.counts.size]
+    if empty:
+        lost.append(f"objects without polygons ({', '.join(map(repr, empty[:20]))})")
+    return lost
+
+
+def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> None:
+    """Warn of what is lost, of what is read in another way than it is in the sequence."""
+    warn_of_losses(path, "glTF files", lost)
+    if upright(header):
+        warn(
+            f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "
+            f"per unit with {header.up_axis} up, under a node that turns and scales them"
+        )
+    shift = time_shift(header)
+    if shift:
+        warn(f"{path}: glTF's times begin at 0; all times are moved by {-shift:g} s")
+
+
+def warn_of_many_frames(path: Path, header: SequenceHeader) -> None:
+    """Warn of more frames than browsers show, where each is a morph target."""
+    if header.frame_count > _USUAL_LIMIT_OF_FRAMES:
+        warn(
+            f"{path}: {header.frame_count} frames are as many morph targets; browsers usually show no more than "
+            f"about {_USUAL_LIMIT_OF_FRAMES}, so resample it for them"
+        )
+
+
+def _overlap(mesh: SceneMesh) -> bool:
+    owner = owners(mesh)
+    return any(
+        (owner[each.polygons] != number).any()
+        for number, each in enumerate(mesh.face_sets)
+        if distinguishes(each, mesh)
+    )

@@ -45,7 +45,7 @@ from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.hdf5.files import MODEL_FORMAT, kind_of, reading_h5, refuse_newer, whole
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, reading_h5, refuse_newer, whole
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
 
 COMPRESSED_VERSION = 4

@@ -28,7 +28,7 @@ from mixseq_io.hdf5.compressed_reader import (
     read_container,
     read_index,
 )
-from mixseq_io.hdf5.files import MODEL_FORMAT
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.lossless import pack_surface, pack_times
 
 _CONTAINER, _INDEX = 1200, 64

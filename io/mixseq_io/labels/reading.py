@@ -205,7 +205,7 @@ def _within(values: NDArray[Any], count: int) -> bool:
 
 def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
     """Return the labels that a file's markings make, for a mesh with the same faces."""
-    from mixseq_io.labels.given import labels_of_sets, labels_of_skinning
+    from mixseq_io.labels.from_markings import labels_of_sets, labels_of_skinning
 
     if not 0 <= smallest <= 1:
         raise SettingsError(f"smallest_joint is {smallest}; a share of the faces, from 0 to 1, is expected")
@@ -221,7 +221,7 @@ def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> 
 
 
 def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
-    from mixseq_io.labels.given import labels_of_colours
+    from mixseq_io.labels.from_markings import labels_of_colours
 
     try:
         return labels_of_colours(colours, polygons)

@@ -111,7 +111,7 @@ def _write_subsets(
     names: Sequence[str],
     flatten: bool,
 ) -> None:
-    from mixseq_io.usd.parts import Parts
+    from mixseq_io.usd.part_labels import Parts
     from mixseq_io.usd.writer import write_usd, write_usd_parts
 
     header = sequence.header

@@ -29,19 +29,25 @@ Specification: https://paulbourke.net/dataformats/obj/
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from mixseq.arrays import FloatArray
+from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
-from mixseq_io.numbered.files import open_files, write_files
-from mixseq_io.numbered.obj_encoder import lost_in_obj, obj_encoder
-from mixseq_io.numbered.obj_parser import parse_obj
+from mixseq.surface import FaceSet
+from mixseq_io.losses import lost_surface
+from mixseq_io.numbered.frame_files import Encoder, open_files, write_files
+from mixseq_io.numbered.obj_groups import NOTHING
+from mixseq_io.numbered.obj_parser import FIRST_LINE, LAST_LINE, parse_obj
 from mixseq_io.reader import SequenceReader
 
 
 def open_obj(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered OBJ files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    """Open numbered OBJ files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
     return open_files(path, ".obj", parse_obj, fps, allow_gaps)
 
 
@@ -52,7 +58,7 @@ def write_obj(
     velocities: Iterable[FloatArray] | None = None,
     start: int = 1,
 ) -> None:
-    """Write one OBJ file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`."""
+    """Write one OBJ file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     write_files(
         path,
         "OBJ",
@@ -63,3 +69,103 @@ def write_obj(
         start=start,
         lost=lost_in_obj(header),
     )
+
+
+def obj_encoder(header: SequenceHeader) -> Encoder:
+    """Return what turns points ``(V, 3)`` into the parts of an OBJ file; all but the numbers is made once."""
+    objects = header.objects
+    vertices = np.cumsum([0, *(each.vertex_count for each in objects)])
+    polygons = np.cumsum([0, *(each.polygon_count for each in objects)])
+    names = [f"o {_one_line(each.name)}\n".encode(errors="replace") for each in objects]
+    lines = _face_lines(header)
+    faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
+    uvs = b"" if header.surface.uvs is None else _lines("vt", header.surface.uvs.values)
+    hard_edges = header.surface.hard_edges
+
+    def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
+        yield FIRST_LINE + str(points.dtype).encode() + b"\n"
+        yield uvs
+        if hard_edges is not None:
+            yield _lines("vn", shared_normals(points[None], header.polygons, hard_edges)[0])
+        for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
+            yield name
+            yield _lines("v", points[a:b])
+            yield own
+        yield LAST_LINE + b"\n"
+
+    return encode
+
+
+def lost_in_obj(header: SequenceHeader) -> list[str]:
+    """Return what OBJ has no place for in a sequence's surface."""
+    lost = lost_surface(header, held=("uvs", "hard_edges", "face_sets", "objects"))
+    sets = header.surface.face_sets
+    names = _material_names(sets)
+    with_material = [each for each in sets if each.material]
+    used = np.zeros(len(header.polygons.counts), dtype=int)
+    for each in with_material:
+        used[each.polygons] += 1
+    if (used > 1).any():
+        lost.append("several materials on one polygon (the first one is written)")
+    if any(each.name != names[each.material] for each in with_material):
+        lost.append("names of face sets that differ from their materials' (the material's is written)")
+    if any(len(each.name.split()) != 1 for each in sets if not each.material):
+        lost.append("spaces in the names of face sets (underscores are written)")
+    return lost
+
+
+def _lines(keyword: str, rows: FloatArray) -> bytes:
+    """Return a line for every row of numbers, with the digits that give back the same number."""
+    number = " %.9g" if rows.dtype == np.float32 else " %.17g"
+    line = keyword + number * rows.shape[1] + "\n"
+    text: str = line * len(rows) % tuple(rows.reshape(-1).tolist())
+    return text.encode()
+
+
+def _face_lines(header: SequenceHeader) -> list[str]:
+    """Return the lines of every polygon: a change of group or material, and the face."""
+    surface = header.surface
+    corners = [str(index) for index in (header.polygons.indices + 1).tolist()]
+    if surface.uvs is not None:
+        uvs = (surface.uvs.indices + 1).tolist()
+        corners = [f"{corner}/{uv}" for corner, uv in zip(corners, uvs, strict=True)]
+    if surface.hard_edges is not None:
+        slashes = "/" if surface.uvs is not None else "//"
+        normals = (surface.hard_edges + 1).tolist()
+        corners = [f"{corner}{slashes}{normal}" for corner, normal in zip(corners, normals, strict=True)]
+    ends = np.cumsum([0, *header.polygons.counts.tolist()]).tolist()
+    lines = [f"f {' '.join(corners[a:b])}\n" for a, b in pairwise(ends)]
+    groups, materials = _labels(surface.face_sets, len(lines))
+    for keyword, labels in (("g", groups), ("usemtl", materials)):
+        previous = ""
+        for polygon, label in enumerate(labels):
+            if label != previous:
+                lines[polygon] = f"{keyword} {label or NOTHING}\n{lines[polygon]}"
+            previous = label
+    return lines
+
+
+def _labels(sets: Sequence[FaceSet], count: int) -> tuple[list[str], list[str]]:
+    """Return the groups and the material of every polygon."""
+    names = _material_names(sets)
+    groups, materials = [""] * count, [""] * count
+    for each in sets:
+        group = "_".join(each.name.split()) or "_"
+        for polygon in each.polygons.tolist():
+            if each.material:
+                materials[polygon] = materials[polygon] or names[each.material]
+            else:
+                groups[polygon] = f"{groups[polygon]} {group}".lstrip()
+    return groups, materials
+
+
+def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
+    """Return the last part of every material's path, or all of it where two would be called the same."""
+    materials = {each.material for each in sets if each.material}
+    last = {material: _one_line(material.rstrip("/").rpartition("/")[2]) for material in materials}
+    several = {name for name in last.values() if not name or list(last.values()).count(name) > 1}
+    return {material: _one_line(material) if name in several else name for material, name in last.items()}
+
+
+def _one_line(name: str) -> str:
+    return " ".join(name.split())

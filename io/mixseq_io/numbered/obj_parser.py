@@ -13,7 +13,7 @@ from mixseq.errors import FormatError
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, Surface
-from mixseq_io.numbered.files import MeshFile, excerpt
+from mixseq_io.numbered.frame_files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped
 from mixseq_io.reader import reading
 

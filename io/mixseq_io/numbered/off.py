@@ -21,14 +21,14 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.losses import lost_surface
-from mixseq_io.numbered.files import Encoder, MeshFile, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
 from mixseq_io.reader import SequenceReader, naming, reading
 
 _COMMENT = b"# Written by mixseq, "
 
 
 def open_off(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered OFF files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    """Open numbered OFF files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
     return open_files(path, ".off", parse_off, fps, allow_gaps)
 
 
@@ -39,7 +39,7 @@ def write_off(
     velocities: Iterable[FloatArray] | None = None,
     start: int = 1,
 ) -> None:
-    """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`."""
+    """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     lost = lost_surface(header)
     if not header.polygons.only_triangles:
         lost.append("polygons (they are cut into triangles)")

@@ -30,7 +30,7 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.losses import lost_surface
-from mixseq_io.numbered.files import Encoder, MeshFile, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
 from mixseq_io.numbered.ply_elements import Columns, read_elements
 from mixseq_io.reader import SequenceReader, reading
 
@@ -38,7 +38,7 @@ _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
 def open_ply(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered PLY files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    """Open numbered PLY files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
     return open_files(path, ".ply", parse_ply, fps, allow_gaps)
 
 
@@ -49,7 +49,7 @@ def write_ply(
     velocities: Iterable[FloatArray] | None = None,
     start: int = 1,
 ) -> None:
-    """Write one PLY file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`."""
+    """Write one PLY file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     lost = lost_surface(header, held=("uvs",))
     write_files(path, "PLY", header, blocks, velocities, ply_encoder(header), start=start, lost=lost)
 

@@ -30,7 +30,7 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.blocks import as_float32, warn
 from mixseq_io.losses import lost_surface
-from mixseq_io.numbered.files import Encoder, MeshFile, excerpt, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
 from mixseq_io.reader import SequenceReader, reading
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -38,7 +38,7 @@ _PREAMBLE = 80
 
 
 def open_stl(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered STL files; parameters and errors are those of `mixseq_io.numbered.files.open_files`."""
+    """Open numbered STL files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
     return open_files(path, ".stl", parse_stl, fps, allow_gaps)
 
 
@@ -49,7 +49,7 @@ def write_stl(
     velocities: Iterable[FloatArray] | None = None,
     start: int = 1,
 ) -> None:
-    """Write one STL file per frame; parameters and errors are those of `mixseq_io.numbered.files.write_files`.
+    """Write one STL file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`.
 
     Warns
     -----

@@ -26,8 +26,8 @@ from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import as_float32, checked
 from mixseq_io.losses import lost_scale, warn_of_losses
-from mixseq_io.numbered.files import a_file
-from mixseq_io.numbered.obj_encoder import lost_in_obj, obj_encoder
+from mixseq_io.numbered.frame_files import a_file
+from mixseq_io.numbered.obj import lost_in_obj, obj_encoder
 from mixseq_io.reader import SequenceReader, naming, reading
 
 MeshPath = str | os.PathLike[str] | None

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.sequence import SequenceHeader
+from mixseq_io.key_times import on_grid
 from mixseq_io.pointcache.cache import Layout, MeshPath, Timing, open_cache, write_cache
 from mixseq_io.reader import SequenceReader
-from mixseq_io.times import on_grid
 
 _START = struct.Struct(">ii")
 _STEP_ERROR = 1e-2

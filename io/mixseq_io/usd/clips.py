@@ -22,7 +22,7 @@ from pxr import Sdf, Vt
 from mixseq.errors import OutputError
 from mixseq_io.blocks import warn
 from mixseq_io.usd.diagnostics import save_layer
-from mixseq_io.usd.frames import Cast, Frame
+from mixseq_io.usd.frame_values import Cast, Frame
 from mixseq_io.usd.layers import Samples, declare
 from mixseq_io.usd.paths import clips_folder
 

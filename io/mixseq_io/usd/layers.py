@@ -1,21 +1,31 @@
-"""USD, writing: samples into layers.
+"""USD, writing: layers with samples, and packages of them (.usdz).
 
 Values go into Sdf layers directly, past the stage: a layer that is laid over another file must not compose that file
 anew with every sample. Binary layers are saved every now and then while they are written, upon which USD lets go of
 the samples: of 400 frames of 50 000 vertices (240 MB) it held 34 MB at most when saved every 20 frames, against
 268 MB when saved once. Text layers are held in memory whole.
 
-Specification: https://openusd.org/release/api/class_sdf_layer.html
+A package is an uncompressed zip file of a layer and of the textures that it names.
+
+Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html
 """
 
 from __future__ import annotations
 
+import re
+import zipfile
 from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from pxr import Sdf
+from pxr import Ar, Sdf, UsdUtils
 
+from mixseq.errors import OutputError
+from mixseq_io.atomic import raise_system_error
 from mixseq_io.usd.diagnostics import save_layer
-from mixseq_io.usd.frames import Cast, Frame
+from mixseq_io.usd.frame_values import Cast, Frame
+from mixseq_io.usd.paths import TILES
 
 _BYTES_BETWEEN_SAVES = 64 << 20
 
@@ -79,3 +89,52 @@ def attribute_in(
     """Return the opinions of a layer on an attribute; made, with overs above, if it has none yet."""
     Sdf.JustCreatePrimAttributeInLayer(layer, Sdf.Path(path), kind, variability)
     return layer.GetAttributeAtPath(path)
+
+
+def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
+    """Write a package of a saved layer.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        The layer; its textures are named as from the package's folder.
+    package : Path
+        The file to write.
+    name : str
+        What the layer is called in it.
+
+    Raises
+    ------
+    OutputError
+        If USD cannot pack it.
+    OSError
+        If that is because the disk is full.
+    """
+    with TemporaryDirectory(prefix=".mixseq.", dir=package.parent) as folder:
+        UsdUtils.ModifyAssetPaths(layer, lambda asset: _unpacked(layer, asset, Path(folder)))
+        save_layer(layer)
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
+            raise_system_error("", package.parent)
+            raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
+
+
+def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:
+    """Return where a texture is, taken out if it is in a package: packages in packages are not for all viewers."""
+    outer, inner = Ar.SplitPackageRelativePathOuter(asset)
+    if not inner:  # USD would take tiles of other folders into the package as "../wool.1001.png"
+        return layer.ComputeAbsolutePath(asset) if TILES in asset else asset
+    with (
+        suppress(OSError, KeyError, zipfile.BadZipFile),
+        zipfile.ZipFile(layer.ComputeAbsolutePath(outer)) as whole,
+    ):
+        pattern = re.escape(inner).replace(TILES, r"\d{4}")
+        textures = [each for each in whole.infolist() if re.fullmatch(pattern, each.filename)]
+        if any(each.compress_type != zipfile.ZIP_STORED for each in textures):  # as the specification has it
+            return asset
+        data = {Path(each.filename).name: whole.read(each) for each in textures}
+        own = folder / str(len(list(folder.iterdir())))
+        own.mkdir()
+        for name, content in data.items():
+            (own / name).write_bytes(content)
+        return str(own / Path(inner).name)
+    return asset

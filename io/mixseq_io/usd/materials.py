@@ -18,7 +18,7 @@ from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.usd.diagnostics import reading_usd
 from mixseq_io.usd.paths import TILES, identifier, is_prim_path, reference_to
-from mixseq_io.usd.stage import lineage, open_stage, shortened
+from mixseq_io.usd.prims import lineage, open_stage, shortened
 
 _UV_READERS = {
     "UsdPrimvarReader_float2": "inputs:varname",

@@ -27,13 +27,13 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import OutputError
 from mixseq_io.blocks import warn
 from mixseq_io.scene_meshes import SceneMesh
-from mixseq_io.usd.base import Base, Fit
-from mixseq_io.usd.frames import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
+from mixseq_io.usd.frame_values import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
 from mixseq_io.usd.layers import attribute_in
-from mixseq_io.usd.motion import local_to_world, moves
+from mixseq_io.usd.mesh_motion import local_to_world, moves
+from mixseq_io.usd.original import Fit, Original
 from mixseq_io.usd.paths import reference_to
+from mixseq_io.usd.prims import lineage, shortened
 from mixseq_io.usd.seams import VERTICES
-from mixseq_io.usd.stage import lineage, shortened
 
 _COPIED = (
     "defaultPrim",
@@ -46,7 +46,7 @@ _COPIED = (
 """What USD takes from the root layer only, and not from sublayers."""
 
 
-def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocities: bool) -> Cast:
+def lay_over(layer: Sdf.Layer, target: Path, original: Original, start: float, velocities: bool) -> Cast:
     """Author everything but samples, and return what is to get them.
 
     Parameters
@@ -55,7 +55,7 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocitie
         An empty layer.
     target : Path
         Where it will be.
-    base : Base
+    original : Original
         What it is laid over.
     start : float
         Time of the first frame, in seconds.
@@ -72,9 +72,9 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocitie
     MixseqWarning
         If instances become prims of their own, or velocities are left out under transforms that move.
     """
-    put_over(layer, target, base)
-    meshes = tuple(_placed(base, fit, velocities) for fit in base.fits)
-    for fit, placed in zip(base.fits, meshes, strict=True):
+    put_over(layer, target, original)
+    meshes = tuple(_placed(original, fit, velocities) for fit in original.fits)
+    for fit, placed in zip(original.fits, meshes, strict=True):
         _switch_off(layer, fit.mesh, placed)
         _orient(layer, fit, placed, start)
         _tell_vertices(layer, fit)
@@ -83,10 +83,10 @@ def lay_over(layer: Sdf.Layer, target: Path, base: Base, start: float, velocitie
         warn(
             f"{target}: velocities are left out where transforms move, too: {shortened(left_out)}; flatten keeps them"
         )
-    return Cast(meshes, _bounds(base))
+    return Cast(meshes, _bounds(original))
 
 
-def put_over(layer: Sdf.Layer, target: Path, base: Base) -> None:
+def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
     """Make a file the sublayer of an empty layer, of which everything stays.
 
     Warns
@@ -94,17 +94,17 @@ def put_over(layer: Sdf.Layer, target: Path, base: Base) -> None:
     MixseqWarning
         If instances become prims of their own.
     """
-    layer.subLayerPaths.append(reference_to(base.path, target))
-    below = base.stage.GetRootLayer()
+    layer.subLayerPaths.append(reference_to(original.path, target))
+    below = original.stage.GetRootLayer()
     for key in _COPIED:
         if below.pseudoRoot.HasInfo(key):
             layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
-    _split_instances(layer, target, base)
+    _split_instances(layer, target, original)
 
 
-def _split_instances(layer: Sdf.Layer, target: Path, base: Base) -> None:
+def _split_instances(layer: Sdf.Layer, target: Path, original: Original) -> None:
     """Give instances prims of their own, on which there can be opinions."""
-    above = [prim for fit in base.fits for prim in lineage(fit.mesh.GetPrim()) if prim.IsInstance()]
+    above = [prim for fit in original.fits for prim in lineage(fit.mesh.GetPrim()) if prim.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
     for path in paths:
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
@@ -112,20 +112,20 @@ def _split_instances(layer: Sdf.Layer, target: Path, base: Base) -> None:
         warn(f"{target}: instances with moving meshes are instances no longer: {shortened(paths)}")
 
 
-def _placed(base: Base, fit: Fit, velocities: bool) -> Placed:
+def _placed(original: Original, fit: Fit, velocities: bool) -> Placed:
     prim = fit.mesh.GetPrim()
     return Placed(
         path=str(prim.GetPath()),
         scene_mesh=fit.scene_mesh,
         of_point=None if fit.weld.is_identity else fit.weld.of_point,
-        space=_space(base, prim),
+        space=_space(original, prim),
         normals=_normals(fit),
         velocities=velocities and not moves(prim),
     )
 
 
-def _space(base: Base, prim: Usd.Prim) -> SpaceAt:
-    rate = base.stage.GetTimeCodesPerSecond()
+def _space(original: Original, prim: Usd.Prim) -> SpaceAt:
+    rate = original.stage.GetTimeCodesPerSecond()
 
     def at(time: float) -> Space:
         to_world = local_to_world(prim, time * rate)
@@ -133,7 +133,7 @@ def _space(base: Base, prim: Usd.Prim) -> SpaceAt:
             return WORLD
         if np.linalg.matrix_rank(to_world[:3, :3]) < 3:
             raise OutputError(
-                f"{base.path}: the transform of {prim.GetPath()} is singular at {time:g} s, so that points in its "
+                f"{original.path}: the transform of {prim.GetPath()} is singular at {time:g} s, so that points in its "
                 "space do not reach everywhere; write a stand-alone file with flatten=True (--flatten)"
             )
         return Space(to_world, np.asarray(np.linalg.inv(to_world), dtype=np.float64))
@@ -232,10 +232,10 @@ def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
     ).default = Sdf.ValueBlock()
 
 
-def _bounds(base: Base) -> tuple[Bounds, ...]:
+def _bounds(original: Original) -> tuple[Bounds, ...]:
     """Return the roots of skeletons: their extents follow the skeleton, and count instead of those of the meshes."""
     below: dict[Usd.Prim, list[SceneMesh]] = {}
-    for fit in base.fits:
+    for fit in original.fits:
         for prim in lineage(fit.mesh.GetPrim()):
             if UsdSkel.Root(prim):
                 below.setdefault(prim, []).append(fit.scene_mesh)
@@ -243,20 +243,20 @@ def _bounds(base: Base) -> tuple[Bounds, ...]:
         Bounds(
             path=str(root.GetPath()),
             scene_meshes=tuple(scene_meshes),
-            space=_space(base, root),
-            others=_others(base, root, len(scene_meshes)),
+            space=_space(original, root),
+            others=_others(original, root, len(scene_meshes)),
         )
         for root, scene_meshes in below.items()
     )
 
 
-def _others(base: Base, root: Usd.Prim, count: int) -> Callable[[float], FloatArray]:
+def _others(original: Original, root: Usd.Prim, count: int) -> Callable[[float], FloatArray]:
     """Return the extent that a root has in the file, if there is more below it than meshes that get new points."""
     nothing = np.zeros((0, 3))
     gprims = [each for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if UsdGeom.Gprim(each)]
     if len(gprims) <= count:
         return lambda time: nothing
-    boundable, rate = UsdGeom.Boundable(root), base.stage.GetTimeCodesPerSecond()
+    boundable, rate = UsdGeom.Boundable(root), original.stage.GetTimeCodesPerSecond()
 
     def extent(time: float) -> FloatArray:
         code = Usd.TimeCode(time * rate)

@@ -1,9 +1,15 @@
 """USD, reading: meshes over time, in world space (.usd, .usda, .usdc, .usdz).
 
 Values come from the composed stage, so that references, layers, variants and value clips count. Several meshes are
-joined; see `mixseq_io.usd.meshes` for which, `mixseq_io.usd.timing` for when, `mixseq_io.usd.motion` for where,
-`mixseq_io.usd.skinning` for characters, and `mixseq_io.usd.surface` for what is on them. Points are float32, which is
-USD's precision.
+joined; see `mixseq_io.usd.stage_meshes` for which, `mixseq_io.usd.mesh_motion` for where, `mixseq_io.usd.skeletons`
+for characters, and `mixseq_io.usd.mesh_surface` for what is on them. Points are float32, which is USD's precision.
+
+Frames are all times at which something that moves a mesh has a sample: its points, the transforms above it, its
+skeleton, its blend shapes. Where one of them has none, USD interpolates. Between two samples of a rotation points
+move on arcs, so where there is more than points that moves, the frames at which the stage is played are added in the
+gaps between samples, as `UsdSkel.BakeSkinning` does.
+
+Specification: https://openusd.org/release/api/class_usd_stage.html (time codes and frames per second)
 """
 
 from __future__ import annotations
@@ -17,21 +23,22 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from mixseq.arrays import FloatArray
+from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name, moving
+from mixseq_io.key_times import MOST_PLAYED, SAME_TIME, joined, united
 from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
 from mixseq_io.usd.diagnostics import quiet, reading_usd
-from mixseq_io.usd.markings import markings_of
-from mixseq_io.usd.meshes import meshes_of, places_of
-from mixseq_io.usd.motion import Mover, Track
-from mixseq_io.usd.skinning import skins_of
-from mixseq_io.usd.stage import Notes, absolute, open_stage
-from mixseq_io.usd.surface import scene_mesh_of
-from mixseq_io.usd.timing import frame_codes
+from mixseq_io.usd.mesh_motion import AnimatedMesh, Mover, is_spline
+from mixseq_io.usd.mesh_surface import scene_mesh_of
+from mixseq_io.usd.part_labels import markings_of
+from mixseq_io.usd.prims import Notes, absolute, open_stage
+from mixseq_io.usd.skeletons import skins_of
+from mixseq_io.usd.stage_meshes import meshes_of, places_of
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
@@ -64,7 +71,7 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     with quiet() as reports, reading_usd(path), naming(path):
         shot = _shot(path, open_stage(path), prim, notes)
         header = _header(path, shot, notes)
-        speeds = [track.has_velocities(notes) for track in shot.tracks]
+        speeds = [mesh.has_velocities(notes) for mesh in shot.meshes]
     # What could not be found (a layer, a reference) may matter or not: reading goes on, but not in silence.
     if reports:
         warn(f"{path}: USD reports: {'; '.join(reports[:3])}")
@@ -82,28 +89,28 @@ class _Shot:
     ----------
     stage : Usd.Stage
         Held, because prims die with their stage.
-    tracks : sequence of Track
+    meshes : sequence of AnimatedMesh
         The meshes, in the order of their vertices.
     codes : (T,) float64
         Time codes of the frames.
     """
 
     stage: Usd.Stage
-    tracks: Sequence[Track]
+    meshes: Sequence[AnimatedMesh]
     codes: NDArray[np.float64]
 
     def points(self, code: float) -> Iterator[FloatArray]:
         """Yield the points of all meshes at a time code; every skeleton is posed once."""
-        skeletons = {track.mover.skin.skeleton for track in self.tracks if track.mover.skin}
+        skeletons = {mesh.mover.skin.skeleton for mesh in self.meshes if mesh.mover.skin}
         poses = {skeleton: skeleton.pose(code) for skeleton in skeletons}
-        for track in self.tracks:
-            skin = track.mover.skin
-            yield track.points(code, poses[skin.skeleton] if skin else None)
+        for mesh in self.meshes:
+            skin = mesh.mover.skin
+            yield mesh.points(code, poses[skin.skeleton] if skin else None)
 
     def velocities(self, code: float) -> Iterator[FloatArray]:
         """Yield the velocities of all meshes at a time code."""
-        for track in self.tracks:
-            yield track.velocities(code)
+        for mesh in self.meshes:
+            yield mesh.velocities(code)
 
 
 class _UsdReader(SequenceReader):
@@ -115,7 +122,7 @@ class _UsdReader(SequenceReader):
         """Return what tells parts of the meshes apart."""
         assert self._shot is not None, "the file is open"
         with quiet(), reading_usd(self.path):
-            return markings_of(self.header, self._shot.tracks)
+            return markings_of(self.header, self._shot.meshes)
 
     def close(self) -> None:
         """Let the stage go."""
@@ -134,7 +141,7 @@ class _UsdReader(SequenceReader):
         shot = self._shot
         if shot is None:
             return
-        ends = np.cumsum([track.vertex_count for track in shot.tracks])
+        ends = np.cumsum([mesh.vertex_count for mesh in shot.meshes])
         for start in range(0, self.header.frame_count, size):
             stop = min(start + size, self.header.frame_count)
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
@@ -153,17 +160,17 @@ def _shot(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> _Shot
     if prim is None:
         numbers = moving(path, places_of(meshes), [bool(mover.sources) for mover in movers])
         movers = [movers[i] for i in numbers]
-    codes = frame_codes(path, stage, movers)
-    return _Shot(stage, [Track(mover, codes) for mover in movers], codes)
+    codes = _frame_codes(path, stage, movers)
+    return _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes)
 
 
 def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
     stage = shot.stage
     rate = stage.GetTimeCodesPerSecond()
-    ends = np.cumsum([track.vertex_count for track in shot.tracks]).tolist()
+    ends = np.cumsum([mesh.vertex_count for mesh in shot.meshes]).tolist()
     scene_meshes = [
-        scene_mesh_of(track, end - track.vertex_count, shot.codes, notes)
-        for track, end in zip(shot.tracks, ends, strict=True)
+        scene_mesh_of(mesh, end - mesh.vertex_count, shot.codes, notes)
+        for mesh, end in zip(shot.meshes, ends, strict=True)
     ]
     polygons, surface = join(path, scene_meshes, Origin("USD", absolute(path)))
     return SequenceHeader(
@@ -173,6 +180,50 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
         fps=rate,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage),
-        name=common_name(places_of([track.mesh for track in shot.tracks])) or path.stem,
+        name=common_name(places_of([each.mesh for each in shot.meshes])) or path.stem,
         surface=surface,
     )
+
+
+def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArray[np.float64]:
+    """Return the time codes (T,) of the frames in which all meshes are to be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    stage : Usd.Stage
+        The stage.
+    movers : sequence of Mover
+        The meshes.
+
+    Raises
+    ------
+    FormatError
+        If something moves by a spline.
+    """
+    sources = list(dict.fromkeys(each for mover in movers for each in mover.sources))
+    for each in sources:
+        if is_spline(each):
+            raise FormatError(f"{path}: {each.GetPath()} is a spline; bake it into time samples")
+    channels = dict.fromkeys(tuple(each.GetTimeSamples()) for each in sources)
+    codes = joined(map(np.array, channels), SAME_TIME * stage.GetTimeCodesPerSecond())
+    if not codes.size:  # the time of the only sample of the points, if there is one
+        return np.array(movers[0].mesh.GetPointsAttr().GetTimeSamples()[:1] or [0.0], dtype=np.float64)
+    if all(mover.only_points_move for mover in movers):
+        return codes
+    played, step = _played(stage, codes[0], codes[-1])
+    return united(codes, played, step / 2)
+
+
+def _played(stage: Usd.Stage, first: float, last: float) -> tuple[NDArray[np.float64], float]:
+    """Return the time codes at which the stage is played, from `first` to `last`, and the step between them."""
+    start, rate = stage.GetStartTimeCode(), stage.GetFramesPerSecond()
+    step = stage.GetTimeCodesPerSecond() / rate if rate else 0.0
+    if not (stage.HasAuthoredTimeCodeRange() and np.isfinite(step) and step > 0 and np.isfinite(start)):
+        return np.empty(0), 0.0
+    begin = np.ceil((max(first, start) - start) / step)
+    end = np.floor((min(last, stage.GetEndTimeCode()) - start) / step)
+    if not end - begin < MOST_PLAYED:
+        return np.empty(0), 0.0
+    return start + np.arange(begin, end + 1) * step, step

@@ -21,18 +21,17 @@ from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
-from mixseq_io.usd.base import Base, open_base
 from mixseq_io.usd.clips import new_folder, save_in_clips
+from mixseq_io.usd.component import define_component
 from mixseq_io.usd.diagnostics import quiet, reading_usd, save_layer, writing_usd
-from mixseq_io.usd.frames import Cast, Frame, frames
-from mixseq_io.usd.layers import declare, save
+from mixseq_io.usd.frame_values import Cast, Frame, frames
+from mixseq_io.usd.layers import declare, pack, save
 from mixseq_io.usd.materials import is_gone
+from mixseq_io.usd.original import Original, open_original
 from mixseq_io.usd.overlay import lay_over, put_over
-from mixseq_io.usd.package import pack
-from mixseq_io.usd.parts import Parts, define_parts
+from mixseq_io.usd.part_labels import Parts, define_parts
 from mixseq_io.usd.paths import time_codes
-from mixseq_io.usd.stage import open_stage
-from mixseq_io.usd.standalone import define_component
+from mixseq_io.usd.prims import open_stage
 
 
 def write_usd(
@@ -81,17 +80,17 @@ def write_usd(
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it first, or write .npz or .h5"
         )
-    base = _base(path, header, flatten, onto)
+    original = _original(path, header, flatten, onto)
     codes = time_codes(header.times, header.fps)
     _, numbered = checked(header, blocks, velocities)
 
     def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
         layer = Sdf.Layer.CreateNew(str(file))
-        _author_times(layer, header, codes, base)
+        _author_times(layer, header, codes, original)
         moving, start = velocities is not None, float(header.times[0])
         cast = (
-            lay_over(layer, path, base, start, moving)
-            if base
+            lay_over(layer, path, original, start, moving)
+            if original
             else define_component(layer, path, header, moving)
         )
         declare(layer, cast)
@@ -137,14 +136,14 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
     OutputError
         As `write_usd`.
     """
-    base = _base(path, header, flatten=False, onto=None)
-    if base is None:
+    original = _original(path, header, flatten=False, onto=None)
+    if original is None:
         return False
     with replacing(path) as temporary, quiet(), writing_usd(path):
         layer = Sdf.Layer.CreateNew(str(temporary))
-        _author_times(layer, header, time_codes(header.times, header.fps), base)
-        put_over(layer, path, base)
-        define_parts(layer, [str(fit.mesh.GetPath()) for fit in base.fits], parts)
+        _author_times(layer, header, time_codes(header.times, header.fps), original)
+        put_over(layer, path, original)
+        define_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], parts)
         save_layer(layer)
     return True
 
@@ -158,7 +157,9 @@ def _check_options(packed: bool, flatten: bool, onto: object, clips: int) -> Non
         raise SettingsError("a .usdz file has everything in itself; leave out onto and clips, or write .usdc")
 
 
-def _base(path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None) -> Base | None:
+def _original(
+    path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLike[str] | None
+) -> Original | None:
     """Return the file to lay the points over, None if there is none."""
     origin = header.surface.origin
     known = origin.path if origin and origin.format == "USD" else None
@@ -179,7 +180,7 @@ def _base(path: Path, header: SequenceHeader, flatten: bool, onto: str | PathLik
         return None
     try:
         with quiet():
-            return open_base(file, header)
+            return open_original(file, header)
     except OutputError as error:
         if onto is not None:
             raise
@@ -203,13 +204,13 @@ def _check_not_needed(path: Path, original: Path) -> None:
 
 
 def _author_times(
-    layer: Sdf.Layer, header: SequenceHeader, codes: NDArray[np.float64], base: Base | None
+    layer: Sdf.Layer, header: SequenceHeader, codes: NDArray[np.float64], original: Original | None
 ) -> None:
     """Author units and times; over a file its range is kept, and grows where frames are outside of it."""
     layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
     start, end = float(codes[0]), float(codes[-1])
-    if base:
-        below = base.stage
+    if original:
+        below = original.stage
         scale = header.fps / below.GetTimeCodesPerSecond()
         if scale == 1.0:
             layer.framesPerSecond = below.GetFramesPerSecond()

@@ -1,0 +1,173 @@
+"""The faces of a PolyMesh or SubD, and what is on them: texture coordinates, hard edges and face sets.
+
+Alembic lists the corners of a face clockwise seen from outside; applications write them from the last to the first.
+Values on a mesh come per face, vertex or corner (its "scope"), with or without indices.
+
+Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``, ``IGeomParam``, ``IFaceSet``)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float
+from mixseq.errors import InvalidSequenceError
+from mixseq.geometry.normals import hard_edges_of_normals
+from mixseq.polygons import Polygons, reversed_corners
+from mixseq.surface import CornerValues, FaceSet
+from mixseq_io.alembic.archive_meshes import Mesh
+from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
+from mixseq_io.alembic.samples import sample_times
+from mixseq_io.blocks import warn
+from mixseq_io.scene_meshes import SceneMesh
+
+_SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A mesh to be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for warnings.
+    room : int
+        Its size in bytes.
+    mesh : Mesh
+        The mesh.
+    vertices : slice
+        Its vertices in the sequence.
+    mirrored : bool
+        Whether the transforms above it turn left into right.
+    frames : (T,) float
+        Times of the frames in seconds, for messages.
+    """
+
+    path: Path
+    room: int
+    mesh: Mesh
+    vertices: slice
+    mirrored: bool
+    frames: Float
+
+
+def read_scene_mesh(source: Source) -> SceneMesh:
+    """Return a mesh, its polygons counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If its faces change over time.
+
+    Warns
+    -----
+    MixseqWarning
+        If it has several sets of texture coordinates, or what is on it does not fit it.
+    """
+    schema, mesh = source.mesh.schema, source.mesh
+    stored = Polygons(
+        _constant(source, schema.getFaceCountsProperty()), _constant(source, schema.getFaceIndicesProperty())
+    )
+    order = (
+        np.arange(stored.indices.size)
+        if source.mirrored
+        else reversed_corners(stored.counts, keep_first=False)
+    )
+    polygons = Polygons(stored.counts, stored.indices[order])
+    uvs, hard_edges = _texture_coordinates(source, stored), None
+    if not mesh.subdivided:
+        normals = _corner_values(source, schema.getNormalsParam(), stored, "normals")
+        if normals is not None and normals.values.shape[1] == 3:
+            hard_edges = hard_edges_of_normals(polygons, normals.at_corners[order])
+    return SceneMesh(
+        name=mesh.name,
+        path=mesh.path,
+        vertices=source.vertices,
+        polygons=polygons,
+        uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[order]),
+        hard_edges=hard_edges,
+        face_sets=tuple(_face_sets(source, len(stored.counts))),
+        subdivision=_scheme(source) if mesh.subdivided else "none",
+    )
+
+
+def _constant(source: Source, array: Any) -> NDArray[np.int32]:
+    """Return an array that must not change; some exporters repeat it at every sample."""
+    if not array.isConstant():
+        first = array.getKey(selector(array, 0))
+        for sample, time in enumerate(sample_times(array)):
+            if array.getKey(selector(array, sample)) != first:
+                frame = int(np.searchsorted(source.frames, time))
+                raise InvalidSequenceError(
+                    f"the faces of {source.mesh.path} change at {time:g} s (frame {frame}); every frame needs the same "
+                    "faces: export without remeshing, or the part of the time line before it"
+                )
+    return values(array, 0, source.room)
+
+
+def _texture_coordinates(source: Source, polygons: Polygons) -> CornerValues | None:
+    schema = source.mesh.schema
+    others = schema.getArbGeomParams()
+    more = [each.getName() for each in others.propertyheaders if each.isUV()] if others.valid() else []
+    parameter = schema.getUVsParam()
+    if more:
+        kept = "the standard ones are kept" if parameter.valid() else "they are left out"
+        warn(f"{source.path}: {source.mesh.path} has more texture coordinates, {', '.join(more)}; {kept}")
+    return _corner_values(source, parameter, polygons, "texture coordinates")
+
+
+def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str) -> CornerValues | None:
+    """Return the first sample of a geometry parameter, whatever its scope, at the corners in the file's order."""
+    if not parameter.valid() or not parameter.getNumSamples():
+        return None
+    rows = values(parameter.getValueProperty(), 0, source.room)
+    count = source.vertices.stop - source.vertices.start
+    indices = (
+        values(parameter.getIndexProperty(), 0, source.room)
+        if parameter.isIndexed()
+        else np.arange(len(rows))
+    )
+    scope, scopes = parameter.getScope(), AbcGeom.GeometryScope
+    faces = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    places = {
+        scopes.kFacevaryingScope: (polygons.indices.size, np.arange(polygons.indices.size)),
+        scopes.kVertexScope: (count, polygons.indices),
+        scopes.kVaryingScope: (count, polygons.indices),
+        scopes.kUniformScope: (len(polygons.counts), faces),
+        scopes.kConstantScope: (1, np.zeros_like(faces)),
+    }
+    # Without a scope, what fits.
+    size, place = places.get(scope) or next((p for p in places.values() if p[0] == len(indices)), (-1, faces))
+    fits = size == len(indices) and indices.min(initial=0) >= 0 and indices.max(initial=-1) < len(rows)
+    if not fits or place.min(initial=0) < 0 or place.max(initial=-1) >= len(indices):
+        warn(f"{source.path}: the {what} of {source.mesh.path} do not fit its faces; they are left out")
+        return None
+    return CornerValues(rows, indices[place])
+
+
+def _face_sets(source: Source, polygon_count: int) -> Iterator[FaceSet]:
+    material = AbcMaterial.getMaterialAssignmentPath(source.mesh.node)
+    if material:
+        yield FaceSet(material.rpartition("/")[2], np.arange(polygon_count, dtype=np.int32), material)
+    for name in source.mesh.schema.getFaceSetNames():
+        node = source.mesh.schema.getFaceSet(name)
+        faces = node.getSchema().getFacesProperty()
+        if faces.getNumSamples():
+            polygons = values(faces, 0, source.room)
+            yield FaceSet(name, polygons, AbcMaterial.getMaterialAssignmentPath(node))
+
+
+def _scheme(source: Source) -> str:
+    """Return how a SubD is subdivided; an unknown scheme is taken as Catmull and Clark's, the default."""
+    scheme = source.mesh.schema.getSubdivisionSchemeProperty()
+    named = scheme.getValue() if scheme.valid() and scheme.getNumSamples() else ""
+    if named not in (*_SCHEMES, *_SCHEMES.values()):
+        warn(f"{source.path}: {source.mesh.path} is subdivided by {named!r}, which is taken as Catmull-Clark")
+    return _SCHEMES.get(named, named if named in _SCHEMES.values() else "catmullClark")

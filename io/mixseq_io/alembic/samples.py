@@ -1,0 +1,216 @@
+"""Samples of properties and transforms, and what is between them at the times of frames.
+
+Every Alembic property has samples of its own, at times in seconds: uniform, in cycles (several per shutter), or one by
+one. Frames are the times at which something of the chosen meshes changes; what has no sample there is interpolated.
+Between two samples of a transform its translation, its stretch and the angle of its rotation run linearly, as in
+Blender. Matrices act on rows: p' = p M.
+
+Specification: https://docs.alembic.io/reference/index.html (``TimeSampling``, ``IXformSchema``)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, FloatArray
+from mixseq.errors import FormatError
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import matrices, vectors
+from mixseq.sequence import DEFAULT_FPS
+from mixseq_io.alembic.library import selector
+
+SAME_TIME = 0.999e-6
+"""Times closer than this count once, in seconds."""
+
+_MOST_SAMPLES = 1_000_000
+_USUAL_RATES = (24, 25, 30, 48, 50, 60, 24000 / 1001, 30000 / 1001, 60000 / 1001, 100, 120, 240)
+
+
+def sample_times(sampled: Any) -> Float:
+    """Return the times ``(N,)`` in seconds of a property's or schema's samples.
+
+    Raises
+    ------
+    FormatError
+        If there are more than a million samples, or fewer times than samples.
+    """
+    count, sampling = sampled.getNumSamples(), sampled.getTimeSampling()
+    if count > _MOST_SAMPLES:
+        raise FormatError(f"a property claims {count} samples; the file is damaged")
+    kind, stored = sampling.getTimeSamplingType(), np.array(list(sampling.getStoredTimes()), dtype=np.float64)
+    sample = np.arange(count)
+    if not kind.isAcyclic():
+        per_cycle = kind.getNumSamplesPerCycle()
+        cycle, sample = np.divmod(sample, max(per_cycle, 1))
+    if sample.max(initial=-1) >= len(stored):
+        raise FormatError(f"a property has {len(stored)} times for {count} samples; the file is damaged")
+    return stored[sample] if kind.isAcyclic() else stored[sample] + cycle * kind.getTimePerCycle()
+
+
+@dataclass(frozen=True, eq=False)
+class SampleWeights:
+    """Which two samples every frame is between, and how much each of them counts.
+
+    Parameters
+    ----------
+    before : (T,) int
+        The sample at or before each frame; the first, for frames before it.
+    weight : (T,) float
+        Weight of the sample after it, from 0 to 1; 0 at and after the last.
+    """
+
+    before: NDArray[np.int64]
+    weight: Float
+
+    def at(self, frame: int) -> tuple[int, float]:
+        """Return the sample before a frame, and the weight of the one after."""
+        return int(self.before[frame]), float(self.weight[frame])
+
+    @property
+    def exact(self) -> bool:
+        """Whether every frame has a sample of its own."""
+        return not self.weight.any() and bool((np.diff(self.before) > 0).all())
+
+
+def locate(own: Float, frames: Float) -> SampleWeights:
+    """Find the samples, at the times `own`, that frames lie between.
+
+    Examples
+    --------
+    >>> between = locate(np.array([1.0, 2.0]), np.array([0.0, 1.0, 1.25, 2.0, 3.0]))
+    >>> between.before.tolist(), between.weight.tolist()
+    ([0, 0, 0, 1, 1], [0.0, 0.0, 0.25, 0.0, 0.0])
+    """
+    before = np.clip(np.searchsorted(own, frames + SAME_TIME, side="right") - 1, 0, len(own) - 1)
+    after = np.minimum(before + 1, len(own) - 1)
+    since, step = frames - own[before], own[after] - own[before]
+    weight = np.divide(since, step, out=np.zeros_like(since), where=(step > 0) & (since > SAME_TIME))
+    return SampleWeights(before, weight)
+
+
+def frame_rate(times: Float, declared: str) -> float:
+    """Return the frames per second of a time line.
+
+    Parameters
+    ----------
+    times : (T,) float
+        The frames, in seconds.
+    declared : str
+        What the application says, "" for nothing. Frames need not be at its multiples.
+
+    Examples
+    --------
+    >>> frame_rate(np.array([0.0, 1 / 29.97, 2 / 29.97]), "")
+    29.97
+    >>> frame_rate(np.array([0.0, 1 / 24, 4 / 24]), "")
+    24.0
+    """
+    step = (times[-1] - times[0]) / max(len(times) - 1, 1)
+    even = len(times) > 1 and np.allclose(np.diff(times), step, rtol=0, atol=1e-6 * step + 1e-9)
+    rounding = float(np.spacing(np.abs(times).max())) / max(step, 1e-9)  # late times are less precise
+    rate = _plain(1 / step, 1e-12 + rounding) if even else 0.0
+    try:
+        said = float(declared or 0)
+    except ValueError:
+        said = 0.0
+    if (
+        np.isfinite(said) and said > 0 and not np.isclose(said, rate, rtol=1e-6)
+    ):  # else the step is more precise
+        return _plain(said, 1e-8)
+    for usual in () if even else _USUAL_RATES:
+        if len(times) > 1 and np.allclose(times * usual, np.rint(times * usual), rtol=0, atol=1e-3):
+            return float(usual)
+    return rate or DEFAULT_FPS
+
+
+def _plain(rate: float, tolerance: float) -> float:
+    """Return the number that was meant, if it went through a reciprocal or a text: 29.97 or 30000/1001."""
+    simple = float(Fraction(rate).limit_denominator(1001))
+    return simple if np.isclose(simple, rate, rtol=tolerance, atol=0) else float(f"{rate:.12g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Transforms:
+    """The transforms above a mesh, which take it to the world in every frame.
+
+    Parameters
+    ----------
+    above : tuple of (IXformSchema, SampleWeights)
+        The transforms above it, the nearest first.
+    """
+
+    above: tuple[tuple[Any, SampleWeights], ...]
+
+    @classmethod
+    def at(cls, above: tuple[Any, ...], frames: Float) -> Transforms:
+        """Find the samples of transforms that frames lie between."""
+        return cls(tuple((schema, locate(_times(schema), frames)) for schema in above))
+
+    def to_world(self, frame: int) -> Float:
+        """Return the matrix ``(4, 4)`` of a frame."""
+        world = np.eye(4)
+        for schema, between in self.above:
+            matrix, inherits = _local(schema, *between.at(frame))
+            with np.errstate(all="ignore"):
+                world = world @ matrix
+            if not inherits:
+                break
+        return world
+
+
+def _times(schema: Any) -> Float:
+    return np.zeros(1) if schema.isConstant() else sample_times(schema)
+
+
+def _local(schema: Any, before: int, weight: float) -> tuple[Float, bool]:
+    if not schema.getNumSamples():
+        return np.eye(4), True
+    first = schema.getValue(selector(schema, before))
+    matrix = np.array(first.getMatrix(), dtype=np.float64)
+    if weight:
+        second = schema.getValue(selector(schema, before + 1))
+        matrix = mixed(matrix, np.array(second.getMatrix(), dtype=np.float64), weight)
+    return matrix, bool(first.getInheritsXforms())
+
+
+def determinant(matrix: Float) -> float:
+    """Return the determinant of a matrix's upper part; negative if it turns left into right."""
+    with np.errstate(all="ignore"):
+        return float(np.linalg.det(matrix[:3, :3]))
+
+
+def mixed(first: Float, second: Float, weight: float) -> Float:
+    """Interpolate two affine matrices ``(4, 4)``.
+
+    Examples
+    --------
+    A quarter turn about z, halfway, does not shrink.
+
+    >>> quarter = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> mixed(np.eye(4), quarter, 0.5)[0, :2].round(6).tolist()
+    [0.707107, 0.707107]
+    """
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        return np.full((4, 4), np.nan)  # the reader names the frame and the vertex
+    blend = (1 - weight) * first + weight * second
+    turns = nearest_rotations(np.stack([first[:3, :3], second[:3, :3]]))
+    stretches = np.stack([first[:3, :3], second[:3, :3]]) @ turns.swapaxes(1, 2)  # rows: stretch, then turn
+    step = matrices(weight * vectors(turns[0].T @ turns[1]))
+    blend[:3, :3] = ((1 - weight) * stretches[0] + weight * stretches[1]) @ turns[0] @ step
+    return blend
+
+
+def moved(points: FloatArray, matrix: Float) -> NDArray[np.float32]:
+    """Apply a matrix to points ``(V, 3)``, or only its upper part ``(3, 3)`` to vectors."""
+    if np.array_equal(matrix, np.eye(len(matrix))):
+        return np.asarray(points, dtype=np.float32)
+    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+        world = points.astype(np.float64) @ matrix[:3, :3]
+        if len(matrix) == 4:
+            world += matrix[3, :3]
+        return world.astype(np.float32)

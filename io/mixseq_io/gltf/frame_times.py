@@ -1,0 +1,151 @@
+"""When the frames of a glTF animation are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError, SettingsError
+from mixseq.sequence import DEFAULT_FPS
+from mixseq_io.key_times import MOST_PLAYED, SAME_TIME, on_grid, united
+
+USUAL_RATES = (
+    24.0,
+    30.0,
+    25.0,
+    60.0,
+    50.0,
+    48.0,
+    120.0,
+    100.0,
+    12.0,
+    15.0,
+    20.0,
+    10.0,
+    24e3 / 1001,
+    30e3 / 1001,
+)
+
+_MOST_FRAMES = 1_000_000
+_FASTEST_PLAYED = 60.0
+"""Keys on a finer grid than this are at hundredths or ticks, not at frames."""
+_GAP = 1.5  # frames; a wider one has room for another
+_GRID = 2e-3  # of a frame; keys are float32
+
+
+def time_tolerance(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much times can differ and yet be the same: a microsecond, or the next float32.
+
+    Examples
+    --------
+    >>> time_tolerance(np.array([0.5, 100.0])).tolist()
+    [1e-06, 7.62939453125e-06]
+    """
+    return np.maximum(SAME_TIME, np.spacing(np.abs(times).astype(np.float32)).astype(np.float64))
+
+
+def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return all times of all channels, increasing; what is the same time in two channels counts once.
+
+    Examples
+    --------
+    >>> key_times([np.array([0.0, 1.0]), np.array([0.5, 1.0000001, 2.0])]).tolist()
+    [0.0, 0.5, 1.0000001, 2.0]
+    """
+    found = np.empty(0)
+    for times in sorted(channels, key=len, reverse=True):
+        found = united(found, times, time_tolerance(times))
+    return found
+
+
+def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+    """Return times from the first key to the last, `fps` per second.
+
+    Raises
+    ------
+    SettingsError
+        If `fps` is not a positive number.
+    FormatError
+        If there were more than a million frames.
+    """
+    if not (np.isfinite(fps) and fps > 0):
+        raise SettingsError(f"fps is {fps}; a positive number is expected")
+    if not keys.size:
+        return keys
+    count = (keys[-1] - keys[0]) * fps + _GRID
+    if not count < _MOST_FRAMES:
+        raise FormatError(
+            f"{path}: {keys[-1] - keys[0]:g} s at {fps:g} frames per second are too many frames"
+        )
+    times: NDArray[np.float64] = keys[0] + np.arange(int(count) + 1) / fps
+    return times
+
+
+def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Return the times of keys, and in wider gaps between them those of the frames at which they are played.
+
+    These are ``k / rate`` if the first key is on that grid, else ``rate`` per second from the first key on. A frame
+    that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor
+    where more than 100 000 frames would be.
+
+    Parameters
+    ----------
+    keys : (n,) float64
+        Times of the keys in seconds, increasing.
+    rate : float
+        Frames per second.
+
+    Examples
+    --------
+    >>> played_times(np.array([0.5, 0.75, 2.1]), 4).tolist()
+    [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.1]
+    """
+    gaps = np.diff(keys) * rate
+    wide = gaps > _GAP
+    if not wide.any() or not gaps.sum() < MOST_PLAYED:
+        return keys
+    first = on_grid(keys[:1], rate)[0] * rate
+    whole = np.rint(first)
+    start = whole if abs(first - whole) < _GRID else first
+    frames = (start + np.arange(int(gaps.sum()) + 2)) / rate
+    after = np.searchsorted(keys, frames)
+    inside = (after > 0) & (after < keys.size)
+    frames, after = frames[inside], after[inside]
+    room = np.minimum(frames - keys[after - 1], keys[after] - frames) * rate >= 0.5 - _GRID
+    return np.union1d(keys, frames[room & wide[after - 1]])
+
+
+def played_rate(keys: NDArray[np.float64]) -> float:
+    """Return the frames per second at which keys are played: those of their grid, 24 if it is finer than 60.
+
+    Examples
+    --------
+    >>> played_rate(np.array([0.0, 1, 2, 5]) / 12), played_rate(np.array([0.0, 0.37, 0.83]))
+    (12.0, 24.0)
+    """
+    rate = rate_of(keys)
+    return rate if rate <= _FASTEST_PLAYED else DEFAULT_FPS
+
+
+def rate_of(times: NDArray[np.float64]) -> float:
+    """Return the frames per second of the grid that times lie on, 24 if they lie on none.
+
+    Examples
+    --------
+    >>> rate_of(np.array([0.0, 1, 2, 5]) / 12), rate_of(np.array([0.0, 0.5, 0.6]))
+    (12.0, 30.0)
+    """
+    if times.size < 2:
+        return DEFAULT_FPS
+    steps = times - times[0]
+    own = 1 / float(np.median(np.diff(times)))
+    likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
+    # Few keys with much between them tell nothing of a rate.
+    for rate in (*(likely if own >= min(USUAL_RATES) else []), *USUAL_RATES):
+        frames = steps * rate
+        if np.abs(frames - np.rint(frames)).max() < _GRID:
+            return rate
+    return DEFAULT_FPS

@@ -1,0 +1,193 @@
+r"""A base mesh with the targets of a `Morph`, as glTF has them.
+
+A target is displacements ``d_m`` and weights ``w_tm``; both are scaled so that weights stay within [-1, 1], where
+programs have sliders:  ``w d = (w / s) (s d)`` with ``s_m = max_t |w_tm|``. Targets that are never used are left out.
+
+glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before they are normalised. Targets are modes
+here, not shapes to be seen one at a time, so the ``e_m`` are those that come closest to the true normals ``N_t`` of all
+frames: with the matrix ``W`` of weights, ``E = W^+ (N - n_0)`` (least squares).
+
+The animation of nodes, of bones too, has linear samplers with a key at every frame.
+
+Specifications: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#morph-targets,
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#animations
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Single
+from mixseq.geometry.normals import shared_normals
+from mixseq.rigging.rigs import Morph
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import as_float32
+from mixseq_io.gltf.buffers import VERTICES, Json, Layout, append
+from mixseq_io.gltf.morphs import MovingMesh, float_times
+from mixseq_io.gltf.new_document import new_scene
+
+_KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What a property of some nodes is at every frame.
+
+    Parameters
+    ----------
+    nodes : sequence of int
+        The nodes.
+    path : {"translation", "rotation", "weights"}
+        The property.
+    values : (T, k) float32
+        Its values.
+    """
+
+    nodes: Sequence[int]
+    path: str
+    values: NDArray[np.float32]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the property ever changes."""
+        return bool((self.values != self.values[0]).any())
+
+
+def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> None:
+    """Add the animation of a sequence, with keys at its frames, to a document.
+
+    Tracks that stand still are left out: nodes have the values of the first frame anyway. If all do, there is no
+    animation. Linear samplers turn rotations at a constant rate by the shorter way (spherical linear interpolation).
+
+    Raises
+    ------
+    InvalidSequenceError
+        If frames follow each other too closely for float32.
+    """
+    moving = [track for track in tracks if track.moves]
+    if not moving:
+        return
+    keys = float_times(header)
+    times = layout.add_array(keys)
+    layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
+    # One view for all of them, since there may be hundreds.
+    values = [np.ascontiguousarray(track.values) for track in moving]
+    view, offset = layout.add(values, sum(each.nbytes for each in values)), 0
+    samplers: list[Json] = []
+    channels: list[Json] = []
+    for number, (track, each) in enumerate(zip(moving, values, strict=True)):
+        kind = _KINDS[track.path]
+        count = each.size if kind == "SCALAR" else len(each)
+        output = layout.accessor(view, count, kind, offset)
+        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+        channels += [
+            {"sampler": number, "target": {"node": node, "path": track.path}} for node in track.nodes
+        ]
+        offset += each.nbytes
+    animation = {
+        "name": header.name or "animation",
+        "samplers": samplers,
+        "channels": channels,
+        "extras": {"fps": header.fps},
+    }
+    append(layout.document, "animations", animation)
+
+
+_ILL_DEFINED = 1e-6
+"""Combinations of weights that are smaller than this, relative to the largest, say nothing of normals; ours."""
+
+
+def morphed_scene(morph: Morph) -> Layout:
+    """Return a document of a mesh with morph targets and the animation of their weights.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If points or times do not fit into float32.
+    """
+    layout, meshes = new_scene(morph.header)
+    animate(layout, morph.header, add_targets(layout, meshes, morph))
+    return layout
+
+
+def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
+    """Give the meshes of a document points, normals and targets.
+
+    Returns
+    -------
+    list of Track
+        The track of the weights, with a value for every target; none if there are no targets.
+    """
+    morph = _scaled(morph)
+    base = as_float32(morph.base[None], 0, "glTF")[0]
+    targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
+    for mesh in meshes:
+        _add(layout, mesh, morph, base, targets)
+    if not len(targets):
+        return []
+    for mesh in meshes:
+        entry = layout.document["meshes"][layout.document["nodes"][mesh.node]["mesh"]]
+        entry["weights"] = morph.weights[0].astype(np.float32).tolist()
+        entry["extras"] = {"targetNames": numbered_names("mode", len(targets))}
+    return [Track([mesh.node for mesh in meshes], "weights", morph.weights.astype(np.float32))]
+
+
+def numbered_names(word: str, count: int) -> list[str]:
+    """Return names that sort as their numbers do.
+
+    Examples
+    --------
+    >>> numbered_names("bone", 2), numbered_names("mode", 101)[-1]
+    (['bone_00', 'bone_01'], 'mode_100')
+    """
+    width = max(2, len(str(count - 1)))
+    return [f"{word}_{number:0{width}d}" for number in range(count)]
+
+
+def _scaled(morph: Morph) -> Morph:
+    largest = np.abs(morph.weights).max(axis=0, initial=0)
+    used = largest > 0
+    scale = largest[used]
+    return replace(
+        morph, targets=morph.targets[used] * scale[:, None, None], weights=morph.weights[:, used] / scale
+    )
+
+
+def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: Single) -> None:
+    normals, normal_targets = _normals(mesh, morph)
+    for each in mesh.primitives:
+        shapes = [(base, normals), *zip(targets, normal_targets, strict=True)]
+        for number, (points, directions) in enumerate(shapes):
+            attributes = each.entry["attributes"] if number == 0 else {}
+            here = points[mesh.scene_mesh.vertices][each.vertices]
+            attributes["POSITION"] = layout.add_array(here, target=VERTICES)
+            bounds = here.min(axis=0).tolist(), here.max(axis=0).tolist()
+            layout.bounded(attributes["POSITION"], bounds)
+            if each.normals is not None:
+                attributes["NORMAL"] = layout.add_array(directions[each.normals], target=VERTICES)
+            if number > 0:
+                append(each.entry, "targets", attributes)
+
+
+def _normals(mesh: MovingMesh, morph: Morph) -> tuple[Single, Single]:
+    """Return the normals of the base ``(G, 3)`` and what targets add to them ``(M, G, 3)``, see the module's head."""
+
+    def normals_of(points: Float) -> Single:
+        return shared_normals(
+            points[:, mesh.scene_mesh.vertices], mesh.scene_mesh.polygons, mesh.scene_mesh.hard_edges
+        )
+
+    (base,) = normals_of(morph.base[None])
+    targets = np.zeros((len(morph.targets), base.size))
+    if len(targets):
+        inverse = np.linalg.pinv(morph.weights, rcond=_ILL_DEFINED)
+        frame = 0
+        for block in morph.blocks():
+            turned = (normals_of(block) - base.astype(np.float64)).reshape(len(block), -1)
+            targets += inverse[:, frame : frame + len(block)] @ turned
+            frame += len(block)
+    return base, targets.reshape(-1, *base.shape).astype(np.float32)

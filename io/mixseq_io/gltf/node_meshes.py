@@ -1,0 +1,187 @@
+"""Which nodes of a glTF file are read, and what is on their meshes: faces, materials, colours, joints.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-overview
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.geometry.normals import hard_edges_of_normals
+from mixseq.polygons import Polygons
+from mixseq.surface import CornerValues, FaceSet
+from mixseq_io.choosing import chosen, moving
+from mixseq_io.gltf.animation import Channel
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.node_tree import Scene
+from mixseq_io.gltf.primitives import Primitive
+from mixseq_io.gltf.world_points import Shape, bearers
+from mixseq_io.labels.markings import Skinning, joined_colours, joined_skinning
+from mixseq_io.scene_meshes import SceneMesh
+
+
+def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
+    """Return the nodes with meshes that `prim` means, or all; those that are hidden only if there are no others.
+
+    Parameters
+    ----------
+    prim : str or None
+        See `mixseq_io.choosing.chosen`.
+
+    Raises
+    ------
+    FormatError
+        If there is no such node or mesh.
+    AmbiguousError
+        If several have that name.
+    """
+    nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
+    if prim is not None:
+        nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
+    return [node for node in nodes if node not in scene.hidden] or nodes
+
+
+def moving_nodes(
+    document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
+) -> list[int]:
+    """Return the nodes whose meshes move; all if none does.
+
+    Warns
+    -----
+    MixseqWarning
+        Of those that are left out.
+    """
+    moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
+    morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
+    moves = [
+        node in morphed or not moved.isdisjoint(scene.with_above(bearers(document, scene.nodes[node], node)))
+        for node in nodes
+    ]
+    return [nodes[i] for i in moving(document.path, [scene.objects[node] for node in nodes], moves)]
+
+
+def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) -> SceneMesh:
+    """Return the surface of a node's mesh.
+
+    Parameters
+    ----------
+    first : int
+        Its first vertex in the sequence.
+    mirrored : bool
+        Whether the node turns its faces inside out; then their corners are listed the other way round.
+    """
+    weld, scene = shape.weld, shape.scene
+    order = [0, 2, 1] if mirrored else [0, 1, 2]
+    corners = np.concatenate(
+        [
+            each.triangles[:, order] + run.start
+            for each, run in zip(weld.primitives, weld.vertices, strict=True)
+        ]
+    ).reshape(-1)
+    polygons = Polygons.from_triangles(weld.faces[:, order])
+    found = scene.objects[shape.node]
+    return SceneMesh(
+        name=found.name or found.path.rpartition("/")[2],
+        path=found.path,
+        vertices=slice(first, first + weld.count),
+        polygons=polygons,
+        uvs=_uvs(weld.primitives, corners),
+        hard_edges=_hard_edges(weld.primitives, corners, polygons),
+        face_sets=_face_sets(document, weld.primitives),
+    )
+
+
+def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
+    """Return TEXCOORD_0, whose v points down in glTF; (0, 0) where only other primitives have it."""
+    found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
+    if all(each is None for each in found):
+        return None
+    flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
+    values = [
+        np.zeros((len(each.positions), 2)) if uvs is None else uvs * flip + up
+        for each, uvs in zip(primitives, found, strict=True)
+    ]
+    rows, indices = np.unique(np.concatenate(values), axis=0, return_inverse=True)
+    return CornerValues(rows, indices.reshape(-1)[corners])
+
+
+def _hard_edges(
+    primitives: Sequence[Primitive], corners: IntArray, polygons: Polygons
+) -> NDArray[np.int32] | None:
+    """Tell which corners share a normal; where a primitive has no normals, its faces are flat, says glTF."""
+    normals, flat = [], []
+    for each in primitives:
+        own = each.attribute("NORMAL", 3)
+        normals.append(np.zeros((len(each.positions), 3)) if own is None else own)
+        flat.append(np.full(each.triangles.size, own is None))
+    at_corners = np.concatenate(normals).astype(np.float64)[corners]
+    hard_edges = hard_edges_of_normals(polygons, np.clip(np.nan_to_num(at_corners), -1e6, 1e6))
+    if not np.concatenate(flat).any():
+        return hard_edges
+    groups = polygons.indices if hard_edges is None else hard_edges
+    alone = np.arange(corners.size) + int(groups.max(initial=-1)) + 1
+    return np.unique(np.where(np.concatenate(flat), alone, groups), return_inverse=True)[1].astype(np.int32)
+
+
+def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[FaceSet, ...]:
+    """Return a face set for every primitive with a material: that is what glTF has primitives for."""
+    face_sets, count = [], 0
+    for each in primitives:
+        polygons = np.arange(count, count + len(each.triangles))
+        count += len(each.triangles)
+        index = each.fields.index("material")
+        if index is not None:
+            name = document.item("materials", index).text("name") or f"material {index}"
+            face_sets.append(FaceSet(name, polygons, name))
+    return tuple(face_sets)
+
+
+def colours_of(shapes: Sequence[Shape]) -> FloatArray | None:
+    """Return COLOR_0 at the corners ``(sum of counts, 4)`` of all meshes, None if none has it."""
+    primitives = [each for shape in shapes for each in shape.weld.primitives]
+    return joined_colours(
+        [_colours(each) for each in primitives], [each.triangles.size for each in primitives]
+    )
+
+
+def _colours(primitive: Primitive) -> FloatArray | None:
+    index = primitive.attributes.index("COLOR_0")
+    if index is None:
+        return None
+    width = 3 if primitive.document.item("accessors", index).text("type") == "VEC3" else 4
+    values = primitive.attribute("COLOR_0", width)
+    assert values is not None
+    if values.dtype.kind == "u":  # exporters that forget to say "normalized"
+        values = values / float(np.iinfo(values.dtype).max)
+    return np.asarray(values[primitive.triangles.reshape(-1)])
+
+
+def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:
+    """Return the joints of all meshes, None if none has a skin; meshes without one follow their nodes."""
+    if all(shape.skin is None for shape in shapes):
+        return None
+    return joined_skinning([_skinning(shape) for shape in shapes])
+
+
+def _skinning(shape: Shape) -> Skinning:
+    if shape.skin is None:
+        return Skinning.rigid(shape.scene.paths[shape.node], shape.weld.count)
+    joints = shape.skin.joints
+    return Skinning(
+        shape.skin.weights,
+        tuple(_path(shape.scene, joint) for joint in joints),
+        tuple(_path_above(shape.scene, joint, joints) for joint in joints),
+    )
+
+
+def _path(scene: Scene, node: int) -> str:
+    return scene.paths.get(node, f"node {node}")
+
+
+def _path_above(scene: Scene, joint: int, joints: Sequence[int]) -> str:
+    """Return the path of the nearest joint above a joint; nodes between them are none."""
+    return next((_path(scene, each) for each in scene.above(joint)[1:] if each in joints), "")

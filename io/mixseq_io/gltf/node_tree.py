@@ -1,0 +1,222 @@
+"""The node tree of a glTF file: names and paths, and where its nodes stand.
+
+Matrices act on column vectors, ``p' = M p``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float
+from mixseq_io.choosing import SceneObject
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.json_fields import Fields
+
+"""``(B, 4, 4)``, or ``(1, 4, 4)`` where nothing changes over the B frames."""
+
+Pose = Mapping[tuple[int, str], NDArray[np.float64]]
+"""Animated values ``(B, k)`` by node and property: "translation", "rotation", "scale", "weights"."""
+
+_LONGEST_PATH = 1 << 14
+_REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The nodes of a file, and those of its default scene.
+
+    Parameters
+    ----------
+    nodes : sequence of Fields
+        The JSON of every node of the file.
+    parents : sequence of int
+        Parent of every node, -1 where there is none.
+    objects : dict of int to SceneObject
+        The nodes of the default scene, depth-first. Their paths are the names from the root down with slashes
+        between, no two alike; they can be called by their mesh's name, too.
+    hidden : set of int
+        Those of them that the extension KHR_node_visibility hides, by themselves or from above.
+    """
+
+    nodes: Sequence[Fields]
+    parents: Sequence[int]
+    objects: Mapping[int, SceneObject]
+    hidden: Set[int]
+
+    @cached_property
+    def paths(self) -> Mapping[int, str]:
+        """The paths of the nodes of the default scene, depth-first."""
+        return {node: each.path for node, each in self.objects.items()}
+
+    def above(self, node: int) -> list[int]:
+        """Return a node and all nodes above it, the root last."""
+        found = []
+        while node >= 0:
+            found.append(node)
+            node = self.parents[node]
+        return found
+
+    def with_above(self, nodes: Iterable[int]) -> set[int]:
+        """Return nodes and all nodes above them."""
+        found = {-1}
+        for node in nodes:
+            while node not in found:
+                found.add(node)
+                node = self.parents[node]
+        return found - {-1}
+
+    def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
+        """Return the matrices of nodes, from their own space to the world's.
+
+        Parameters
+        ----------
+        wanted : iterable of int
+            The nodes.
+        pose : Pose
+            What is animated in these frames.
+        """
+        found: dict[int, Float] = {-1: np.eye(4)[None]}
+        for node in wanted:
+            missing = []
+            while node not in found:
+                missing.append(node)
+                node = self.parents[node]
+            for each in reversed(missing):
+                found[each] = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
+        return found
+
+
+def read_scene(document: Document) -> Scene:
+    """Read the node tree.
+
+    Raises
+    ------
+    FormatError
+        If a node has two parents or is below itself, or paths are absurdly long.
+    """
+    nodes = document.items("nodes")
+    children = [node.integers("children") for node in nodes]
+    parents = [-1] * len(nodes)
+    for parent, below in enumerate(children):
+        for child in below:
+            node = document.item("nodes", child)
+            if parents[child] >= 0:
+                raise node.error(f"is a child of two nodes, {parents[child]} and {parent}; one is allowed")
+            parents[child] = parent
+    _check_acyclic(nodes, parents)
+    order = _depth_first(_roots(document, parents), children)
+    return Scene(nodes, parents, _objects(document, parents, order), _hidden(nodes, parents, order))
+
+
+def _check_acyclic(nodes: Sequence[Fields], parents: Sequence[int]) -> None:
+    sound = {-1}
+    for node in range(len(nodes)):
+        chain = set()
+        while node not in sound:
+            if node in chain:
+                raise nodes[node].error("is below itself; the file is damaged")
+            chain.add(node)
+            node = parents[node]
+        sound |= chain
+
+
+def _roots(document: Document, parents: Sequence[int]) -> list[int]:
+    """Return the roots of the default scene; of the file, if it has no scenes."""
+    if not document.items("scenes"):
+        return [node for node, parent in enumerate(parents) if parent < 0]
+    scene = document.item("scenes", document.top.integer("scene", 0))
+    roots = scene.integers("nodes")
+    for root in roots:
+        document.item("nodes", root)
+        if parents[root] >= 0:
+            raise scene.error(f"has nodes[{root}] as a root, which is a child of nodes[{parents[root]}]")
+    return roots
+
+
+def _depth_first(roots: Sequence[int], children: Sequence[Sequence[int]]) -> list[int]:
+    order, waiting = [], list(reversed(roots))
+    while waiting:
+        node = waiting.pop()
+        order.append(node)
+        waiting.extend(reversed(children[node]))
+    return list(dict.fromkeys(order))
+
+
+def _objects(document: Document, parents: Sequence[int], order: Sequence[int]) -> dict[int, SceneObject]:
+    objects: dict[int, SceneObject] = {}
+    taken: set[str] = set()
+    letters = 0
+    for node in order:
+        fields = document.item("nodes", node)
+        mesh, name = fields.index("mesh"), fields.text("name")
+        above = objects.get(parents[node])
+        path = f"{above.path}/{name or f'node {node}'}" if above else name or f"node {node}"
+        if path in taken:
+            path = f"{path} (node {node})"
+        if len(path) > _LONGEST_PATH:
+            raise fields.error(f"is too deep below others; names of all together have {len(path)} characters")
+        letters += len(path)
+        document.check_effort(letters, "paths of all nodes together")
+        taken.add(path)
+        mesh_name = "" if mesh is None else document.item("meshes", mesh).text("name")
+        objects[node] = SceneObject(path, (name, mesh_name), above)
+    return objects
+
+
+def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int]) -> set[int]:
+    hidden: set[int] = set()
+    for node in order:
+        visibility = nodes[node].object("extensions").object("KHR_node_visibility")
+        if parents[node] in hidden or ("visible" in visibility and not visibility.flag("visible")):
+            hidden.add(node)
+    return hidden
+
+
+def _local(node: Fields, index: int, pose: Pose) -> Float:
+    """Return the matrices of a node, from its own space to its parent's."""
+    animated = [name for name in _REST if (index, name) in pose]
+    matrix = node.numbers("matrix", 16)
+    if matrix is not None:
+        if animated:
+            raise node.error(
+                f"has a matrix, and its {animated[0]} is animated; export the node with TRS instead"
+            )
+        return matrix.reshape(1, 4, 4).transpose(0, 2, 1)
+    translation, rotation, scale = (_property(node, index, name, pose) for name in _REST)
+    matrices = np.zeros((max(map(len, (translation, rotation, scale))), 4, 4))
+    matrices[:, :3, :3] = rotation_matrices(rotation) * scale[:, None, :]
+    matrices[:, :3, 3] = translation
+    matrices[:, 3, 3] = 1.0
+    return matrices
+
+
+def _property(node: Fields, index: int, name: str, pose: Pose) -> NDArray[np.float64]:
+    if (index, name) in pose:
+        return pose[index, name]
+    values = node.numbers(name, len(_REST[name]))
+    return np.array(_REST[name] if values is None else values)[None]
+
+
+def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices ``(n, 3, 3)`` of quaternions ``(n, 4)``, x, y, z, w; those of no length do not rotate.
+
+    Examples
+    --------
+    >>> rotation_matrices(np.array([[0.0, 0.0, 2.0, 0.0]]))[0].tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    x, y, z, w = np.where(
+        lengths > 0, quaternions / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 0.0, 1.0]
+    ).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)

@@ -1,0 +1,199 @@
+"""Points of a glTF mesh in world space: morph targets first, then the skin, or else the node's transform.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from mixseq.arrays import Float, FloatArray
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.node_tree import Pose, Scene
+from mixseq_io.gltf.welding import Weld, deltas, influences, target_count
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """What a skeleton does to the vertices of a mesh.
+
+    Parameters
+    ----------
+    joints : sequence of int
+        The nodes that are its J joints.
+    inverse_binds : (J, 4, 4) float64
+        From the mesh's space to each joint's, in the pose in which they were bound.
+    weights : (W, J) sparse
+        How much each vertex follows each joint; rows sum to 1.
+    """
+
+    joints: Sequence[int]
+    inverse_binds: NDArray[np.float64]
+    weights: csr_array
+
+    def matrices(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
+        """Return the matrices ``(B, J, 4, 4)`` that move what is bound to the joints."""
+        joints = np.broadcast_arrays(*(world[joint] for joint in self.joints))
+        return np.stack(joints, axis=1) @ self.inverse_binds
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A node with a mesh: where its vertices are at any time.
+
+    Parameters
+    ----------
+    scene : Scene
+        The node tree.
+    node : int
+        The node.
+    weld : Weld
+        Its mesh.
+    rest : (W, 3) float64
+        The mesh's positions.
+    weights : (K,) float64
+        Weights of its morph targets where they are not animated.
+    skin : Skin or None
+        What moves it in place of the node's transform.
+    """
+
+    scene: Scene
+    node: int
+    weld: Weld
+    rest: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    skin: Skin | None
+
+    @property
+    def bearers(self) -> Sequence[int]:
+        """The nodes whose matrices move it."""
+        return [self.node] if self.skin is None else self.skin.joints
+
+    def handedness(self, world: Mapping[int, Float]) -> NDArray[np.float64]:
+        """Return 1 for each of the B frames where the mesh is as modelled, -1 where it is mirrored, 0 where flat.
+
+        Of a skin's joints, the majority decides.
+
+        Parameters
+        ----------
+        world : dict of int to (B, 4, 4) array
+            The matrices of its bearers, see `Scene.world`.
+        """
+        if self.skin is None:
+            return _signs(world[self.node])
+        used = np.unique(self.skin.weights.indices)
+        matrices = self.skin.matrices(world)
+        return np.asarray(np.sign(_signs(matrices[:, used]).sum(axis=1)))
+
+    def points(self, pose: Pose, world: Mapping[int, Float], frames: int) -> FloatArray:
+        """Return the points ``(B, W, 3)`` in world space in the B frames of a pose, with its bearers' matrices."""
+        own = self._morphed(pose, frames)
+        if self.skin is None:
+            matrices = np.broadcast_to(world[self.node], (frames, 4, 4))
+            return own @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+        joints = self.skin.matrices(world)[:, :, :3].reshape(-1, len(self.skin.joints), 12)
+        joints = np.broadcast_to(joints, (frames, *joints.shape[1:]))
+        return np.stack([_skinned(*each, self.skin.weights) for each in zip(own, joints, strict=True)])
+
+    def _morphed(self, pose: Pose, frames: int) -> NDArray[np.float64]:
+        points = np.tile(self.rest, (frames, 1, 1))
+        weights = np.broadcast_to(pose.get((self.node, "weights"), self.weights), (frames, len(self.weights)))
+        for target in np.flatnonzero(weights.any(axis=0)):
+            here = np.flatnonzero(weights[:, target])
+            delta = deltas(self.weld.primitives, int(target))[self.weld.representatives]
+            points[here] += weights[here, target, None, None] * delta
+        return points
+
+
+def _signs(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.nan_to_num(np.sign(np.linalg.det(matrices[..., :3, :3]))))
+
+
+def _skinned(
+    points: NDArray[np.float64], joints: NDArray[np.float64], weights: csr_array
+) -> NDArray[np.float64]:
+    blended = (weights @ joints).reshape(-1, 3, 4)
+    return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3])
+
+
+def bearers(document: Document, node: Fields, index: int) -> list[int]:
+    """Return the nodes whose matrices move a node's mesh: its skin's joints, or else the node itself.
+
+    Raises
+    ------
+    FormatError
+        If there are no such nodes.
+    """
+    skin = node.index("skin")
+    if skin is None:
+        return [index]
+    fields = document.item("skins", skin)
+    joints = fields.integers("joints")
+    if not joints:
+        raise fields.error("has no joints; the file is damaged")
+    for joint in joints:
+        document.item("nodes", joint)
+    return joints
+
+
+def read_shape(document: Document, scene: Scene, node: int, weld: Weld) -> Shape:
+    """Read what moves a node's mesh.
+
+    Raises
+    ------
+    FormatError
+        If morph weights or the skin do not fit the mesh.
+    """
+    fields = scene.nodes[node]
+    mesh = document.item("meshes", fields.integer("mesh"))
+    positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
+    count = target_count(weld.primitives)
+    owner = fields if "weights" in fields else mesh
+    weights = owner.numbers("weights", count) if "weights" in owner and count else None
+    skin = fields.index("skin")
+    return Shape(
+        scene=scene,
+        node=node,
+        weld=weld,
+        rest=positions[weld.representatives],
+        weights=np.zeros(count) if weights is None else weights,
+        skin=None if skin is None else _read_skin(document, skin, bearers(document, fields, node), weld),
+    )
+
+
+def _read_skin(document: Document, index: int, joints: Sequence[int], weld: Weld) -> Skin:
+    fields = document.item("skins", index)
+    binds = fields.index("inverseBindMatrices")
+    inverse_binds = np.tile(np.eye(4), (len(joints), 1, 1))
+    if binds is not None:
+        matrices = document.accessor(binds)
+        if matrices.ndim != 2 or matrices.shape[1] != 16 or len(matrices) < len(joints):
+            raise fields.error(
+                f"has {len(joints)} joints, but inverse bind matrices of shape {matrices.shape}"
+            )
+        inverse_binds = matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+    joint, weight = influences(weld.primitives)
+    if not joint.size:
+        raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")
+    if joint.max() >= len(joints):
+        raise fields.error(
+            f"has {len(joints)} joints, but vertices follow joint {joint.max()}; the file is damaged"
+        )
+    rows = weld.representatives
+    return Skin(joints, inverse_binds, _normalised(joint[rows], weight[rows], len(joints)))
+
+
+def _normalised(joint: NDArray[np.int64], weight: NDArray[np.float64], joints: int) -> csr_array:
+    """Return weights ``(W, J)`` whose rows sum to 1, as renderers do; without any a vertex follows the first joint."""
+    sums = weight.sum(axis=1, keepdims=True)
+    weight = np.where(sums != 0, weight / np.where(sums != 0, sums, 1), np.arange(weight.shape[1]) == 0)
+    rows = np.repeat(np.arange(len(weight)), weight.shape[1])
+    matrix = csr_array((weight.reshape(-1), (rows, joint.reshape(-1))), shape=(len(weight), joints))
+    matrix.eliminate_zeros()
+    return matrix

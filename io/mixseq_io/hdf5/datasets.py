@@ -1,0 +1,134 @@
+"""Arrays and settings of a model in HDF5: stored with checksums, checked for kind, shape and range when they are read.
+
+Everything that is wrong is a `FormatError` that names the dataset.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.errors import FormatError
+from mixseq.shells.fitting import ShellSettings
+from mixseq.shells.shell import Relaxation
+from mixseq_io.hdf5.h5_files import CHECKED, whole
+
+_CHUNK_ELEMENTS = 1 << 17
+_KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
+
+
+def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+    """Store an array, its first axis cut into chunks of about a mebibyte."""
+    row = max(1, array[:1].size)
+    chunks = (max(1, min(len(array), _CHUNK_ELEMENTS // row)), *array.shape[1:]) if array.size else None
+    file.create_dataset(name, data=array, chunks=chunks, **(CHECKED if array.size else {}))
+    file.flush()  # where arrays are in the file must not depend on when the library finds time to write them
+
+
+def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
+    """Store lists of indices: all of them one after the other, and how long each is."""
+    put(file, f"{group}/sizes", np.array([len(items) for items in lists], dtype=np.int32))
+    put(file, f"{group}/{name}", np.concatenate([*lists, np.zeros(0, dtype=np.int32)]).astype(np.int32))
+
+
+def get_lists(path: Path, file: h5py.File, group: str, name: str, limit: int) -> list[Index]:
+    """Read lists of indices below `limit` that `put_lists` stored."""
+    sizes = integers(path, file, f"{group}/sizes", (None,), 1)
+    items = integers(path, file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
+    return np.split(items, np.cumsum(sizes))[: len(sizes)]
+
+
+def integers(
+    path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...], low: int, limit: int | None = None
+) -> Index:
+    """Read whole numbers from `low` to below `limit`; None in the shape stands for any length."""
+    array = _of_kind(path, file, name, shape, "integers")
+    if array.size and (array.min() < low or (limit is not None and array.max() >= limit)):
+        upper = "" if limit is None else f" to {limit - 1}"
+        raise FormatError(f"{path}: {name} has values outside {low}{upper}; it is damaged")
+    return array.astype(np.int64)
+
+
+def floats(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> Float:
+    """Read finite numbers; None in the shape stands for any length."""
+    array = _of_kind(path, file, name, shape, "floats")
+    if not np.isfinite(array).all():
+        raise FormatError(f"{path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}")
+    return array.astype(np.float64)
+
+
+def increasing(path: Path, file: h5py.File, name: str) -> Float:
+    """Read times ``(n,)``, at least one, that increase."""
+    times = floats(path, file, name, (None,))
+    if not len(times):
+        raise FormatError(f"{path}: {name} is empty; at least one time is needed")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise FormatError(
+            f"{path}: {name} does not increase in row {row}: {times[row]:g} s after {times[row - 1]:g} s"
+        )
+    return times
+
+
+def _of_kind(
+    path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...], kind: Literal["integers", "floats"]
+) -> NDArray[Any]:
+    if name not in file:
+        raise FormatError(f"{path}: {name} is missing; it is damaged")
+    array = whole(path, file, name)
+    fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype.kind not in _KINDS[kind]:
+        lengths = ", ".join("any" if n is None else str(n) for n in shape)
+        raise FormatError(
+            f"{path}: {name} is {array.dtype} of shape {array.shape}; {kind} of shape ({lengths}) are expected"
+        )
+    return array
+
+
+def read_scale(path: Path, file: h5py.File) -> float:
+    """Read the length of the space's unit."""
+    scale = float(file["space"].attrs["scale"])
+    if not (np.isfinite(scale) and scale > 0):
+        raise FormatError(f"{path}: the scale of the space is {scale}; a positive number is expected")
+    return scale
+
+
+def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -> None:
+    """Store settings by what they are about."""
+    file.attrs["settings"] = json.dumps(settings, sort_keys=True)
+
+
+def read_settings(path: Path, file: h5py.File, about: str, known: Collection[str]) -> dict[str, Any]:
+    """Read settings of what they are about, which are among those that are known."""
+    found: dict[str, Any] = _all_settings(file)[about]
+    unknown = sorted(set(found) - set(known))
+    if unknown:
+        raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
+    return found
+
+
+def _all_settings(file: h5py.File) -> dict[str, dict[str, Any]]:
+    settings: dict[str, dict[str, Any]] = json.loads(str(file.attrs["settings"]))
+    return settings
+
+
+def read_shell(path: Path, file: h5py.File) -> ShellSettings:
+    """Read the settings of fits to lengths and angles."""
+    shell = read_settings(path, file, "shell", ShellSettings.__dataclass_fields__)
+    return ShellSettings(**{"accuracy": 0.0, **shell})  # older files were checked without it
+
+
+def read_relaxation(path: Path, file: h5py.File) -> Relaxation:
+    """Read how lengths and angles are made to agree; older models, where they were fitted to, do as new ones."""
+    if "relaxation" not in _all_settings(file):
+        read_shell(path, file)
+        return Relaxation()
+    return Relaxation(**read_settings(path, file, "relaxation", Relaxation.__dataclass_fields__))

@@ -1,0 +1,187 @@
+"""HDF5 models: a shape space and the signals of a sequence in it. Layout in ``docs/file-format.md``.
+
+::
+
+    /                          format = "mixseq-model", version = 2, 3, 4 or 5, created_by, settings (JSON), space,
+                               name, fps, up_axis, metres_per_unit, vertex_count
+    /polygons/                 counts, indices
+    /segmentation/             part_of_face, widths                         (mixed space)
+    /segmentation/parts/       vertices, sizes                              (mixed space)
+    /segmentation/joints/      faces, sizes                                 (mixed space)
+    /space/                    scale; placement, shapes (mixed space); reference (all but vertex, basis);
+                               reference_lengths (free mixed and edge space); fields (basis space);
+                               free (anchored mixed space)
+    /space/shares/             sizes, parts, weights                        (anchored mixed space)
+    /signals/time/             frames, times, values
+    /signals/pose/             offset, matrix
+    /signals/shape/            what vectors consist of, see `shape_blocks`
+    /signals/placement/        times, rotations, translations
+
+Compressed models have a layout of their own: `mixseq_io.hdf5.compressed_reader`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import h5py
+
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.errors import (
+    FormatError,
+    InvalidSequenceError,
+    MixseqWarning,
+    OutputError,
+    ReconstructionError,
+    SettingsError,
+)
+from mixseq.signals.model import Model
+from mixseq.spaces import MixedSpace
+from mixseq.version import __version__
+from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.compressed_writer import write_compressed
+from mixseq_io.hdf5.datasets import increasing
+from mixseq_io.hdf5.h5_files import (
+    MODEL_FORMAT,
+    check_version,
+    creating_h5,
+    kind_of,
+    read_header,
+    reading_h5,
+    write_header,
+)
+from mixseq_io.hdf5.model_signals import read_signals, write_signals
+from mixseq_io.hdf5.older_models import read_anchored, read_v1
+from mixseq_io.hdf5.salvage import explain_damage, salvage_compressed
+from mixseq_io.hdf5.stored_mixed import read_placement
+from mixseq_io.hdf5.stored_space import FIRST_WITH_QUATERNIONS, read_space, storable, version_of, write_space
+from mixseq_io.registry import PathLike
+
+VERSION = FIRST_WITH_QUATERNIONS
+"""Files have the first version that knows their space: older mixseqs read what they can."""
+
+SUFFIXES = (".h5", ".hdf5")
+
+
+def save(path: PathLike, model: Model | CompressedSequence) -> None:
+    """Store a model, or a compressed sequence, in an HDF5 file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; an existing one is replaced when the new one is complete.
+    model : Model or CompressedSequence
+        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is
+        reported by a `MixseqWarning`.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, its name does not end in .h5 or .hdf5, or the shape space is not one of
+        mixseq's.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{target}: models are HDF5 files; end the name in {' or '.join(SUFFIXES)}")
+    if isinstance(model, CompressedSequence):
+        with creating_h5(target) as (file, store):
+            write_compressed(file, model)
+            store.check()
+        return
+    space = storable(model.space)
+    if model.residual_layer is not None:
+        warnings.warn(
+            f"{target}: the residual layer of a compressed model is not stored with signals; frames may be off by more "
+            "than its bound",
+            MixseqWarning,
+            stacklevel=2,
+        )
+    with creating_h5(target) as (file, store):
+        file.attrs["format"] = MODEL_FORMAT
+        file.attrs["version"] = version_of(space)
+        file.attrs["created_by"] = f"mixseq {__version__}"
+        file.attrs["vertex_count"] = model.header.vertex_count
+        write_header(file, model.header)
+        write_space(file, space)
+        write_signals(file, model, space)
+        store.check()
+
+
+def load(path: PathLike, salvage: bool = False) -> Model:
+    """Load a model from an HDF5 file.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `save` wrote, of this version or an older one; its signals may have been edited.
+    salvage : bool
+        Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
+        accuracy. Other files are loaded as usual.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, not a model, or written by a newer mixseq, or if its signals contradict
+        each other.
+    """
+    source = Path(path)
+    if salvage and (rest := salvage_compressed(source)) is not None:
+        return decoded(source, rest)
+    try:
+        return _load(source)
+    except FormatError:
+        explain_damage(source)
+        raise
+
+
+def _load(source: Path) -> Model:
+    if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
+        raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
+    with reading_h5(source), h5py.File(source, "r") as file:
+        kind = kind_of(file)
+        if kind != MODEL_FORMAT:
+            raise FormatError(
+                f"{source} is an HDF5 file, but not a mixseq model (format = {kind!r}); make one with mixseq encode"
+            )
+        check_version(source, file, VERSION)
+        if "coding" in file.attrs:
+            return decoded(source, read_compressed(source))
+        try:
+            return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
+        except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
+            raise FormatError(f"{source}: {error}; it is damaged") from error
+
+
+def decoded(path: Path, coded: CompressedSequence) -> Model:
+    """Return the model of a compressed sequence that was read from a file.
+
+    Raises
+    ------
+    FormatError
+        If its streams contradict each other, or what is in them does not fit in memory.
+    """
+    from mixseq.coding.bitstream.compressed_sequence import to_model
+
+    try:
+        return to_model(coded)
+    except (FormatError, MemoryError) as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _read(path: Path, file: h5py.File) -> Model:
+    frames = increasing(path, file, "signals/time/frames")
+    header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
+    if _is_old_anchored(path, file):
+        return read_anchored(path, file, header)
+    return read_signals(path, file, header, read_space(path, file, header))
+
+
+def _is_old_anchored(path: Path, file: h5py.File) -> bool:
+    mixed = str(file.attrs["space"]) == MixedSpace.name
+    old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
+    return mixed and old and read_placement(path, file) == "anchored"

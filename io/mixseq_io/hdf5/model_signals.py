@@ -1,0 +1,126 @@
+"""The signals of a model in HDF5, made to be read and changed by hand: see ``docs/file-format.md``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mixseq.arrays import Float
+from mixseq.errors import FormatError, SettingsError
+from mixseq.geometry.quaternions import continued, quaternions
+from mixseq.geometry.rotations import matrices
+from mixseq.sequence import SequenceHeader
+from mixseq.signals.curve import Curve
+from mixseq.signals.model import Model
+from mixseq.signals.pose import PoseMap
+from mixseq_io.hdf5.datasets import floats, increasing, put
+from mixseq_io.hdf5.stored_space import (
+    FIRST_WITH_QUATERNIONS,
+    Blocks,
+    StoredSpace,
+    placement_blocks,
+    shape_blocks,
+)
+
+_UNIT = 0.5  # quaternions are far from zero, which is no rotation
+
+
+def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
+    """Store the signals of a model in a space."""
+    put(file, "signals/time/frames", model.times)
+    put(file, "signals/time/times", model.time.times)
+    put(file, "signals/time/values", model.time.values)
+    put(file, "signals/pose/offset", model.pose.offset)
+    put(file, "signals/pose/matrix", model.pose.matrix)
+    _put_blocks(file, "signals/shape", shape_blocks(space), model.shapes)
+    put(file, "signals/placement/times", model.placement.times)
+    _put_blocks(file, "signals/placement", placement_blocks(space), model.placement.values)
+
+
+def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: StoredSpace) -> Model:
+    """Read the signals of a model in a space.
+
+    Raises
+    ------
+    FormatError
+        If a dataset is missing or damaged, or signals contradict each other.
+    """
+    pose = read_pose(path, file)
+    knots = increasing(path, file, "signals/time/times")
+    time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
+    shapes = read_shapes(path, file, shape_blocks(space), len(pose.offset))
+    placement = _read_placement(path, file, space)
+    check_frames(path, header, time=time, placement=placement)
+    return Model(header, space, time, pose, shapes, placement)
+
+
+def check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
+    """Refuse frames that are outside the knots of a curve, by the names of the signals."""
+    first, last = header.times[0], header.times[-1]
+    for name, curve in curves.items():
+        if curve.start > first or curve.end < last:
+            raise FormatError(
+                f"{path}: signals/time/frames has times from {first:g} to {last:g} s, but "
+                f"signals/{name}/times are only from {curve.start:g} to {curve.end:g} s"
+            )
+
+
+def read_shapes(path: Path, file: h5py.File, blocks: Blocks, count: int) -> Float:
+    """Read key shapes ``(count, S)`` that consist of some of `shape_blocks`."""
+    return _get_blocks(path, file, "signals/shape", blocks, count)
+
+
+def read_placements(path: Path, file: h5py.File, space: StoredSpace, count: int) -> Float:
+    """Read placements ``(count, P)``: quaternions, then centres. Before version 5 rotations were rotation vectors."""
+    blocks = placement_blocks(space)
+    if space.rotation_count and int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS:
+        blocks["rotations"] = (space.rotation_count, 3)
+        old = _get_blocks(path, file, "signals/placement", blocks, count)
+        turns, centres = np.split(old, [3 * space.rotation_count], axis=1)
+        turned = quaternions(matrices(turns.reshape(count, -1, 3)))
+        return np.concatenate([continued(turned).reshape(count, -1), centres], axis=1)
+    placements = _get_blocks(path, file, "signals/placement", blocks, count)
+    norms = np.linalg.norm(space.poses(placements).rotations, axis=2)
+    if (norms < _UNIT).any():
+        raise FormatError(
+            f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"
+        )
+    return placements
+
+
+def _read_placement(path: Path, file: h5py.File, space: StoredSpace) -> Curve:
+    knots = increasing(path, file, "signals/placement/times")
+    return Curve(knots, read_placements(path, file, space, len(knots)))
+
+
+def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
+    """Store rows ``(m, D)`` as one dataset ``(m, ...)`` for every block of their numbers."""
+    ends = np.cumsum([int(np.prod(shape)) for shape in blocks.values()])
+    columns = np.split(values, ends[:-1], axis=1)
+    for (name, shape), block in zip(blocks.items(), columns, strict=True):
+        put(file, f"{group}/{name}", block.reshape(len(block), *shape))
+
+
+def _get_blocks(path: Path, file: h5py.File, group: str, blocks: Blocks, count: int) -> Float:
+    """Read what `_put_blocks` stored."""
+    columns = [
+        floats(path, file, f"{group}/{name}", (count, *shape)).reshape(count, int(np.prod(shape)))
+        for name, shape in blocks.items()
+    ]
+    return np.concatenate(columns, axis=1)
+
+
+def read_pose(path: Path, file: h5py.File) -> PoseMap:
+    """Read the pose signal."""
+    offset = floats(path, file, "signals/pose/offset", (None,))
+    matrix = floats(path, file, "signals/pose/matrix", (None, len(offset)))
+    try:
+        return PoseMap(offset, matrix)
+    except SettingsError as error:
+        sums = np.abs(matrix.sum(axis=1)).max(initial=0.0)
+        raise FormatError(
+            f"{path}: signals/pose: {error}; offset adds up to {offset.sum():.12g} and must to 1, "
+            f"rows of matrix to {sums:.3g} at most and must to 0"
+        ) from error

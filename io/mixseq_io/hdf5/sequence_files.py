@@ -1,0 +1,157 @@
+"""HDF5 sequences: everything a mesh sequence has, compressed, with a checksum for every piece.
+
+::
+
+    /                    format = "mixseq-sequence", version = 1,
+                         name, fps, up_axis, metres_per_unit
+    /points              (T, V, 3) float32 or float64, in chunks of whole frames
+    /velocities          as points, units per second; optional
+    /times               (T,) float64, seconds
+    /polygons/counts     (P,) int32
+    /polygons/indices    (sum of counts,) int32
+    /surface/...         texture coordinates and the like, see `mixseq_io.surface_arrays`; optional
+
+A file of `format` "mixseq-model" holds a shape space instead; it is sampled at the times it was made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from mixseq.arrays import FloatArray
+from mixseq.errors import FormatError
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import checked
+from mixseq_io.hdf5.h5_files import (
+    CHECKED,
+    MODEL_FORMAT,
+    Store,
+    check_version,
+    creating_h5,
+    kind_of,
+    read_header,
+    reading_h5,
+    whole,
+    write_header,
+)
+from mixseq_io.reader import SequenceReader, brief, naming
+
+FORMAT = "mixseq-sequence"
+VERSION = 1
+
+# A chunk is compressed and read as a whole; HDF5 keeps 1 MiB of them by default.
+_CHUNK_BYTES = 1 << 20
+
+
+def open_h5(path: Path) -> SequenceReader:
+    """Open a sequence, or sample a model, that mixseq stored in HDF5.
+
+    Raises
+    ------
+    FormatError
+        If the file is of another kind, damaged, or written by a newer mixseq.
+    """
+    with ExitStack() as resources, reading_h5(path):
+        file = resources.enter_context(h5py.File(path, "r"))
+        kind = kind_of(file)
+        if kind == MODEL_FORMAT:
+            return _ModelReader(path)
+        if kind != FORMAT:
+            raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {kind!r})")
+        check_version(path, file, VERSION)
+        with naming(path):
+            header = _header(path, file)
+        return _H5Reader(path, header, file, resources.pop_all())
+
+
+def _header(path: Path, file: h5py.File) -> SequenceHeader:
+    shape = file["points"].shape
+    for name in ("points", "velocities") if "velocities" in file else ("points",):
+        found, dtype = file[name].shape, file[name].dtype
+        if len(found) != 3 or found[2] != 3 or found != shape or dtype not in (np.float32, np.float64):
+            raise FormatError(f"{path}: {name} are {dtype} of shape {found}; it is damaged")
+    times = whole(path, file, "times")
+    if len(times) != shape[0]:
+        raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
+    return read_header(path, file, vertex_count=shape[1], times=times)
+
+
+class _ModelReader(SequenceReader):
+    """Decodes the frames of a model as they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        from mixseq.signals.model import FRAMES
+        from mixseq_io.hdf5.model_files import load  # models build on formats, not formats on models
+
+        self._model = load(path)
+        self._most = FRAMES
+        super().__init__(path, self._model.header)
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._model.blocks(self._model.times, min(size, self._most))
+
+
+class _H5Reader(SequenceReader):
+    def __init__(self, path: Path, header: SequenceHeader, file: h5py.File, resources: ExitStack) -> None:
+        super().__init__(path, header, resources, has_velocities="velocities" in file)
+        self._file = file
+
+    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
+        return self._read("points", size)
+
+    def _read_velocities(self, size: int) -> Iterator[FloatArray]:
+        return self._read("velocities", size)
+
+    def _read(self, name: str, size: int) -> Iterator[FloatArray]:
+        with reading_h5(self.path):
+            dataset = self._file[name]
+        for start in range(0, len(dataset), size):
+            stop = min(start + size, len(dataset))
+            try:
+                block: FloatArray = dataset[start:stop]
+            except (OSError, RuntimeError, ValueError) as error:
+                raise FormatError(
+                    f"{self.path}: {name} of frames {start} to {stop - 1} are damaged ({brief(error)}); "
+                    "restore the file"
+                ) from error
+            yield block.astype(block.dtype.newbyteorder("="), copy=False)
+
+
+def write_h5(
+    path: Path,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None = None,
+) -> None:
+    """Write an HDF5 sequence, one block at a time; see `mixseq_io.write_blocks`."""
+    with creating_h5(path) as (file, store):
+        _fill(file, header, blocks, velocities, store)
+
+
+def _fill(
+    file: h5py.File,
+    header: SequenceHeader,
+    blocks: Iterable[FloatArray],
+    velocities: Iterable[FloatArray] | None,
+    store: Store,
+) -> None:
+    dtype, numbered = checked(header, blocks, velocities)
+    file.attrs["format"] = FORMAT
+    file.attrs["version"] = VERSION
+    write_header(file, header)
+    file.create_dataset("times", data=header.times, chunks=True, **CHECKED)
+    shape = (header.frame_count, header.vertex_count, 3)
+    frame_bytes = header.vertex_count * 3 * dtype.itemsize
+    frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
+    names = ("points",) if velocities is None else ("points", "velocities")
+    for name in names:
+        file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED)
+    for first, points, speeds in numbered:
+        for name, block in zip(names, (points, speeds), strict=False):
+            file[name][first : first + len(points)] = block
+        store.check()

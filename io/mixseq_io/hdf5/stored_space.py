@@ -1,0 +1,176 @@
+"""The shape space of a model in HDF5, and what vectors of it consist of."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import h5py
+
+from mixseq.arrays import Float
+from mixseq.choices import SPACES
+from mixseq.errors import FormatError, OutputError
+from mixseq.sequence import SequenceHeader
+from mixseq.spaces import (
+    AnchoredSpace,
+    EdgeSettings,
+    EdgeSpace,
+    FreeSpace,
+    GradientSpace,
+    LRISpace,
+    MixedSpace,
+    ShapeSpace,
+    VertexSpace,
+)
+from mixseq.spaces.basis import BasisSpace
+from mixseq.topology import Topology
+from mixseq_io.hdf5.datasets import floats, put, read_scale, read_settings, read_shell, write_settings
+from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mixed_space
+
+StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
+Blocks = dict[str, tuple[int, ...]]
+"""Names of datasets, in the order of the vector, and the shape of each."""
+
+FIRST_WITH_QUATERNIONS = 5
+"""Version from which on rotations in placements are quaternions; before they were rotation vectors."""
+
+EDGE = ("projection", "volume")
+"""Settings of the edge space in the group of that name; those of the fits have their own."""
+
+GONE = ("coarse", "steps")
+"""Settings of the edge space in older files: of a coarse mesh, whose lengths and angles are not read any more."""
+
+KNOWN = (*SPACES, BasisSpace.name)
+"""Names of the spaces that files can hold."""
+
+
+def storable(space: ShapeSpace) -> StoredSpace:
+    """Return the space, if files can hold it.
+
+    Raises
+    ------
+    OutputError
+        If they cannot.
+    """
+    if isinstance(space, StoredSpace):
+        return space
+    raise OutputError(f"files hold models in the spaces {', '.join(KNOWN)}, not in {type(space).__name__}")
+
+
+def version_of(space: StoredSpace) -> int:
+    """Return the first version of the format that knows a space."""
+    match space:
+        case VertexSpace():
+            return 2
+        case GradientSpace():
+            return 3
+        case BasisSpace():
+            return 4
+        case _:
+            return FIRST_WITH_QUATERNIONS
+
+
+def shape_blocks(space: StoredSpace) -> Blocks:
+    """Return what a key shape consists of: datasets of `signals/shape`."""
+    match space:
+        case VertexSpace():
+            return {"positions": (space.vertex_count, 3)}
+        case BasisSpace():
+            return {"coefficients": (len(space.fields), 3)}
+        case GradientSpace():
+            return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
+        case LRISpace():
+            return {"connections": (len(space.edges), 3, 3), "ends": (len(space.edges), 2, 3)}
+        case EdgeSpace():
+            return {
+                name: (size,)
+                for name, size in zip(("lengths", "angles", "volumes"), space.sizes, strict=True)
+            }
+        case MixedSpace():
+            return mixed_blocks(space)
+
+
+def placement_blocks(space: StoredSpace) -> Blocks:
+    """Return what a placement consists of: datasets of `signals/placement`."""
+    turning = space.rotation_count
+    # Where nothing turns there are no rotations, as older mixseqs know it.
+    return {"rotations": (turning, 4 if turning else 3), "translations": (space.centre_count, 3)}
+
+
+def write_space(file: h5py.File, space: StoredSpace) -> None:
+    """Store a shape space."""
+    settings = {}
+    if isinstance(space, AnchoredSpace | FreeSpace):
+        settings = {"relaxation": asdict(space.relaxation)}
+    if isinstance(space, EdgeSpace):
+        edge = {name: getattr(space.settings, name) for name in EDGE}
+        settings = {"shell": asdict(space.shell), "edge": edge}
+    write_settings(file, settings)
+    file.attrs["space"] = space.name
+    file.require_group("space").attrs["scale"] = space.scale
+    file.flush()
+    match space:
+        case MixedSpace():
+            write_mixed_space(file, space)
+        case BasisSpace():
+            put(file, "space/fields", space.fields)
+        case GradientSpace() | LRISpace():
+            put(file, "space/reference", space.reference)
+        case EdgeSpace():
+            put(file, "space/reference", space.reference)
+            put(file, "space/reference_lengths", space.reference_lengths)
+
+
+def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpace:
+    """Read a shape space.
+
+    Raises
+    ------
+    FormatError
+        If the space is not known, or something in it is missing, damaged or contradicts the rest.
+    """
+    kind = str(file.attrs["space"])
+    if kind not in KNOWN:
+        raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(KNOWN)} are")
+    if kind == MixedSpace.name:
+        return read_mixed_space(path, file, header)
+    scale = read_scale(path, file)
+    if kind == VertexSpace.name:
+        return VertexSpace(header.vertex_count, scale)
+    if kind == BasisSpace.name:
+        return _read_basis_space(path, file, header.vertex_count, scale)
+    topology = Topology(header.faces, header.vertex_count)
+    reference = floats(path, file, "space/reference", (header.vertex_count, 3))
+    if kind == GradientSpace.name:
+        return GradientSpace(topology, scale, reference)
+    if kind == LRISpace.name:
+        return LRISpace(topology, scale, reference)
+    return _read_edge_space(path, file, topology, scale, reference)
+
+
+def _read_basis_space(path: Path, file: h5py.File, vertices: int, scale: float) -> BasisSpace:
+    fields = floats(path, file, "space/fields", (None, vertices))
+    zero = ~fields.any(axis=1)
+    if zero.any():
+        raise FormatError(f"{path}: space/fields is zero everywhere in row {int(zero.argmax())}")
+    return BasisSpace(fields, scale)
+
+
+def _read_edge_space(
+    path: Path, file: h5py.File, topology: Topology, scale: float, reference: Float
+) -> EdgeSpace:
+    lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
+    if (lengths < 0).any():
+        raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
+    return EdgeSpace(topology, scale, reference, lengths, _edge_settings(path, file))
+
+
+def _edge_settings(path: Path, file: h5py.File) -> EdgeSettings:
+    """Read the settings of the edge space; projections that are no more were ways to what steps find."""
+    known = {*EDGE, *GONE}
+    found = {
+        name: value for name, value in read_settings(path, file, "edge", known).items() if name not in GONE
+    }
+    projection = found.pop("projection", "dso")  # what it was where nobody chose one
+    shell = read_shell(path, file)
+    return EdgeSettings("steps" if projection == "msgi" else projection, **found, shell=shell)

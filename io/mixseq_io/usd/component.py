@@ -1,0 +1,148 @@
+"""USD, writing: a file that needs no other, textures apart.
+
+It is a component that other tools can reference: the default prim ``/<name>`` is an Xform, with one Mesh for every
+object in it and the materials in ``/<name>/Looks``. Meshes are right-handed and in world space. Normals are written
+only where the author wanted hard edges on a mesh that is not subdivided; renderers compute the others.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
+https://openusd.org/release/api/class_usd_geom_subset.html,
+https://openusd.org/release/glossary.html#usdglossary-component
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import FaceSet
+from mixseq_io.blocks import warn
+from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.usd.frame_values import Cast, Normals, Placed
+from mixseq_io.usd.materials import define_materials
+from mixseq_io.usd.paths import identifier
+
+_LOOKS = "Looks"
+
+
+def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, velocities: bool) -> Cast:
+    """Author everything but samples, and return what is to get them.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        An empty layer.
+    target : Path
+        Where it will be.
+    header : SequenceHeader
+        The sequence.
+    velocities : bool
+        Whether there are velocities.
+
+    Warns
+    -----
+    MixseqWarning
+        If materials overlap, or are written by name only.
+    """
+    stage = Usd.Stage.Open(layer)
+    name = identifier(header.name)
+    root = UsdGeom.Xform.Define(stage, f"/{name}")
+    _show_name(root.GetPrim(), header.name)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+    scene_meshes = split(header)
+    wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
+    materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
+    placed, taken = [], [_LOOKS]
+    for scene_mesh in scene_meshes:
+        taken.append(identifier(scene_mesh.name, taken))
+        path = f"/{name}/{taken[-1]}"
+        _define_mesh(stage, path, scene_mesh)
+        _bind(stage.GetPrimAtPath(path), target, scene_mesh, materials)
+        placed.append(
+            Placed(path=path, scene_mesh=scene_mesh, normals=_normals(scene_mesh), velocities=velocities)
+        )
+    return Cast(tuple(placed))
+
+
+def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    _show_name(mesh.GetPrim(), scene_mesh.name)
+    mesh.CreateSubdivisionSchemeAttr(scene_mesh.subdivision)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.counts))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArrayFromBuffer(scene_mesh.polygons.indices))
+    if scene_mesh.uvs is not None:
+        UsdGeom.PrimvarsAPI(mesh).CreateIndexedPrimvar(
+            "st",
+            Sdf.ValueTypeNames.TexCoord2fArray,
+            Vt.Vec2fArrayFromBuffer(scene_mesh.uvs.values),
+            Vt.IntArrayFromBuffer(scene_mesh.uvs.indices),
+            UsdGeom.Tokens.faceVarying,
+        )
+
+
+def _show_name(prim: Usd.Prim, name: str) -> None:
+    """Keep a name that a prim cannot have."""
+    if prim.GetName() != name:
+        prim.SetDisplayName(name)
+
+
+def _normals(scene_mesh: SceneMesh) -> Normals | None:
+    if scene_mesh.hard_edges is None or scene_mesh.subdivision != "none":
+        return None
+    return Normals(
+        attribute="normals",
+        interpolation=UsdGeom.Tokens.faceVarying,
+        groups=scene_mesh.hard_edges,
+        order=scene_mesh.hard_edges,
+    )
+
+
+def _bind(
+    prim: Usd.Prim, target: Path, scene_mesh: SceneMesh, materials: Mapping[str, UsdShade.Material]
+) -> None:
+    """Bind a material to the whole mesh, and others to subsets of its faces, which must not overlap."""
+    count = len(scene_mesh.polygons.counts)
+    whole = next(
+        (each for each in scene_mesh.face_sets if each.material and each.polygons.size == count), None
+    )
+    if whole:
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
+    owners = [""] * count
+    taken: list[str] = []
+    for each in scene_mesh.face_sets:
+        if each is whole:
+            continue
+        taken.append(identifier(each.name, taken))
+        faces = (
+            _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
+            if each.material
+            else each.polygons.tolist()
+        )
+        subset = UsdGeom.Subset.CreateGeomSubset(
+            UsdGeom.Mesh(prim),
+            taken[-1],
+            UsdGeom.Tokens.face,
+            Vt.IntArray(faces),
+            UsdShade.Tokens.materialBind if each.material else "",
+        )
+        _show_name(subset.GetPrim(), each.name)
+        if each.material:
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[each.material])
+            for face in faces:
+                owners[face] = each.name
+    if any(owners):
+        kind = UsdGeom.Tokens.partition if all(owners) else UsdGeom.Tokens.nonOverlapping
+        UsdGeom.Subset.SetFamilyType(UsdGeom.Mesh(prim), UsdShade.Tokens.materialBind, kind)
+
+
+def _unowned(face_set: FaceSet, owners: Sequence[str], place: str) -> list[int]:
+    """Return the faces of a set that are in no set of another material."""
+    faces: list[int] = face_set.polygons.tolist()
+    before = dict.fromkeys(repr(owners[face]) for face in faces if owners[face])
+    if before:
+        warn(f"{place}: the material of {face_set.name!r} gives way to that of {', '.join(before)}")
+    return [face for face in faces if not owners[face]]

@@ -1,0 +1,211 @@
+"""USD, motion: what moves a mesh, and where its points are in the world.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_xformable.html,
+https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Usd, UsdGeom, Vt
+
+from mixseq.errors import InvalidSequenceError
+from mixseq_io.usd.prims import Notes, lineage
+from mixseq_io.usd.seams import Weld, weld
+from mixseq_io.usd.skeletons import Pose, Skin
+
+
+def local_to_world(prim: Usd.Prim, code: float) -> NDArray[np.float64]:
+    """Return the transform (4, 4) from a prim's space to the world at a time code, for rows: p' = p M."""
+    return np.array(_to_world(prim, code), dtype=np.float64)
+
+
+def _to_world(prim: Usd.Prim, code: float) -> Gf.Matrix4d:
+    return UsdGeom.XformCache(Usd.TimeCode(code)).GetLocalToWorldTransform(prim)
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """A mesh and what moves it.
+
+    Parameters
+    ----------
+    mesh : UsdGeom.Mesh
+        The mesh.
+    skin : Skin or None
+        Its skeleton and blend shapes.
+    """
+
+    mesh: UsdGeom.Mesh
+    skin: Skin | None
+
+    @cached_property
+    def space(self) -> Usd.Prim:
+        """The prim in whose space the points are: the skeleton's, if joints move them."""
+        return self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
+
+    @cached_property
+    def sources(self) -> tuple[Usd.Attribute, ...]:
+        """The attributes that change over time and move it. A single sample holds at all times."""
+        deforming = self.skin.attributes() if self.skin else ()
+        every = (self.mesh.GetPointsAttr(), *_transform_attributes(self.space), *deforming)
+        return tuple(each for each in every if _varies(each))
+
+    @property
+    def only_points_move(self) -> bool:
+        """Whether no transform, skeleton or blend shape moves it."""
+        return all(each == self.mesh.GetPointsAttr() for each in self.sources)
+
+
+@dataclass(frozen=True, eq=False)
+class AnimatedMesh:
+    """A mesh over the frames of a sequence.
+
+    Parameters
+    ----------
+    mover : Mover
+        The mesh.
+    codes : (T,) float64
+        Time codes of the frames.
+    """
+
+    mover: Mover
+    codes: NDArray[np.float64]
+
+    @property
+    def start(self) -> float:
+        """Time code of the first frame."""
+        return float(self.codes[0])
+
+    @property
+    def mesh(self) -> UsdGeom.Mesh:
+        """The mesh."""
+        return self.mover.mesh
+
+    @cached_property
+    def weld(self) -> Weld:
+        """Which points, in the first frame and to be in all others, are which vertex."""
+        value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(self.start))
+        return weld(self.mesh, np.array(value or (), dtype=np.float32).reshape(-1, 3))
+
+    @property
+    def point_count(self) -> int:
+        """Number of points."""
+        return len(self.weld.of_point)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return self.weld.vertex_count
+
+    @cached_property
+    def _first_determinant(self) -> float:
+        """That of the first frame in which there is one: things pop up by a scale that starts at zero."""
+        every = (_to_world(self.mover.space, code).GetDeterminant3() for code in self.codes.tolist())
+        return next((each for each in every if each), 1.0)
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the way to the world turns left into right."""
+        skin = self.mover.skin
+        bind = skin.bind_transform(self.start).GetDeterminant3() if skin and skin.has_joints else 1.0
+        return bool(self._first_determinant * bind < 0)
+
+    def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
+        """Return the vertices (V, 3) in the world at a time code, the skeleton being in a pose.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If there are others than in the first frame, or the transform mirrors otherwise than before; in words
+            that follow the number of the frame.
+        """
+        path = self.mesh.GetPath()
+        value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
+        if value is None:
+            raise InvalidSequenceError(f"{path} has no points")
+        if len(value) != self.point_count:
+            raise InvalidSequenceError(
+                f"{path} has {len(value)} points, the first frame {self.point_count}; every frame needs the same "
+                "vertices in the same order"
+            )
+        if self.mover.skin and pose:
+            value = self.mover.skin.deformed(value, pose, code)
+        matrix = _to_world(self.mover.space, code)
+        if matrix.GetDeterminant3() * self._first_determinant < 0:
+            raise InvalidSequenceError(
+                f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
+                "out; give the animated scale one sign"
+            )
+        return _placed(value, matrix, 1.0)[self.weld.representatives]
+
+    def velocities(self, code: float) -> NDArray[np.float32]:
+        """Return the velocities (V, 3) in the world, in units per second.
+
+        Raises
+        ------
+        InvalidSequenceError
+            If there are more or fewer than points.
+        """
+        value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
+        if value is None or len(value) != self.point_count:
+            raise InvalidSequenceError(
+                f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give as many"
+            )
+        return _placed(value, _to_world(self.mover.space, code), 0.0)[self.weld.representatives]
+
+    def has_velocities(self, notes: Notes) -> bool:
+        """Whether velocities can be read; those that cannot are noted."""
+        velocities = self.mesh.GetVelocitiesAttr()
+        if not velocities.HasAuthoredValue():
+            return False
+        first = velocities.Get(Usd.TimeCode(self.start))
+        if velocities.GetTimeSamples() != self.mesh.GetPointsAttr().GetTimeSamples():
+            problem = "are not sampled at the times of the points"
+        elif len(first or ()) != self.point_count:
+            problem = f"are {len(first or ())} for {self.point_count} points"
+        elif self.mover.skin or not self.mover.only_points_move:
+            problem = "are those under a transform or a skeleton that moves, too"
+        else:
+            return True
+        notes.add(self.mesh.GetPrim(), f"velocities {problem}; they are left out")
+        return False
+
+
+def moves(prim: Usd.Prim) -> bool:
+    """Whether the local-to-world transform of a prim changes over time."""
+    return any(map(_varies, _transform_attributes(prim)))
+
+
+def _transform_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    """Yield the attributes that the local-to-world transform depends on."""
+    for each in lineage(prim):
+        xformable = UsdGeom.Xformable(each)
+        if xformable:
+            yield from (operation.GetAttr() for operation in xformable.GetOrderedXformOps())
+            if xformable.GetResetXformStack():
+                return
+
+
+def _varies(attribute: Usd.Attribute) -> bool:
+    return attribute.GetNumTimeSamples() > 1 or is_spline(attribute)
+
+
+def is_spline(attribute: Usd.Attribute) -> bool:
+    """Whether an attribute changes over time without samples."""
+    return bool(attribute.ValueMightBeTimeVarying()) and not attribute.GetNumTimeSamples()
+
+
+def _placed(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:
+    """Return points (weight 1), or vectors (weight 0), in the world."""
+    rows = np.array(value, dtype=np.float32).reshape(-1, 3)
+    if to_world == Gf.Matrix4d(1.0):
+        return rows
+    matrix = np.array(to_world, dtype=np.float64)
+    with np.errstate(all="ignore"):  # what overflows is reported by the reader, with its vertex
+        return np.asarray(rows @ matrix[:3, :3] + weight * matrix[3, :3], dtype=np.float32)

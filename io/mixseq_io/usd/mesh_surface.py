@@ -1,0 +1,212 @@
+"""USD, surfaces: the polygons of a mesh and what is on them.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_mesh.html,
+https://openusd.org/release/api/class_usd_geom_primvar.html (interpolation),
+https://openusd.org/release/api/class_usd_geom_subset.html,
+https://openusd.org/release/api/class_usd_shade_material_binding_a_p_i.html
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+from mixseq.arrays import IntArray
+from mixseq.errors import InvalidSequenceError
+from mixseq.geometry.normals import hard_edges_of_normals
+from mixseq.polygons import Polygons, reversed_corners
+from mixseq.surface import CornerValues, FaceSet
+from mixseq_io.reader import naming
+from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.usd.mesh_motion import AnimatedMesh
+from mixseq_io.usd.prims import Notes
+from mixseq_io.usd.stage_meshes import display_name
+
+_UV_TYPES = (
+    Sdf.ValueTypeNames.TexCoord2fArray,
+    Sdf.ValueTypeNames.TexCoord2dArray,
+    Sdf.ValueTypeNames.TexCoord2hArray,
+    Sdf.ValueTypeNames.Float2Array,
+)
+
+_PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
+
+
+def scene_mesh_of(
+    animated: AnimatedMesh, first_vertex: int, codes: NDArray[np.float64], notes: Notes
+) -> SceneMesh:
+    """Return a mesh as it is in the first frame, its faces counter-clockwise seen from outside in world space.
+
+    Parameters
+    ----------
+    animated : AnimatedMesh
+        The mesh.
+    first_vertex : int
+        Index of its first vertex in the sequence.
+    codes : (T,) float64
+        Time codes of the frames.
+    notes : Notes
+        Takes what is left out.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the faces change over time, or do not fit the vertices.
+    """
+    mesh, code = animated.mesh, Usd.TimeCode(animated.start)
+    path = str(mesh.GetPath())
+    with naming(path):
+        polygons = _polygons(animated, codes)
+    scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    if mesh.GetHoleIndicesAttr().Get(code):
+        notes.add(mesh.GetPrim(), "holes cannot be kept; these faces become visible")
+    scene_mesh = SceneMesh(
+        name=display_name(mesh.GetPrim()),
+        path=path,
+        vertices=slice(first_vertex, first_vertex + animated.vertex_count),
+        polygons=animated.weld.polygons(polygons),
+        uvs=_uvs(animated, polygons, notes),
+        # The normals of a surface that is subdivided follow from the subdivision.
+        hard_edges=_hard_edges(animated, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
+        face_sets=tuple(_face_sets(mesh, len(polygons.counts), code, notes)),
+        subdivision=scheme,
+    )
+    # A left-handed mesh lists corners clockwise; a transform that mirrors turns clockwise around.
+    left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+    return _turned(scene_mesh) if left_handed != animated.mirrored else scene_mesh
+
+
+def _turned(scene_mesh: SceneMesh) -> SceneMesh:
+    order = reversed_corners(scene_mesh.polygons.counts, keep_first=True)
+    return replace(
+        scene_mesh,
+        polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
+        uvs=None
+        if scene_mesh.uvs is None
+        else CornerValues(scene_mesh.uvs.values, scene_mesh.uvs.indices[order]),
+        hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
+    )
+
+
+def _polygons(animated: AnimatedMesh, codes: NDArray[np.float64]) -> Polygons:
+    counts = _constant(animated.mesh.GetFaceVertexCountsAttr(), codes)
+    polygons = Polygons(counts, _constant(animated.mesh.GetFaceVertexIndicesAttr(), codes))
+    outside = (polygons.indices < 0) | (polygons.indices >= animated.point_count)
+    if outside.any():
+        corner = int(np.argmax(outside))
+        face = int(np.searchsorted(np.cumsum(polygons.counts), corner, side="right"))
+        raise InvalidSequenceError(
+            f"face {face} uses vertex {polygons.indices[corner]}, but vertices are 0 to {animated.point_count - 1}"
+        )
+    return polygons
+
+
+def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return the value of an attribute that must not change; some exporters repeat it at every sample."""
+    first = np.array(attribute.Get(Usd.TimeCode(codes[0])) or (), dtype=np.int32)
+    for code in attribute.GetTimeSamples():
+        if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
+            frame = int(np.searchsorted(codes, code))
+            raise InvalidSequenceError(
+                f"{attribute.GetName()} changes at time code {code:g} (frame {frame}); every frame needs the "
+                "same faces: export without remeshing, or the part of the time line before it"
+            )
+    return first
+
+
+def _uvs(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> CornerValues | None:
+    """Return the texture coordinates ``st``, or the first that there are."""
+    prim = animated.mesh.GetPrim()
+    every = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
+    sets = [each for each in every if each.GetTypeName() in _UV_TYPES]
+    if not sets:
+        return None
+    chosen = min(sets, key=lambda each: (each.GetPrimvarName() != "st", _UV_TYPES.index(each.GetTypeName())))
+    name = chosen.GetPrimvarName()
+    if len(sets) > 1:
+        notes.add(prim, f"of several sets of texture coordinates only {name!r} is kept")
+    if chosen.ValueMightBeTimeVarying():
+        notes.add(prim, "texture coordinates that change over time stay as they are in the first frame")
+    code = Usd.TimeCode(animated.start)
+    values = np.array(chosen.Get(code) or (), dtype=np.float32).reshape(-1, 2)
+    rows = rows_of_corners(chosen.GetInterpolation(), polygons)
+    if chosen.IsIndexed():
+        indices = np.array(chosen.GetIndices(code) or (), dtype=np.int32)
+        rows = indices[rows] if within(rows, len(indices)) else np.array([-1])
+    if not within(rows, len(values)):
+        notes.add(prim, f"texture coordinates {name!r} do not fit the faces and are left out")
+        return None
+    return CornerValues(values, rows)
+
+
+def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:
+    """Return which corners share a normal; ``primvars:normals`` come before ``normals``."""
+    mesh, code = animated.mesh, Usd.TimeCode(animated.start)
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    if primvar and primvar.HasAuthoredValue():
+        interpolation, values = primvar.GetInterpolation(), primvar.ComputeFlattened(code)
+    else:
+        interpolation, values = mesh.GetNormalsInterpolation(), mesh.GetNormalsAttr().Get(code)
+    of_points = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    if values is None or (of_points and animated.weld.is_identity):
+        return None
+    normals = np.array(values, dtype=np.float32).reshape(-1, 3)
+    rows = rows_of_corners(interpolation, polygons)
+    if not within(rows, len(normals)) or not np.isfinite(normals).all():
+        notes.add(mesh.GetPrim(), "normals do not fit the faces and are left out")
+        return None
+    return hard_edges_of_normals(animated.weld.polygons(polygons), normals[rows])
+
+
+def rows_of_corners(interpolation: str, polygons: Polygons) -> NDArray[np.int32]:
+    """Return the row of a primvar's value for every corner."""
+    if interpolation == UsdGeom.Tokens.faceVarying:
+        return np.arange(polygons.indices.size, dtype=np.int32)
+    if interpolation == UsdGeom.Tokens.uniform:
+        return np.repeat(np.arange(len(polygons.counts), dtype=np.int32), polygons.counts)
+    if interpolation == UsdGeom.Tokens.constant:
+        return np.zeros(polygons.indices.size, dtype=np.int32)
+    return np.asarray(polygons.indices, dtype=np.int32)
+
+
+def within(rows: IntArray, count: int) -> bool:
+    """Whether all rows are there."""
+    return not rows.size or bool(rows.min() >= 0 and rows.max() < count)
+
+
+def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:
+    """Return the material on the whole mesh, if there is one, and the subsets of its faces."""
+    sets = []
+    whole = _material(mesh.GetPrim())
+    if whole and polygon_count:
+        sets.append(FaceSet(whole.GetPrim().GetName(), np.arange(polygon_count), str(whole.GetPath())))
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+            notes.add(subset.GetPrim(), "subsets of other elements than faces are left out")
+            continue
+        if subset.GetIndicesAttr().ValueMightBeTimeVarying():
+            notes.add(subset.GetPrim(), "subsets that change over time stay as they are in the first frame")
+        polygons = np.array(subset.GetIndicesAttr().Get(code) or (), dtype=np.int32)
+        inside = (polygons >= 0) & (polygons < polygon_count)
+        if not inside.all():
+            notes.add(subset.GetPrim(), "faces of subsets that the mesh does not have are left out")
+        # Without a binding of its own a subset has the mesh's material, which is not to be bound to it.
+        bindings = UsdShade.MaterialBindingAPI(subset.GetPrim())
+        own = any(bindings.GetDirectBinding(purpose).GetMaterialPath() for purpose in _PURPOSES)
+        material = _material(subset.GetPrim()) if own else None
+        sets.append(
+            FaceSet(
+                display_name(subset.GetPrim()), polygons[inside], str(material.GetPath()) if material else ""
+            )
+        )
+    return sets
+
+
+def _material(prim: Usd.Prim) -> UsdShade.Material | None:
+    """Return the material for all purposes, or that for final renders, or for previews, whichever there is first."""
+    bindings = UsdShade.MaterialBindingAPI(prim)
+    found = (bindings.ComputeBoundMaterial(purpose)[0] for purpose in _PURPOSES)
+    return next(filter(None, found), None)

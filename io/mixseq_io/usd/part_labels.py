@@ -1,0 +1,208 @@
+"""USD: labels of parts, read and written.
+
+Read is what tells parts of meshes apart besides their materials: families of subsets, colours, joints of skeletons.
+Written are parts as a family of subsets that partitions the faces of every mesh.
+
+Specifications: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
+https://openusd.org/release/api/class_usd_geom_gprim.html (displayColor),
+https://openusd.org/release/api/class_usd_skel_binding_a_p_i.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from scipy.sparse import csr_array
+
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.errors import InvalidSequenceError
+from mixseq.polygons import Polygons
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import FaceSet
+from mixseq_io.labels.markings import (
+    FAMILY,
+    GROUPS,
+    LABELS,
+    MATERIALS,
+    Markings,
+    Skinning,
+    joined_colours,
+    joined_skinning,
+    sets_of,
+)
+from mixseq_io.usd.mesh_motion import AnimatedMesh
+from mixseq_io.usd.mesh_surface import rows_of_corners, within
+from mixseq_io.usd.paths import identifier
+from mixseq_io.usd.stage_meshes import display_name
+
+NUMBER = "mixseq:part"
+"""Number of a part in the custom data of its subset."""
+
+
+def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
+    """Return what tells parts of the meshes of a stage apart.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        The sequence that joins the meshes.
+    meshes : sequence of AnimatedMesh
+        The meshes in the order of their vertices.
+    """
+    polygons = [_polygons(animated) for animated in meshes]
+    colours = [_colours(animated, own) for animated, own in zip(meshes, polygons, strict=True)]
+    skinned = any(_is_skinned(animated) for animated in meshes)
+    materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
+    return Markings(
+        sets=_families(meshes, polygons) | materials,
+        colours=joined_colours(colours, [own.indices.size for own in polygons]),
+        skinning=joined_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
+    )
+
+
+def _polygons(animated: AnimatedMesh) -> Polygons:
+    """Return the faces by points, as they are in the file."""
+    code = Usd.TimeCode(animated.start)
+    counts = animated.mesh.GetFaceVertexCountsAttr().Get(code)
+    indices = animated.mesh.GetFaceVertexIndicesAttr().Get(code)
+    return Polygons(np.array(counts or (), dtype=np.int32), np.array(indices or (), dtype=np.int32))
+
+
+def _families(meshes: Sequence[AnimatedMesh], polygons: Sequence[Polygons]) -> dict[str, tuple[FaceSet, ...]]:
+    """Return subsets of faces by family; ours in the order of their numbers."""
+    found: dict[str, list[tuple[int, FaceSet]]] = {}
+    first = 0
+    for animated, own in zip(meshes, polygons, strict=True):
+        code = Usd.TimeCode(animated.start)
+        for subset in _subsets(animated.mesh):
+            faces = np.array(subset.GetIndicesAttr().Get(code) or (), dtype=np.int32)
+            faces = faces[(faces >= 0) & (faces < len(own.counts))]
+            number = subset.GetPrim().GetCustomDataByKey(NUMBER)
+            face_set = FaceSet(display_name(subset.GetPrim()), faces + first)
+            found.setdefault(_source(subset), []).append((number if isinstance(number, int) else 0, face_set))
+        first += len(own.counts)
+    return {
+        source: tuple(each for _, each in sorted(sets, key=lambda pair: pair[0]))
+        for source, sets in found.items()
+    }
+
+
+def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
+    """Yield the subsets of a mesh's faces that are none of materials."""
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        of_faces = subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
+        if of_faces and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
+            yield subset
+
+
+def _source(subset: UsdGeom.Subset) -> str:
+    family = str(subset.GetFamilyNameAttr().Get() or "")
+    return LABELS if family == FAMILY else family or GROUPS
+
+
+def _colours(animated: AnimatedMesh, polygons: Polygons) -> FloatArray | None:
+    """Return ``displayColor`` at the corners ``(sum of counts, 3)``, None if there is none that fits."""
+    primvar = UsdGeom.PrimvarsAPI(animated.mesh.GetPrim()).FindPrimvarWithInheritance("displayColor")
+    if not primvar or not primvar.HasAuthoredValue():
+        return None
+    values = np.array(primvar.ComputeFlattened(Usd.TimeCode(animated.start)) or (), dtype=np.float64).reshape(
+        -1, 3
+    )
+    rows = rows_of_corners(primvar.GetInterpolation(), polygons)
+    return values[rows] if within(rows, len(values)) else None
+
+
+def _is_skinned(animated: AnimatedMesh) -> bool:
+    return animated.mover.skin is not None and animated.mover.skin.has_joints
+
+
+def _skinning(animated: AnimatedMesh) -> Skinning:
+    skin = animated.mover.skin
+    if skin is None or not skin.has_joints:
+        return Skinning.rigid(str(animated.mesh.GetPath()), animated.vertex_count)
+    names = [str(each) for each in skin.query.GetJointOrder() or skin.skeleton.query.GetJointOrder()]
+    indices, weights = skin.query.ComputeVaryingJointInfluences(
+        animated.point_count, Usd.TimeCode(animated.start)
+    )
+    joint = np.array(indices or (), dtype=np.int64).reshape(animated.point_count, -1)
+    weight = np.array(weights or (), dtype=np.float64).reshape(animated.point_count, -1)
+    if not joint.size or joint.min() < 0 or joint.max() >= len(names):
+        raise InvalidSequenceError(
+            f"the joint indices and weights of {animated.mesh.GetPath()} do not fit its {animated.point_count} "
+            f"points and {len(names)} joints; export the character again"
+        )
+    rows = np.repeat(np.arange(animated.vertex_count), joint.shape[1])
+    vertices = animated.weld.representatives
+    matrix = csr_array(
+        (weight[vertices].reshape(-1), (rows, joint[vertices].reshape(-1))),
+        shape=(animated.vertex_count, len(names)),
+    )
+    root = str(skin.skeleton.prim.GetPath())
+    return Skinning(
+        matrix,
+        tuple(f"{root}/{name}" for name in names),
+        tuple(_above(root, name, skin.skeleton.query) for name in names),
+    )
+
+
+def _above(root: str, joint: str, skeleton: UsdSkel.SkeletonQuery) -> str:
+    """Return the path of the joint above a joint of a skeleton, "" if there is none."""
+    every = [str(each) for each in skeleton.GetJointOrder()]
+    parent = skeleton.GetTopology().GetParent(every.index(joint)) if joint in every else -1
+    return f"{root}/{every[parent]}" if parent >= 0 else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Parts of a sequence's polygons.
+
+    Parameters
+    ----------
+    of_polygon : tuple of (n,) int
+        Part of every polygon, mesh by mesh.
+    names : sequence of str
+        What the parts are called.
+    """
+
+    of_polygon: tuple[IntArray, ...]
+    names: Sequence[str]
+
+
+def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
+    """Author a subset for every part of every mesh; those that the meshes have from before are replaced.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        The layer, which may have others below it.
+    meshes : sequence of str
+        Paths of the meshes' prims, in the order of `parts`.
+    parts : Parts
+        The parts.
+    """
+    stage = Usd.Stage.Open(layer)
+    for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
+        _define(UsdGeom.Mesh(stage.GetPrimAtPath(path)), of_polygon, parts.names)
+
+
+def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> None:
+    old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", FAMILY)}
+    others = mesh.GetPrim().GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
+    taken = [name for each in others if (name := each.GetName()) not in old]
+    for part in np.unique(of_polygon).tolist():
+        name = identifier(names[part], taken)
+        taken.append(name)
+        faces = np.flatnonzero(of_polygon == part).astype(np.int32)
+        subset = UsdGeom.Subset.CreateGeomSubset(
+            mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), FAMILY
+        )
+        prim = subset.GetPrim()
+        prim.SetCustomDataByKey(NUMBER, part)
+        if names[part] != name or prim.GetDisplayName():
+            prim.SetDisplayName(names[part])
+    for name in old.difference(taken):
+        mesh.GetPrim().GetChild(name).SetActive(False)
+    UsdGeom.Subset.SetFamilyType(mesh, FAMILY, UsdGeom.Tokens.partition)
