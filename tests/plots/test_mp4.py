@@ -7,12 +7,12 @@ from io import BytesIO
 
 import pytest
 
-from mixseq.plots.video.mp4 import Track, joined, read_track, write_track
+from mixseq.plots.video.mp4 import VideoTrack, joined, read_track, write_track
 
-TRACK = Track(64, 48, b"av01", b"\0\0\0\x0cav1Cabcd", (b"first", b"second", b"x"), (0, 2))
+TRACK = VideoTrack(64, 48, b"av01", b"\0\0\0\x0cav1Cabcd", (b"first", b"second", b"x"), (0, 2))
 
 
-def written(track: Track, fps: float = 24) -> bytes:
+def written(track: VideoTrack, fps: float = 24) -> bytes:
     file = BytesIO()
     write_track(file, track, fps)
     return file.getvalue()
@@ -29,7 +29,7 @@ def test_a_track_comes_back() -> None:
 
 
 def test_samples_of_one_size_come_back() -> None:
-    data = written(Track(64, 48, b"av01", TRACK.settings, (b"ab", b"cd"), (0,)))
+    data = written(VideoTrack(64, 48, b"av01", TRACK.settings, (b"ab", b"cd"), (0,)))
     place = data.index(b"stsz") + 4
     short = data[: place + 4] + struct.pack(">II", 2, 2) + data[place + 12 :]
     assert read_track(short).samples == (b"ab", b"cd")
@@ -74,7 +74,7 @@ def test_tracks_are_joined() -> None:
 
 
 def test_other_settings_are_not_joined() -> None:
-    other = Track(64, 50, b"av01", TRACK.settings, TRACK.samples, (0,))
+    other = VideoTrack(64, 50, b"av01", TRACK.settings, TRACK.samples, (0,))
     with pytest.raises(ValueError, match="other settings"):
         joined([TRACK, other])
 

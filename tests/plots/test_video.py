@@ -196,6 +196,7 @@ def test_errors_need_the_same_times(gem: MeshSequence, tmp_path: Path) -> None:
 # Files
 
 
+@pytest.mark.usefixtures("without_ffmpeg")
 @pytest.mark.parametrize("extension", ["gif", "webp", "mp4"])
 def test_the_same_bytes_on_any_number_of_threads(gem: MeshSequence, tmp_path: Path, extension: str) -> None:
     if extension == "mp4" and not image_has("avif"):
@@ -217,12 +218,19 @@ def test_poses_on_disk_make_the_same_film(
     assert (tmp_path / "memory.gif").read_bytes() == (tmp_path / "disk.gif").read_bytes()
 
 
+@pytest.fixture
+def without_ffmpeg(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Films are AV1, whatever is installed."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+
 def image_has(encoder: str) -> bool:
     from PIL import features
 
     return encoder in features.get_supported_modules()
 
 
+@pytest.mark.usefixtures("without_ffmpeg")
 def test_an_mp4_has_a_sample_for_each_frame(gem: MeshSequence, tmp_path: Path) -> None:
     if not image_has("avif"):
         pytest.skip("no AV1 encoder here")
@@ -367,6 +375,7 @@ def test_what_formats_cannot_hold(form: Any, size: tuple[int, int], fps: float |
         check_film(form, size, fps)
 
 
+@pytest.mark.usefixtures("without_ffmpeg")
 def test_missing_encoders_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("PIL.features.get_supported_modules", lambda: ["pil"])
     with pytest.raises(MissingExtraError, match=r"without its AVIF encoder; .* pip install 'pillow>=11.3'"):

@@ -17,9 +17,8 @@ from itertools import islice
 from pathlib import Path
 
 from mixseq.plots.raster import Picture
-from mixseq.plots.video.encoding import Draw
-from mixseq.plots.video.mp4 import Track, joined, read_track, write_track
-from mixseq.plots.video.reel import reel
+from mixseq.plots.video.encoding import Draw, reel
+from mixseq.plots.video.mp4 import VideoTrack, joined, read_track, write_track
 
 SCENE = 2.0
 """Seconds from one frame that needs none before it to the next, at most."""
@@ -31,7 +30,7 @@ SPEED = 8
 """From 0, small, to 10, fast."""
 
 
-def write_mp4(target: Path, draw: Draw, count: int, fps: float) -> None:
+def write_av1(target: Path, draw: Draw, count: int, fps: float) -> None:
     """Write frames as an MP4; parameters as those of `encode_film`."""
     pictures = draw(range(count))
     scenes = [_encoded(pictures, length) for length in scene_lengths(count, fps)]
@@ -51,7 +50,7 @@ def scene_lengths(count: int, fps: float) -> list[int]:
     return [count * (k + 1) // scenes - count * k // scenes for k in range(scenes)]
 
 
-def _encoded(pictures: Iterator[Picture], length: int) -> Track:
+def _encoded(pictures: Iterator[Picture], length: int) -> VideoTrack:
     """Encode the next frames as a scene."""
     file = BytesIO()
     reel(islice(pictures, length), length).save(

@@ -94,7 +94,7 @@ def film(
     Parameters
     ----------
     target : path
-        The file: .mp4 (AV1), .gif or .webp.
+        The file: .mp4 (H.264 where there is an ffmpeg, else AV1), .gif or .webp.
     shown : sequence of SceneItem
         What is shown, from left to right.
     settings : FilmSettings, optional

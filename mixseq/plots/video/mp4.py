@@ -1,7 +1,8 @@
 """Boxes of the ISO base media file format [1]_: one video track, out of an AVIF and into an MP4.
 
 A box is its size, four letters, and what is in it: numbers, or boxes. Dates are zero, so that equal films are equal
-files.
+files. Own code, as what writes MP4 brings codecs along: the wheels of PyAV and imageio-ffmpeg have 36 and 68 MB, and
+Pillow, which encodes the frames already, writes AVIF only.
 
 References
 ----------
@@ -25,7 +26,7 @@ _ENTRY = 78  # bytes of a visual sample entry before its boxes
 
 
 @dataclass(frozen=True)
-class Track:
+class VideoTrack:
     """A video track.
 
     Attributes
@@ -50,7 +51,7 @@ class Track:
     keys: tuple[int, ...]
 
 
-def joined(tracks: Sequence[Track]) -> Track:
+def joined(tracks: Sequence[VideoTrack]) -> VideoTrack:
     """Return tracks of the same codec and settings one after the other.
 
     Raises
@@ -71,10 +72,10 @@ def joined(tracks: Sequence[Track]) -> Track:
             raise ValueError("tracks with other settings cannot be joined")
         keys += [len(samples) + key for key in track.keys]
         samples += track.samples
-    return Track(first.width, first.height, first.codec, first.settings, tuple(samples), tuple(keys))
+    return VideoTrack(first.width, first.height, first.codec, first.settings, tuple(samples), tuple(keys))
 
 
-def read_track(data: bytes) -> Track:
+def read_track(data: bytes) -> VideoTrack:
     """Return the first track of a file.
 
     Raises
@@ -104,7 +105,7 @@ def read_track(data: bytes) -> Track:
     except ValueError:  # without a list, all are
         numbers = tuple(range(1, count + 1))
     found = tuple(number - 1 for number in numbers)
-    return Track(width, height, entry_name.encode("latin1"), b"".join(kept), tuple(samples), found)
+    return VideoTrack(width, height, entry_name.encode("latin1"), b"".join(kept), tuple(samples), found)
 
 
 def _boxes(data: bytes) -> Iterator[tuple[str, bytes]]:
@@ -153,21 +154,19 @@ def _chunk_lengths(table: bytes, samples: int) -> list[int]:
     return lengths
 
 
-def write_track(file: IO[bytes], track: Track, fps: float) -> None:
+def write_track(file: IO[bytes], track: VideoTrack, fps: float) -> None:
     """Write a track as an MP4 that can be played while it is still being loaded.
 
     Parameters
     ----------
     file : binary file
         Where it goes.
-    track : Track
+    track : VideoTrack
         The track.
     fps : float
         Frames per second; written as a fraction, of which 24000/1001 is one.
     """
-    rate = Fraction(fps).limit_denominator(1001)
-    if not rate:
-        rate = Fraction(1, max(1, round(1 / fps)))
+    rate = frame_rate(fps)
     brands = _box("ftyp", b"isom", struct.pack(">I", 512), b"isom", b"iso6", track.codec, b"mp41")
     start = len(brands) + len(_movie(track, rate, 0)) + 8
     file.write(brands)
@@ -175,6 +174,17 @@ def write_track(file: IO[bytes], track: Track, fps: float) -> None:
     file.write(struct.pack(">I4s", 8 + sum(map(len, track.samples)), b"mdat"))
     for sample in track.samples:
         file.write(sample)
+
+
+def frame_rate(fps: float) -> Fraction:
+    """Return frames per second as a fraction, of which 24000/1001 is one.
+
+    Examples
+    --------
+    >>> str(frame_rate(24000 / 1001)), str(frame_rate(1e-4))
+    ('24000/1001', '1/10000')
+    """
+    return Fraction(fps).limit_denominator(1001) or Fraction(1, max(1, round(1 / fps)))
 
 
 def _box(name: str, *inside: bytes) -> bytes:
@@ -191,7 +201,7 @@ def _numbers(*values: int) -> bytes:
     return struct.pack(f">{len(values)}I", *values)
 
 
-def _movie(track: Track, rate: Fraction, start: int) -> bytes:
+def _movie(track: VideoTrack, rate: Fraction, start: int) -> bytes:
     """Return the box that describes the samples, which begin at a byte of the file."""
     count, scale, step = len(track.samples), rate.numerator, rate.denominator
     duration = count * step
