@@ -1,4 +1,4 @@
-"""Fewer triangles for the same surface: half-edge collapse by quadric error (Garland and Heckbert 1997).
+"""Thin out a mesh by half-edge collapses of least quadric error (Garland and Heckbert 1997).
 
 A collapse moves a vertex v onto a neighbour u, so that the vertices that stay are vertices of the mesh. Its cost is
 the area-weighted squared distance of u from the planes of all faces that v and u stand for by then, plus, ours,

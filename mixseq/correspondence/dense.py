@@ -1,4 +1,4 @@
-r"""Dense correspondence: for every vertex and triangle of a target, the point and the triangle of the source it is.
+r"""Dense correspondence: which point and triangle of a source every vertex and triangle of a target is.
 
 A target vertex v is the point :math:`\sum_k w_{vk}\, x_{c_{vk}}` of the source, with three corners c and barycentric
 weights w. Vertices that are on no part of the source (eyes, teeth, hats) have none, and follow another vertex of the

@@ -45,7 +45,7 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """What was found.
+    """A correspondence, and what was found without filling in.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ ALIKE = 2.5
 
 @dataclass(frozen=True, eq=False)
 class Exchanges:
-    """What exchanging the targets of two markers would change, for all pairs of markers.
+    """How well two markers fit as they are and with their targets exchanged, for all pairs of markers.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Exchanges:
 
 @dataclass(frozen=True, eq=False)
 class Bending:
-    """The bending energy of maps of fixed sources.
+    """The bending energy of thin-plate splines through fixed sources.
 
     Attributes
     ----------

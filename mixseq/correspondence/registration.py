@@ -80,7 +80,7 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A source on a target.
+    """A source that was deformed to lie on a target.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ from mixseq.arrays import Float, Index
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """What holds the pieces of a mesh: a tree.
+    """A tree of pieces: each but the root is attached to another one at a vertex.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Attachments:
 
 
 def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
-    """Find what holds the pieces of a mesh.
+    """Attach every piece of a mesh but the largest to another one.
 
     Parameters
     ----------

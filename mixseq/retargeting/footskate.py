@@ -29,7 +29,7 @@ NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True)
 class GroupReport:
-    """What became of one contact. Lengths are in diagonals of the target.
+    """How far one contact slides, before and after. Lengths are in diagonals of the target.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class GroupReport:
 
 @dataclass(frozen=True)
 class ContactReport:
-    """What became of all contacts.
+    """How far all contacts slide, and what keeping them took.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ def remove_footskate(
     diagonal: float,
     settings: StanceSettings | None = None,
 ) -> Planted:
-    """Keep contacts from sliding while those of the source rest.
+    """Move parts so that contacts do not slide while those of the source rest.
 
     Parameters
     ----------

@@ -28,8 +28,8 @@ from scipy import sparse
 from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.geometry.rigid import nearest_rotations, turned
-from mixseq.retargeting.free_joints import FreeJoints
-from mixseq.retargeting.gradients import GradientTransfer, combined, normalised
+from mixseq.retargeting.gradient_transfer import GradientTransfer, combined, normalised
+from mixseq.retargeting.solved_joints import SolvedJoints
 from mixseq.topology import Topology
 
 
@@ -51,24 +51,24 @@ class SameEdges:
     ----------
     topology : Topology
         The connectivity.
-    free : FreeJoints
+    solved : SolvedJoints
         The joints.
     source, target : (V, 3) float64
         The meshes at rest, each in the unit of its space.
     """
 
     topology: Topology
-    free: FreeJoints
+    solved: SolvedJoints
     source: Float
     target: Float
 
     @cached_property
     def _edges(self) -> Index:
-        return self.topology.edges[self.free.edge_ids]
+        return self.topology.edges[self.solved.edge_ids]
 
     @cached_property
     def _hinges(self) -> Index:
-        return self.topology.hinges[self.free.hinge_ids]
+        return self.topology.hinges[self.solved.hinge_ids]
 
     @cached_property
     def _rest(self) -> tuple[Float, Float, Float, Float]:
@@ -95,17 +95,17 @@ class OtherEdges:
     ----------
     gradients : GradientTransfer
         The meshes and their correspondence.
-    free : FreeJoints
+    solved : SolvedJoints
         The joints of the target.
     """
 
     gradients: GradientTransfer
-    free: FreeJoints
+    solved: SolvedJoints
 
     @cached_property
     def _faces(self) -> Index:
         """Faces of the target's joints."""
-        ids = [joint.face_ids for joint in self.free.joints]
+        ids = [joint.face_ids for joint in self.solved.joints]
         return np.unique(np.concatenate(ids)) if ids else np.zeros(0, dtype=np.int64)
 
     @cached_property
@@ -127,8 +127,8 @@ class OtherEdges:
     def _edge_sides(self) -> tuple[Index, Index]:
         """Rows of `_faces` and stored edges: every face at each."""
         edges = self._topology.face_edges[self._faces]
-        order = np.argsort(self.free.edge_ids, kind="stable")
-        ids = self.free.edge_ids[order]
+        order = np.argsort(self.solved.edge_ids, kind="stable")
+        ids = self.solved.edge_ids[order]
         place = np.searchsorted(ids, edges)
         found = (place < len(ids)) & (ids[np.minimum(place, len(ids) - 1)] == edges)
         return np.nonzero(found)[0], order[place[found]]
@@ -136,16 +136,16 @@ class OtherEdges:
     @cached_property
     def _hinge_sides(self) -> Index:
         """Rows of `_faces` of both faces ``(H', 2)`` of every stored hinge."""
-        return np.searchsorted(self._faces, self._topology.hinge_faces[self.free.hinge_ids])
+        return np.searchsorted(self._faces, self._topology.hinge_faces[self.solved.hinge_ids])
 
     @cached_property
     def _angles(self) -> Float:
-        return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.free.hinge_ids])
+        return dihedral_angles(self.gradients.target.reference, self._topology.hinges[self.solved.hinge_ids])
 
     def of(self, x: Float) -> tuple[Float, Float]:
         """Implement `JointChanges.of`."""
         moved = self._gradients(x)
-        rest, edges = self.gradients.target.reference, self._topology.edges[self.free.edge_ids]
+        rest, edges = self.gradients.target.reference, self._topology.edges[self.solved.edge_ids]
         faces, rows = self._edge_sides
         sides = rest[edges[:, 1]] - rest[edges[:, 0]]
         stretched = np.linalg.norm(turned(moved[faces], sides[rows]), axis=1)
@@ -163,7 +163,7 @@ class OtherEdges:
 
     def _bent(self, moved: Float) -> Float:
         rest = self.gradients.target.reference
-        a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.free.hinge_ids].T)
+        a, b, c, d = (rest[corner] for corner in self._topology.hinges[self.solved.hinge_ids].T)
         first, second = (moved[side] for side in self._hinge_sides.T)
         near, far = turned(first, b - a), turned(second, b - a)
         n1, n2 = np.cross(near, turned(first, c - a)), np.cross(turned(second, d - a), far)

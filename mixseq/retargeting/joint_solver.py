@@ -2,7 +2,7 @@
 
 Parts go where their poses say. A joint between them is a boundary value problem: its free vertices are those that fit
 lengths and angles best (`mixseq.shells.reconstruction`), near where the parts carry them
-(`mixseq.retargeting.free_joints`).
+(`mixseq.retargeting.solved_joints`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import kabsch, turned
-from mixseq.retargeting.free_joints import FreeJoints, HarmonicSkin
+from mixseq.retargeting.solved_joints import HarmonicSkin, SolvedJoints
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import NO_PULL, Pull, ShellReport, ShellSettings
 from mixseq.shells.patch import Patch
@@ -72,9 +72,9 @@ class JointSolver:
     reference: Float
 
     @cached_property
-    def free(self) -> FreeJoints:
+    def solved(self) -> SolvedJoints:
         """The joints that are solved."""
-        return FreeJoints.of(self.topology, self.decomposition)
+        return SolvedJoints.of(self.topology, self.decomposition)
 
     @cached_property
     def _copies(self) -> tuple[Index, Index, Float]:
@@ -101,15 +101,15 @@ class JointSolver:
             owner[vertices] = number
         return tuple(
             HarmonicSkin.of(patch, owner[joint.vertices], self.reference[joint.vertices])
-            for joint, patch in zip(self.free.joints, self.free.patches, strict=True)
+            for joint, patch in zip(self.solved.joints, self.solved.patches, strict=True)
         )
 
     @cached_property
-    def _solved(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
+    def _systems(self) -> list[tuple[Joint, Patch, slice, slice, slice, HarmonicSkin]]:
         """The joints that are solved, with the places of their lengths, angles and free vertices."""
-        free = self.free
-        slices = free.edge_slices, free.hinge_slices, free.vertex_slices
-        return list(zip(free.joints, free.patches, *slices, self._skins, strict=True))
+        solved = self.solved
+        slices = solved.edge_slices, solved.hinge_slices, solved.vertex_slices
+        return list(zip(solved.joints, solved.patches, *slices, self._skins, strict=True))
 
     def assemble(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
@@ -119,9 +119,9 @@ class JointSolver:
         points = self._placed(frame)
         moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []
-        for joint, patch, edges, hinges, free, skin in self._solved:
+        for joint, patch, edges, hinges, free, skin in self._systems:
             guess, pull = _expected(skin, moves, shifts, frame, free)
-            solved, report = rebuild(
+            rebuilt, report = rebuild(
                 patch,
                 frame.lengths[edges],
                 frame.angles[hinges],
@@ -131,7 +131,7 @@ class JointSolver:
                 guess,
                 pull,
             )
-            points[joint.vertices[patch.free]] = solved[patch.free]
+            points[joint.vertices[patch.free]] = rebuilt[patch.free]
             reports.append(report)
         return points, reports
 
@@ -142,9 +142,9 @@ class JointSolver:
         part that a vertex follows most, so it turns with the body.
         """
         moves, shifts = self._moves(rotations, translations)
-        offsets = np.zeros((len(self.free.vertices), 3))
-        for free, skin in zip(self.free.vertex_slices, self._skins, strict=True):
-            away = points[self.free.vertices[free]] - skin.place(moves, shifts)
+        offsets = np.zeros((len(self.solved.vertices), 3))
+        for free, skin in zip(self.solved.vertex_slices, self._skins, strict=True):
+            away = points[self.solved.vertices[free]] - skin.place(moves, shifts)
             offsets[free] = turned(np.swapaxes(rotations[skin.nearest], 1, 2), away)
         return offsets
 

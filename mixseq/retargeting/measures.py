@@ -1,9 +1,8 @@
-r"""Measures of a transfer, frame by frame: stretches and normals against those that the source expects; accelerations.
+r"""Measure frames of a transfer: stretches and normals against those that the source expects, and accelerations.
 
 The gradients J of the source's triangles and the rotation G between the two meshes say where a side s of a target
-triangle should go, :math:`s' = G J G^T s`, as in the transfer of gradients (`mixseq.retargeting.gradients`). So its
-length should be :math:`|s'| / |s|` times that at rest, and the triangle should face to where :math:`s'_1 \times s'_2`
-points.
+triangle should go, :math:`s' = G J G^T s`, as in `mixseq.retargeting.gradient_transfer`. So its length should be
+:math:`|s'| / |s|` times that at rest, and the triangle should face to where :math:`s'_1 \times s'_2` points.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.lengths_angles import edge_lengths, flat_faces
-from mixseq.retargeting.gradients import GradientTransfer, gradient_transfer
+from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from mixseq.retargeting.transfer import Transfer
 from mixseq.topology import Topology
 

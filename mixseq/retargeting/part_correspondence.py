@@ -96,7 +96,7 @@ def carry_parts(
     rest: Float,
     joint_width: int,
 ) -> PartCorrespondence:
-    """Cut the target as the source is cut.
+    """Cut a target into parts as its source is cut, and grow joints between them.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 r"""Put the parts of a target together at its pivots, with the gaps of the source.
 
 Neighbouring parts i and j meet at a pivot c, in the middle of their boundary on the target; :math:`\bar c` is that
-point on the source. With the rotations R' of the target's parts (as gradients turn them, `mixseq.retargeting.mixed`)
-and rest centres m the centres x solve
+point on the source. With the rotations R' of the target's parts (as gradients turn them) and rest centres m the centres
+x solve
 
 .. math:: \min_x \sum_{ij} w_{ij}\, | x_i + R'_i (c - m_i) - x_j - R'_j (c - m_j) - g'_{ij} |^2 ,
    \qquad g_{ij} = M_i(\bar c) - M_j(\bar c)
@@ -34,7 +34,7 @@ from scipy import sparse
 from mixseq.arrays import Float, Index
 from mixseq.retargeting.articulated_body import ArticulatedBody
 from mixseq.retargeting.attachments import Attachments
-from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.part_correspondence import vertex_parts
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.joints import Decomposition
@@ -91,7 +91,7 @@ class Pivots:
 
 @dataclass(frozen=True, eq=False)
 class PivotSolver:
-    """Finds where the parts of an articulated body go.
+    """Puts the parts of an articulated body together at their pivots.
 
     Attributes
     ----------

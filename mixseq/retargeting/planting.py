@@ -17,7 +17,7 @@ from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.articulated_body import Contact, leg_ratio
 from mixseq.retargeting.footskate import ContactReport, remove_footskate
-from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.part_correspondence import PartPoses, vertex_parts
 from mixseq.sequence import SequenceHeader
 
@@ -49,7 +49,7 @@ def plant_contacts(
     workers: Executor,
     progress: Progress = silent,
 ) -> Planting:
-    """Keep contacts from sliding where those of the source rest.
+    """Find the poses in which contacts of a transfer do not slide while those of the source rest.
 
     The root travels farther, or less far, as the target's legs are longer or shorter than those of a copy.
 

@@ -38,7 +38,7 @@ FRAMES = 8
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of something: at rest, and in some frames.
+    """How often something is found: at rest, and in some frames.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class TransferReport:
-    """What `measure` finds; formulas are at the head of this module.
+    """Measures of a transfer; their formulas are at the head of this module.
 
     Attributes
     ----------

@@ -84,7 +84,7 @@ def source_motion(
     parts: int | ArrayLike | None = None,
     progress: Progress = silent,
 ) -> SourceMotion:
-    """Get hold of a motion.
+    """Prepare a motion as the source of transfers.
 
     Parameters
     ----------

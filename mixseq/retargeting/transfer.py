@@ -19,8 +19,8 @@ from mixseq.frame_store import block_size
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.footskate import ContactReport
-from mixseq.retargeting.gradients import gradient_transfer
-from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
+from mixseq.retargeting.gradient_transfer import gradient_transfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses
 from mixseq.retargeting.planting import Planting, plant_contacts
 from mixseq.retargeting.sources import SourceMotion, source_motion
@@ -44,7 +44,7 @@ class TransferMethod(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """What a transfer consists of, before any frame is made; make it with `plan`.
+    """A transfer that is ready to make frames; made by `plan`.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ def plan(
     progress: Progress = silent,
     workers: Executor | None = None,
 ) -> Transfer:
-    """Find all that a transfer needs to know before it makes frames; parameters and errors are those of `transfer`.
+    """Prepare a transfer without making frames; parameters and errors are those of `transfer`.
 
     A source that was looked at before (`source_motion`) has its rest and its parts.
     """

@@ -1086,8 +1086,8 @@ def as_version_1(path: Path, model: Model) -> None:
     """Store an exact model in the anchored placement as version 1 did: lengths, angles and parts of all frames."""
     space, points = anchored(model), model.sample().points
     mixseq.save(path, model)
-    free = JointSolver(space.topology, space.decomposition, space.shapes, space.reference).free
-    edges, hinges = space.topology.edges[free.edge_ids], space.topology.hinges[free.hinge_ids]
+    solved = JointSolver(space.topology, space.decomposition, space.shapes, space.reference).solved
+    edges, hinges = space.topology.edges[solved.edge_ids], space.topology.hinges[solved.hinge_ids]
     x = points / space.scale
     parts, turns, centres = zip(*(space.registered(frame) for frame in x), strict=True)
     lengths = edge_lengths(x, edges)

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import FloatArray
 from mixseq.correspondence.dense import Correspondence
-from mixseq.retargeting.gradients import GradientTransfer, gradient_transfer
+from mixseq.retargeting.gradient_transfer import GradientTransfer, gradient_transfer
 from tests.meshes import Mesh, topology_of
 
 

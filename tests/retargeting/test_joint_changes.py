@@ -11,7 +11,7 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.nearest import Nearest
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.joint_changes import OtherEdges, SameEdges
-from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, grid, rotation, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same
@@ -61,7 +61,7 @@ def joined_in_the_middle(source: Mesh, target: Mesh, correspondence: Corresponde
 def hinges_of(method: MixedTransfer) -> tuple[Float, Float]:
     """Sides ``(H', 3)`` of the stored hinges, and the way ``(H', 3)`` from the centre of one face to the other's."""
     topology, rest = method.gradients.target.topology, method.gradients.target.reference
-    a, b, c, d = (rest[corner] for corner in topology.hinges[method.solver.free.hinge_ids].T)
+    a, b, c, d = (rest[corner] for corner in topology.hinges[method.solver.solved.hinge_ids].T)
     return b - a, (d - c) / 3
 
 
@@ -73,10 +73,10 @@ def test_joints_tell_most_of_a_bend_however_finely_they_are_cut(sides: int, ring
     """
     source, target = tube(10, 33, radius=0.3), tube(sides, rings, radius=0.3)
     method = joined_in_the_middle(source, target, on(source, target))
-    joints, scale = OtherEdges(method.gradients, method.solver.free), method.gradients.source.scale
+    joints, scale = OtherEdges(method.gradients, method.solver.solved), method.gradients.source.scale
     change = joints.of(arched(source[0], 0.125) / scale)[1] - joints.of(source[0] / scale)[1]
     topology = method.gradients.target.topology
-    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[method.solver.free.hinge_ids]]
+    middles = target[0][topology.edges].mean(axis=1)[topology.hinge_edges[method.solver.solved.hinge_ids]]
     width = np.linalg.norm(target[0][1] - target[0][0])
     lengths = np.linalg.norm(hinges_of(method)[0], axis=1) * method.gradients.target.scale
     for top in (-1, 1):
@@ -113,7 +113,7 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     """Faces turn about x by how far apart their centres are, hinges by what of that is about them."""
     source, target = tube(18, 33, radius=0.3), tube(sides, rings, radius=0.3)
     method = joined_in_the_middle(source, target, on(source, target))
-    joints = OtherEdges(method.gradients, method.solver.free)
+    joints = OtherEdges(method.gradients, method.solver.solved)
     lengths, angles = joints.of(arched(source[0]) / method.gradients.source.scale)
     rest_lengths, rest_angles = joints.of(method.gradients.source.reference)
     sides_of, ways = hinges_of(method)
@@ -123,7 +123,7 @@ def test_an_even_bend_is_spread_evenly(sides: int, rings: int) -> None:
     assert np.sqrt(np.mean(wrong**2)) < 0.3 * np.sqrt(np.mean(wanted**2))  # 0.26 at most
     # Edges along the tube are as much shorter as they are on its inner side.
     rest, topology = method.gradients.target.reference, method.gradients.target.topology
-    edges = rest[topology.edges[method.solver.free.edge_ids]]
+    edges = rest[topology.edges[method.solver.solved.edge_ids]]
     along = np.linalg.norm(np.diff(edges, axis=1)[:, 0, :2], axis=1) < 1e-9
     stretch = (lengths / rest_lengths)[along] - 1
     bent_in = -curvature * edges[along, 0, 1]
@@ -137,9 +137,9 @@ def test_at_rest_other_edges_are_at_rest() -> None:
     assert isinstance(method.joint_changes, OtherEdges)
     lengths, angles = method.joint_changes.of(method.gradients.source.reference)
     topology, rest = method.gradients.target.topology, method.gradients.target.reference
-    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[method.solver.free.edge_ids]))
+    np.testing.assert_allclose(lengths, edge_lengths(rest, topology.edges[method.solver.solved.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(rest, topology.hinges[method.solver.free.hinge_ids]), atol=1e-9
+        angles, dihedral_angles(rest, topology.hinges[method.solver.solved.hinge_ids]), atol=1e-9
     )
 
 
@@ -166,9 +166,9 @@ def test_on_the_same_mesh_joints_are_the_sources() -> None:
     x = arched(mesh[0]) / method.gradients.source.scale
     lengths, angles = joints.of(x)
     topology = method.gradients.target.topology
-    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[method.solver.free.edge_ids]))
+    np.testing.assert_allclose(lengths, edge_lengths(x, topology.edges[method.solver.solved.edge_ids]))
     np.testing.assert_allclose(
-        angles, dihedral_angles(x, topology.hinges[method.solver.free.hinge_ids]), atol=1e-12
+        angles, dihedral_angles(x, topology.hinges[method.solver.solved.hinge_ids]), atol=1e-12
     )
 
 
@@ -177,7 +177,10 @@ def test_on_the_same_triangles_lengths_are_ratios_and_angles_are_differences() -
     target = source[0] * [2.0, 1.5, 1.2], source[1]
     joints, method = same_edges(source, target)
     topology = method.gradients.target.topology
-    edges, hinges = topology.edges[method.solver.free.edge_ids], topology.hinges[method.solver.free.hinge_ids]
+    edges, hinges = (
+        topology.edges[method.solver.solved.edge_ids],
+        topology.hinges[method.solver.solved.hinge_ids],
+    )
     theirs, ours = method.gradients.source.reference, method.gradients.target.reference
     x = arched(source[0]) / method.gradients.source.scale
     lengths, angles = joints.of(x)
@@ -223,8 +226,8 @@ def test_a_sharp_fold_shrinks_nothing() -> None:
     lower = (sheet[0][sheet[1]].mean(axis=1)[:, 1] > 2).astype(np.int64)
     x = folded(sheet[0], np.radians(150.0))
     method = mixed_transfer(gradients(sheet, sheet), np.stack([sheet[0], x]), lower, 3, ShellSettings())
-    joints = OtherEdges(method.gradients, method.solver.free)
-    edges = method.gradients.target.topology.edges[method.solver.free.edge_ids]
+    joints = OtherEdges(method.gradients, method.solver.solved)
+    edges = method.gradients.target.topology.edges[method.solver.solved.edge_ids]
     assert len(edges)
     lengths = joints.of(x / method.gradients.source.scale)[0]
     np.testing.assert_allclose(lengths, edge_lengths(method.gradients.target.reference, edges))

@@ -13,7 +13,7 @@ from mixseq.creature.gait import DUTY, STEP
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
 from mixseq.retargeting.footskate import ContactReport
-from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence

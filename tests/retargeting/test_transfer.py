@@ -18,8 +18,8 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
 from mixseq.mapping import on_threads, serially
-from mixseq.retargeting.gradients import GradientTransfer
-from mixseq.retargeting.mixed import MixedTransfer
+from mixseq.retargeting.gradient_transfer import GradientTransfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer
 from mixseq.retargeting.sources import source_motion
 from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence

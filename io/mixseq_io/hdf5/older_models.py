@@ -57,7 +57,7 @@ def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     placement = Curve(places, anchored.poses(path, file, len(places)))
     check_frames(path, header, time=time, placement=placement)
-    blocks = {**anchored.blocks(), "offsets": (len(anchored.solver.free.vertices), 3)}
+    blocks = {**anchored.blocks(), "offsets": (len(anchored.solver.solved.vertices), 3)}
     shapes = read_shapes(path, file, blocks, len(pose.offset))
     times = _frames_and_knots(header, time, placement)
     return anchored.model(times, pose.weights(time(times)) @ shapes, placement(times))
@@ -84,24 +84,24 @@ class _Anchored:
         self.shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
         reference = floats(path, file, "space/reference", (header.vertex_count, 3))
         self.solver = JointSolver(topology, decomposition, self.shapes, reference)
-        free = self.solver.free
-        self.lengths = floats(path, file, "space/reference_lengths", (len(free.edge_ids),))
+        solved = self.solver.solved
+        self.lengths = floats(path, file, "space/reference_lengths", (len(solved.edge_ids),))
         if (self.lengths < 0).any():
             raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
         self.offset_weights = np.zeros(0)
         if int(file.attrs["version"]) > 1:
-            weights = floats(path, file, "space/trust", (len(free.joints),))
+            weights = floats(path, file, "space/trust", (len(solved.joints),))
             if (weights <= 0).any():
                 raise FormatError(f"{path}: space/trust has weights that are not positive")
-            spacing = np.maximum(free.spacing(self.lengths), np.finfo(np.float64).tiny)
-            self.offset_weights = np.repeat(weights, [len(patch.free) for patch in free.patches]) / spacing
+            spacing = np.maximum(solved.spacing(self.lengths), np.finfo(np.float64).tiny)
+            self.offset_weights = np.repeat(weights, [len(patch.free) for patch in solved.patches]) / spacing
 
     def blocks(self) -> dict[str, tuple[int, ...]]:
         """Return what a key shape consists of."""
-        free = self.solver.free
+        solved = self.solver.solved
         return {
-            "lengths": (len(free.edge_ids),),
-            "angles": (len(free.hinge_ids),),
+            "lengths": (len(solved.edge_ids),),
+            "angles": (len(solved.hinge_ids),),
             "parts": (len(self.shapes), 3),
         }
 

@@ -1,4 +1,4 @@
-"""The joints that are solved for: where their numbers are in a frame, and how the parts carry their free vertices.
+"""The joints that are solved for: where their numbers are in a frame, and how parts carry their free vertices.
 
 Linear blend skinning from a reference frame: every free vertex moves with all parts that hold fixed vertices of its
 joint, with harmonic weights (1 at the vertices of a part, 0 at those of the others, smooth in between). Close to the
@@ -19,7 +19,7 @@ from mixseq.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
-class FreeJoints:
+class SolvedJoints:
     """The joints of a mesh that have free vertices; what frames know of them is stored joint by joint.
 
     Attributes
@@ -34,7 +34,7 @@ class FreeJoints:
     patches: tuple[Patch, ...]
 
     @classmethod
-    def of(cls, topology: Topology, decomposition: Decomposition) -> FreeJoints:
+    def of(cls, topology: Topology, decomposition: Decomposition) -> SolvedJoints:
         """Take the joints of a decomposition that have free vertices."""
         joints = tuple(joint for joint in decomposition.joints if joint.free.any())
         return cls(joints, tuple(Patch.of_joint(topology, joint, ~joint.free) for joint in joints))

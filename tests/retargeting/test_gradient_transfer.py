@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
-from mixseq.retargeting.gradients import normalised
+from mixseq.retargeting.gradient_transfer import normalised
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 from tests.meshes import (

@@ -8,7 +8,7 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.geometry.rotations import matrices
-from mixseq.retargeting.free_joints import HarmonicSkin
+from mixseq.retargeting.solved_joints import HarmonicSkin
 from mixseq.segmentation.joints import make_joint
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.patch import Patch

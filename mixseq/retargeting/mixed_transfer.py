@@ -2,8 +2,8 @@ r"""Transfer by parts, joints and poses (the mixed shape space S_m), each carrie
 
 The target is cut into parts as the source is (`part_correspondence`). A frame of the source then gives
 
-- the shape of every part, as deformation gradients move it (`gradients`), registered to the part at rest. What a part
-  does beside moving rigidly is so as large as the part, and the registration tells how the part is turned;
+- the shape of every part, as deformation gradients move it (`gradient_transfer`), registered to the part at rest. What
+  a part does beside moving rigidly is so as large as the part, and the registration tells how the part is turned;
 - where the part is: its pivots meet as those of the source do, with the proportions of the target (`pivots`);
 - lengths and angles of the joints, as ratios and differences (`joint_changes`), and, as gradients tell, where their
   free vertices are beside what the parts carry along.
@@ -26,7 +26,7 @@ from mixseq.geometry.lengths_angles import length_weights
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment
 from mixseq.retargeting.articulated_body import ArticulatedBody
-from mixseq.retargeting.gradients import GradientTransfer
+from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.joint_changes import JointChanges, OtherEdges, SameEdges
 from mixseq.retargeting.joint_solver import JointFrame, JointSolver
 from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses, RestShapes, carry_parts
@@ -43,7 +43,7 @@ between solutions, too little to stretch joints. Ours."""
 
 @dataclass(frozen=True, eq=False)
 class MixedTransfer(PickledWithoutCaches):
-    """From frames of the source to frames of the target.
+    """Moves a target by the parts and joints of its source.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def solver(self) -> JointSolver:
-        """What puts the target's parts and joints together."""
+        """Puts the target's parts and joints together."""
         topology = self.gradients.target.topology
         return JointSolver(topology, self.parts.target, self.shapes.shapes, self._rest)
 
@@ -121,11 +121,11 @@ class MixedTransfer(PickledWithoutCaches):
 
     @cached_property
     def joint_changes(self) -> JointChanges:
-        """What tells how the joints change."""
-        source, target, free = self.gradients.source, self.gradients.target, self.solver.free
+        """Tells how the joints change."""
+        source, target, solved = self.gradients.source, self.gradients.target, self.solver.solved
         if self.parts.target is self.parts.source:
-            return SameEdges(target.topology, free, source.reference, target.reference)
-        return OtherEdges(self.gradients, free)
+            return SameEdges(target.topology, solved, source.reference, target.reference)
+        return OtherEdges(self.gradients, solved)
 
     def by_gradients(self, x: FloatArray) -> Float:
         """Return the target ``(V', 3)`` as gradients move it in a frame ``(V, 3)``, in its unit."""
@@ -172,13 +172,13 @@ class MixedTransfer(PickledWithoutCaches):
     @cached_property
     def _rest_lengths(self) -> Float:
         """Lengths ``(E',)`` at rest of the edges of the joints."""
-        edges = self.gradients.target.topology.edges[self.solver.free.edge_ids]
+        edges = self.gradients.target.topology.edges[self.solver.solved.edge_ids]
         return np.asarray(np.linalg.norm(self._rest[edges[:, 1]] - self._rest[edges[:, 0]], axis=1))
 
     @cached_property
     def _offset_weights(self) -> Float:
         """Weights ``(F,)`` of the offsets of free vertices."""
-        spacing = self.solver.free.spacing(self._rest_lengths)
+        spacing = self.solver.solved.spacing(self._rest_lengths)
         return np.asarray(OFFSET_WEIGHT / np.maximum(spacing, np.finfo(np.float64).tiny))
 
 
@@ -189,7 +189,7 @@ def mixed_transfer(
     joint_width: int,
     settings: ShellSettings,
 ) -> MixedTransfer:
-    """Make a transfer of the motion of parts.
+    """Make a transfer by parts and joints.
 
     Parameters
     ----------

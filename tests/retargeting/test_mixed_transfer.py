@@ -10,7 +10,7 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import kabsch
-from mixseq.retargeting.mixed import MixedTransfer, mixed_transfer
+from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.part_correspondence import PartPoses, RestShapes
 from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import decompose

@@ -6,7 +6,7 @@ correspond to it. The target's vertices are those whose gradients are closest (`
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
 Gradients tell nothing of where a piece is. The largest moves as the points of the source do that it corresponds to, on
-average; every other piece is held by the vertex next to it (`mixseq.retargeting.attachments`), which it
+average; every other piece is attached to the vertex next to it (`mixseq.retargeting.attachments`), which it
 turns with:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
@@ -38,7 +38,7 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class GradientTransfer(PickledWithoutCaches):
-    """From frames of the source to frames of the target.
+    """Moves a target by the deformation gradients of its source.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class GradientTransfer(PickledWithoutCaches):
 
     @cached_property
     def attachments(self) -> Attachments:
-        """What holds the pieces of the target."""
+        """Where the pieces of the target are attached to each other."""
         return attach(self.target.pieces.vertices, self.target.reference, self.correspondence.leaders)
 
     @cached_property
