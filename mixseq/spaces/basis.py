@@ -1,4 +1,4 @@
-"""The basis space: a shape is three coefficients of every field of a basis over the mesh."""
+"""The basis space: a shape is three coefficients of every vector of a spatial basis."""
 
 from __future__ import annotations
 
@@ -11,68 +11,70 @@ from scipy import linalg
 from mixseq.arrays import Float, FloatArray
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
+from mixseq.renamed import renamed_attributes
 from mixseq.spaces.base import Carry, ShapeSpace, unchanged
 from mixseq.threads import one_blas_thread
 
 NEGLIGIBLE = 1e-9
-"""Fields below this share of a shape are rounding errors."""
+"""Basis vectors below this share of a shape are rounding errors."""
 
 
+@renamed_attributes(fields="basis")
 @dataclass(frozen=True, eq=False)
 class BasisSpace(ShapeSpace):
-    r"""Vectors are coefficients :math:`c_k \in R^3` of fields: :math:`x(v) = \sum_k b_k(v)\, c_k`.
+    r"""Vectors are coefficients :math:`c_k \in R^3` of a spatial basis: :math:`x(v) = \sum_k b_k(v)\, c_k`.
 
-    Compressed sequences are of this space: the fields are principal components of trajectories. Skinning is of it, too,
-    with fields that are a weight, or a weight times a coordinate; so blends are those of linear blend skinning.
+    Compressed sequences are of this space: the basis are principal components of trajectories. Skinning is of it, too,
+    with basis vectors that are a weight, or a weight times a coordinate; so blends are those of linear blend skinning.
 
     Attributes
     ----------
-    fields : (K, V) float64
-        The fields, none of them zero everywhere.
+    basis : (K, V) float64
+        The basis vectors, none of them zero everywhere.
     scale : float
         Length of the unit of the space, in the units of the sequence: coefficients are in diagonals.
     """
 
-    fields: Float
+    basis: Float
     scale: float
     name = "basis"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fields", frozen(np.asarray(self.fields, dtype=np.float64, order="C")))
+        object.__setattr__(self, "basis", frozen(np.asarray(self.basis, dtype=np.float64, order="C")))
 
     @property
     def dim(self) -> int:
         """Length of a vector, 3 K."""
-        return 3 * len(self.fields)
+        return 3 * len(self.basis)
 
     @property
     def weights(self) -> Float:
-        """The norms of the fields, for all three coordinates."""
-        return np.repeat(np.sqrt(np.square(self.fields).sum(axis=1)), 3)
+        """The norms of the basis vectors, for all three coordinates."""
+        return np.repeat(np.sqrt(np.square(self.basis).sum(axis=1)), 3)
 
     @cached_property
     def _inverse(self) -> Float:
-        # Of normalised fields, which may be of very different sizes.
+        # Of normalised vectors, which may be of very different sizes.
         norms = self.weights[::3]
-        products = (self.fields @ self.fields.T) / np.outer(norms, norms)
+        products = (self.basis @ self.basis.T) / np.outer(norms, norms)
         return np.asarray(np.linalg.pinv(products, hermitian=True) / np.outer(norms, norms))
 
     def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
-        """Implement `ShapeSpace.with_shape`: what the fields do not span becomes fields, one for x, y and z each."""
+        """Implement `ShapeSpace.with_shape`: what the basis does not span becomes vectors, one for x, y and z each."""
         rest = points - self.decode(self.encode(points[None]))[0]
         norms = np.linalg.norm(rest, axis=0)
         new = (rest / np.where(norms > 0, norms, 1.0)).T[norms > NEGLIGIBLE * np.linalg.norm(points)]
-        wider = BasisSpace(np.concatenate([self.fields, new]), self.scale)
+        wider = BasisSpace(np.concatenate([self.basis, new]), self.scale)
         return wider, lambda shapes: np.pad(shapes, [(0, 0), (0, 3 * len(new))])
 
     def joined(self, other: ShapeSpace) -> tuple[ShapeSpace, Carry | None, Carry | None]:
         """Implement `ShapeSpace.joined`: two bases become one, orthonormal; a space of another kind has all shapes."""
         if not isinstance(other, BasisSpace):
             return other, None, unchanged
-        if self.scale == other.scale and np.array_equal(self.fields, other.fields):
+        if self.scale == other.scale and np.array_equal(self.basis, other.basis):
             return self, unchanged, unchanged
         normalised = [
-            each.fields / np.linalg.norm(each.fields, axis=1, keepdims=True) for each in (self, other)
+            each.basis / np.linalg.norm(each.basis, axis=1, keepdims=True) for each in (self, other)
         ]
         with one_blas_thread():
             orthonormal, triangle, _ = linalg.qr(np.concatenate(normalised).T, mode="economic", pivoting=True)
@@ -81,8 +83,8 @@ class BasisSpace(ShapeSpace):
             return both, self._changed(both), other._changed(both)
 
     def _changed(self, new: BasisSpace) -> Carry:
-        """How shapes get to a space whose fields are orthonormal, and span those of this one."""
-        change = (new.fields @ self.fields.T) * (self.scale / new.scale)
+        """How shapes get to a space whose basis is orthonormal, and spans that of this one."""
+        change = (new.basis @ self.basis.T) * (self.scale / new.scale)
 
         def carry(shapes: Float) -> Float:
             coefficients = shapes.reshape(len(shapes), -1, 3)
@@ -95,15 +97,15 @@ class BasisSpace(ShapeSpace):
         vectors = np.empty((len(points), self.dim))
         with one_blas_thread():
             for row, frame in zip(vectors, points, strict=True):
-                row[:] = (self._inverse @ (self.fields @ frame.astype(np.float64))).reshape(-1)
+                row[:] = (self._inverse @ (self.basis @ frame.astype(np.float64))).reshape(-1)
         return vectors / self.scale
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        points = np.empty((len(vectors), self.fields.shape[1], 3))
+        points = np.empty((len(vectors), self.basis.shape[1], 3))
         with one_blas_thread():
             for frame, vector in zip(points, vectors, strict=True):  # the same bits whatever is asked with it
-                frame[:] = self.fields.T @ (self.scale * vector.reshape(-1, 3))
+                frame[:] = self.basis.T @ (self.scale * vector.reshape(-1, 3))
         return points
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:

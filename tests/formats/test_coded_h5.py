@@ -177,7 +177,7 @@ def test_models_in_the_basis_space_are_kept(tmp_path: Path) -> None:
     mixseq.save(tmp_path / "basis.h5", model)
     got = mixseq.load(tmp_path / "basis.h5")
     assert isinstance(got.space, BasisSpace)
-    np.testing.assert_array_equal(got.space.fields, space.fields)
+    np.testing.assert_array_equal(got.space.basis, space.basis)
     np.testing.assert_array_equal(got.shapes, model.shapes)
     np.testing.assert_array_equal(got.sample().points, model.sample().points)
     with h5py.File(tmp_path / "basis.h5", "r+") as file:

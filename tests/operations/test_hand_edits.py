@@ -102,7 +102,7 @@ def test_motions_of_two_files_keep_their_shapes(model: Model) -> None:
 def test_the_same_file_twice_is_one_space(model: Model) -> None:
     space = model.space
     assert isinstance(space, BasisSpace)
-    again = replace(model, space=BasisSpace(np.array(space.fields), space.scale))
+    again = replace(model, space=BasisSpace(np.array(space.basis), space.scale))
     first, second = together(model, again)
     assert first.space is second.space is model.space
     np.testing.assert_array_equal(first.shapes, model.shapes)

@@ -1,4 +1,4 @@
-"""The basis space: frames are combinations of fields, and so are blends of frames."""
+"""The basis space: frames are combinations of a basis, and so are blends of frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def some_vectors(count: int, seed: int = 0) -> Float:
     return np.asarray(np.random.default_rng(seed).normal(size=(count, SPACE.dim)) / SPACE.weights)
 
 
-def test_frames_are_combinations_of_fields() -> None:
+def test_frames_are_combinations_of_a_basis() -> None:
     vectors = some_vectors(3)
     expected = 2.5 * np.einsum("kv,tki->tvi", FIELDS, vectors.reshape(3, 4, 3))
     np.testing.assert_allclose(SPACE.decode(vectors), expected, atol=1e-12)
@@ -53,7 +53,7 @@ def test_weights_are_how_far_vertices_move() -> None:
         assert SPACE.weights[coordinate] == pytest.approx(moved, rel=1e-12)
 
 
-def test_velocities_are_those_of_the_fields() -> None:
+def test_velocities_are_those_of_the_basis() -> None:
     vectors, rates = some_vectors(2, 1), some_vectors(2, 2)
     points, velocities = SPACE.decode_moving(vectors, rates)
     np.testing.assert_array_equal(points, SPACE.decode(vectors))
@@ -69,7 +69,7 @@ def test_frames_are_the_same_bits_alone() -> None:
 
 
 def test_skinning_is_of_this_space() -> None:
-    """Weights, and weights times coordinates, are its fields: then vectors are the matrices of the bones."""
+    """Weights, and weights times coordinates, are its basis: then vectors are the matrices of the bones."""
     rest, _ = tube(5, 6)
     first = np.clip(rest[:, 2] / 4, 0, 1)
     weights = np.stack([first, 1 - first])
@@ -82,7 +82,7 @@ def test_skinning_is_of_this_space() -> None:
     np.testing.assert_allclose(space.decode(space.encode(np.asarray(skinned)[None]))[0], skinned, atol=1e-9)
 
 
-def test_fields_that_depend_on_each_other_are_no_harm() -> None:
+def test_vectors_that_depend_on_each_other_are_no_harm() -> None:
     space = BasisSpace(np.concatenate([FIELDS, FIELDS[:1] + FIELDS[2:3]]), 1.0)
     points = SPACE.decode(some_vectors(2))
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-7)
@@ -93,6 +93,6 @@ def test_it_is_a_space() -> None:
     assert SPACE.dim == len(SPACE.weights) == 12
     assert SPACE.shape_dim == 12
     assert SPACE.placement_dim == SPACE.rotation_count == SPACE.centre_count == 0
-    assert not SPACE.fields.flags.writeable
+    assert not SPACE.basis.flags.writeable
     copy = pickle.loads(pickle.dumps(SPACE))
     np.testing.assert_array_equal(copy.decode(some_vectors(1)), SPACE.decode(some_vectors(1)))

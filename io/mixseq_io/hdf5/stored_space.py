@@ -76,7 +76,7 @@ def shape_blocks(space: StoredSpace) -> Blocks:
         case VertexSpace():
             return {"positions": (space.vertex_count, 3)}
         case BasisSpace():
-            return {"coefficients": (len(space.fields), 3)}
+            return {"coefficients": (len(space.basis), 3)}
         case GradientSpace():
             return {"turns": (len(space.topology.faces), 3), "stretches": (len(space.topology.faces), 6)}
         case LRISpace():
@@ -113,7 +113,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
         case MixedSpace():
             write_mixed_space(file, space)
         case BasisSpace():
-            put(file, "space/fields", space.fields)
+            put(file, "space/fields", space.basis)
         case GradientSpace() | LRISpace():
             put(file, "space/reference", space.reference)
         case EdgeSpace():

@@ -21,8 +21,10 @@ from mixseq.compiled import compiled, constant, inlined
 Small = NDArray[np.int32]
 
 UNUSED, OPEN, CLOSED = constant(0), constant(1), constant(2)
+"""States of vertices. Frozen: breaks old files."""
+
 INTO, OUT_OF = 0, 1
-"""States of vertices, and ends of half-edges. Frozen: breaks old files."""
+"""Half-edges that end, or start, at a vertex. Free: rows of tables."""
 
 _LOOKED_AT = 32
 """So many open half-edges at a vertex are looked at for one that runs the other way: time stays bounded. Frozen: breaks
