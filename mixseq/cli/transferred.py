@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mixseq.correspondence.quality import Quality
+    from mixseq.correspondence.matching import Quality
     from mixseq.retargeting.coverage import Coverage
     from mixseq.retargeting.footskate import ContactReport
     from mixseq.retargeting.report import Counts, TransferReport

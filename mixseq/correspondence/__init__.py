@@ -3,7 +3,7 @@
 `correspond` is the way in: it takes `markers`, pairs of vertices that a person has set, to a `dense` correspondence,
 which everything else works with. `checks` refuses markers that cannot be meant as they are, and warns of those that do
 not fit the others (`outliers`); `orientation` refuses meshes that are inside out. `registration` deforms the source
-until it lies on the target (`energy`), `matching` finds closest points there, `quality` measures them.
+until it lies on the target (`energy`), `matching` finds closest points there and measures how good that is.
 `map_completion` takes the maps that others have made. All work on a `triangle_mesh`. Nothing here uses `decimation`:
 it thins out meshes for those who want to try on small ones.
 """

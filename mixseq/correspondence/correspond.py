@@ -10,9 +10,8 @@ import numpy as np
 from mixseq.correspondence.checks import check_markers
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers, Pairing, pair_components
-from mixseq.correspondence.matching import MatchingSettings, match
+from mixseq.correspondence.matching import MatchingSettings, Quality, assess, match
 from mixseq.correspondence.orientation import check_facing, check_orientation
-from mixseq.correspondence.quality import Quality, assess
 from mixseq.correspondence.registration import RegistrationSettings, register
 from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import MixseqWarning, SettingsError

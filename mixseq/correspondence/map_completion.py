@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Float, FloatArray, Index, IntArray, Mask
+from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import SettingsError
@@ -220,7 +220,7 @@ def _complete(
         corners,
         weights,
         faces,
-        _leaders(target, matched),
+        target.leaders(matched),
     )
 
 
@@ -273,20 +273,3 @@ def _closest_facing(source: TriangleMesh, points: Float, normals: Float) -> tupl
         again = nearest.query(points[facing_away])
         faces[facing_away], weights[facing_away] = again.faces, again.weights
     return faces, weights
-
-
-def _leaders(target: TriangleMesh, matched: Mask) -> Index:
-    """Whom vertices that are on nothing follow: see the head of this module."""
-    from scipy.spatial import cKDTree
-
-    leaders = np.arange(len(target.points))
-    component = target.topology.component_of_vertex
-    partly = np.isin(component, component[matched])
-    near, left_out = np.flatnonzero(matched), np.flatnonzero(partly & ~matched)
-    # A fourth coordinate keeps components apart: further than anything is in the other three.
-    apart = component * (2 * float(np.linalg.norm(np.ptp(target.points, axis=0))) or 1.0)
-    places = np.column_stack([target.points, apart])
-    leaders[left_out] = near[cKDTree(places[near]).query(places[left_out])[1]]
-    whole = np.flatnonzero(~partly)
-    leaders[whole] = target.nearest_by_component(whole, near)
-    return leaders

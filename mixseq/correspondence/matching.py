@@ -1,4 +1,4 @@
-"""Match a target to a registered source: every vertex and triangle gets the closest point there.
+"""Match a target to a registered source, and measure how good that is: every vertex gets the closest point there.
 
 A closest point counts if the surfaces face the same way there and it is near enough: where two legs touch, the sides
 that face each other have opposite normals, and each finds its own. What finds nothing takes over what the nearest of
@@ -16,7 +16,7 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index, Mask
 from mixseq.correspondence.dense import Correspondence
-from mixseq.correspondence.markers import Pairing
+from mixseq.correspondence.markers import Markers, Pairing
 from mixseq.correspondence.triangle_mesh import ClosestPoints, TriangleMesh
 from mixseq.errors import SettingsError
 
@@ -61,6 +61,48 @@ class Matches:
     found_vertices: Mask
     found_faces: Mask
     distances: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How good a correspondence is. Distances are in diagonals of the target.
+
+    Attributes
+    ----------
+    source_coverage : float
+        Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
+    target_coverage : float
+        Share of the target's area whose triangles found a match themselves.
+    mean, p99, largest : float
+        Distances of the target's vertices from the registered source: mean, 99th percentile, maximum.
+    flipped : int
+        Triangles of the target whose normal is against that of their triangle of the registered source.
+    filled_vertices, filled_faces : int
+        How many took over the match of a neighbour.
+    followers : int
+        Components of the target that follow a vertex; vertices that no triangle uses are none.
+    marker_distances : (n,) float64
+        Distances of marked vertices of the registered source from the vertices of the target that they should be at.
+    markers : Markers
+        The markers.
+    """
+
+    source_coverage: float
+    target_coverage: float
+    mean: float
+    p99: float
+    largest: float
+    flipped: int
+    filled_vertices: int
+    filled_faces: int
+    followers: int
+    marker_distances: Float
+    markers: Markers
+
+    def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
+        """Names and distances of the markers that were missed by most, the worst first."""
+        order = np.argsort(-self.marker_distances, kind="stable")[:count]
+        return [(self.markers.name(int(k)), float(self.marker_distances[k])) for k in order]
 
 
 def match(
@@ -120,13 +162,57 @@ def match(
         corners,
         weights[:vertex_count],
         faces[vertex_count:],
-        _leaders(target, on >= 0),
+        target.leaders(on >= 0),
     )
     return Matches(
         correspondence,
         found_themselves[:vertex_count],
         found_themselves[vertex_count:],
         distances[:vertex_count],
+    )
+
+
+def assess(
+    registered: TriangleMesh,
+    target: TriangleMesh,
+    pairings: tuple[Pairing, ...],
+    markers: Markers,
+    matches: Matches,
+    settings: MatchingSettings,
+) -> Quality:
+    """Measure a correspondence that was found by `match` with these settings."""
+    size = target.diagonal
+    correspondence = matches.correspondence
+    covered = 0.0
+    for pairing in pairings:
+        own = pairing.source_faces
+        goal = ClosestPoints(target, pairing.target_faces)
+        found = goal.query(registered.centroids[own], registered.face_normals[own], settings.largest_angle)
+        near = found.distances <= settings.largest_distance * size
+        covered += float(registered.face_areas[own[near]].sum())
+    # One zero if nothing was found, which the coverage tells.
+    distances = (
+        matches.distances[matches.found_vertices] / size if matches.found_vertices.any() else np.zeros(1)
+    )
+    mapped = correspondence.faces >= 0
+    cosines = np.einsum(
+        "fc,fc->f", target.face_normals[mapped], registered.face_normals[correspondence.faces[mapped]]
+    )
+    first = target.faces[:, 0]
+    following = target.topology.component_of_vertex[first[~correspondence.matched[first]]]
+    gaps = registered.points[markers.source] - target.points[markers.target]
+    return Quality(
+        covered / max(float(registered.face_areas.sum()), 1e-300),
+        float(target.face_areas[matches.found_faces].sum() / max(float(target.face_areas.sum()), 1e-300)),
+        float(distances.mean()),
+        float(np.percentile(distances, 99)),
+        float(distances.max()),
+        int((cosines < 0).sum()),
+        int((correspondence.matched & ~matches.found_vertices).sum()),
+        int((mapped & ~matches.found_faces).sum()),
+        len(np.unique(following)),
+        np.linalg.norm(gaps, axis=1) / size,
+        markers,
     )
 
 
@@ -153,10 +239,3 @@ def _nearest_along(graph: sparse.csr_array, sources: Index) -> Index:
         graph, directed=False, indices=sources, return_predecessors=True, min_only=True
     )[2]
     return np.maximum(nearest, -1).astype(np.int64)
-
-
-def _leaders(target: TriangleMesh, matched: Mask) -> Index:
-    """Return every vertex itself, but for components without a match the matched vertex that is nearest to them."""
-    leaders, open_vertices = np.arange(len(target.points)), np.flatnonzero(~matched)
-    leaders[open_vertices] = target.nearest_by_component(open_vertices, np.flatnonzero(matched))
-    return leaders

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.nearest import Found, Nearest
 from mixseq.spaces.robust_triangles import unit
 from mixseq.topology import Topology
@@ -117,6 +117,27 @@ class TriangleMesh:
         components, nearest = np.unique(component[order], return_index=True)
         own = np.searchsorted(components, component)
         return np.asarray(among[places[order[nearest[own]]]])
+
+    def leaders(self, matched: Mask) -> Index:
+        """Find the vertex that every vertex follows, where only some ``(V,)`` correspond to something.
+
+        Those that do are their own leaders. Others follow the nearest one that does of their component; components
+        without one follow a single vertex, as if stuck to it.
+        """
+        from scipy.spatial import cKDTree
+
+        leaders = np.arange(len(self.points))
+        component = self.topology.component_of_vertex
+        partly = np.isin(component, component[matched])
+        near, unmatched = np.flatnonzero(matched), np.flatnonzero(partly & ~matched)
+        if unmatched.size:
+            # A fourth coordinate keeps components apart: further than anything is in the other three.
+            apart = component * (2 * float(np.linalg.norm(np.ptp(self.points, axis=0))) or 1.0)
+            places = np.column_stack([self.points, apart])
+            leaders[unmatched] = near[cKDTree(places[near]).query(places[unmatched])[1]]
+        whole = np.flatnonzero(~partly)
+        leaders[whole] = self.nearest_by_component(whole, near)
+        return leaders
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ class ContactReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Planted:
+class PlantedMotion:
     """Motions of parts with feet that do not slide.
 
     Attributes
@@ -98,7 +98,7 @@ def remove_footskate(
     fps: float,
     diagonal: float,
     settings: StanceSettings | None = None,
-) -> Planted:
+) -> PlantedMotion:
     """Move parts so that contacts do not slide while those of the source rest.
 
     Parameters
@@ -122,7 +122,7 @@ def remove_footskate(
 
     Returns
     -------
-    Planted
+    PlantedMotion
         Without contacts, and where nothing slides, the very motions that were given.
 
     Raises
@@ -154,7 +154,7 @@ def remove_footskate(
     missed = misses(before, found, NEGLIGIBLE * diagonal)
     if not missed.any():
         groups = _groups(contacts, found, before, before, np.zeros(len(contacts)), diagonal)
-        return Planted(rotations, centres, ContactReport(groups))
+        return PlantedMotion(rotations, centres, ContactReport(groups))
     shift, left = shared(missed, found, axis, fps)
     moves = np.stack([faded(*pair, fps) for pair in zip(left, found, strict=True)], axis=1)
     result = move_contacts(body, rotations, centres + shift[:, None], contacts, moves)
@@ -164,7 +164,7 @@ def remove_footskate(
     report = ContactReport(
         groups, float(np.linalg.norm(shift, axis=1).max()) / diagonal, _angle(result.turns)
     )
-    return Planted(result.rotations, result.centres, report)
+    return PlantedMotion(result.rotations, result.centres, report)
 
 
 def _warn_of_restless(contacts: Sequence[Contact], found: Sequence[Sequence[Stance]]) -> None:

@@ -23,7 +23,7 @@ from mixseq.sequence import SequenceHeader
 
 
 @dataclass(frozen=True, eq=False)
-class Planting:
+class PlantedTransfer:
     """A transfer whose contacts do not slide.
 
     Attributes
@@ -48,7 +48,7 @@ def plant_contacts(
     contacts: Mapping[str, ArrayLike],
     workers: Executor,
     progress: Progress = silent,
-) -> Planting:
+) -> PlantedTransfer:
     """Find the poses in which contacts of a transfer do not slide while those of the source rest.
 
     The root travels farther, or less far, as the target's legs are longer or shorter than those of a copy.
@@ -108,7 +108,7 @@ def plant_contacts(
         header.fps,
         1.0,
     )
-    return Planting(striding, PartPoses(found.rotations, found.centres), found.report)
+    return PlantedTransfer(striding, PartPoses(found.rotations, found.centres), found.report)
 
 
 def _measure(shared: tuple[MixedTransfer, Index, Index], block: FloatArray) -> tuple[PartPoses, Float, Float]:

@@ -13,7 +13,7 @@ from mixseq.arrays import Float, FloatArray
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.markers import Markers
-from mixseq.correspondence.quality import Quality
+from mixseq.correspondence.matching import Quality
 from mixseq.errors import SettingsError
 from mixseq.frame_store import block_size
 from mixseq.mapping import Executor, on_threads
@@ -22,7 +22,7 @@ from mixseq.retargeting.footskate import ContactReport
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.part_correspondence import PartCorrespondence, PartPoses
-from mixseq.retargeting.planting import Planting, plant_contacts
+from mixseq.retargeting.planting import PlantedTransfer, plant_contacts
 from mixseq.retargeting.sources import SourceMotion, source_motion
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames, collect
 from mixseq.shells.fitting import ShellSettings
@@ -60,7 +60,7 @@ class Transfer:
         What moves the target.
     quality : Quality or None
         How good the correspondence is, if it was found from markers.
-    planting : Planting or None
+    planted : PlantedTransfer or None
         Where the parts go so that contacts do not slide, if there are any.
     """
 
@@ -70,21 +70,21 @@ class Transfer:
     correspondence: Correspondence
     method: TransferMethod
     quality: Quality | None = None
-    planting: Planting | None = None
+    planted: PlantedTransfer | None = None
 
     @property
     def contacts(self) -> ContactReport:
         """What became of the contacts."""
-        return ContactReport() if self.planting is None else self.planting.report
+        return ContactReport() if self.planted is None else self.planted.report
 
     def blocks(self, progress: Progress = silent, workers: Executor | None = None) -> Iterator[Float]:
         """Yield the target's points in blocks ``(B, V', 3)``, from the first frame to the last."""
         done, count = 0, len(self.source.points)
         work, frames = workers or on_threads(), (self.source.points[some] for some in self._slices())
-        if self.planting is None:
+        if self.planted is None:
             made = work(_moved, self.method, frames)
         else:
-            made = work(_posed, self.planting.method, zip(frames, self._poses(self.planting), strict=True))
+            made = work(_posed, self.planted.method, zip(frames, self._poses(self.planted), strict=True))
         for block in made:
             yield block
             done += len(block)
@@ -96,10 +96,10 @@ class Transfer:
         for start in range(0, len(self.source.points), size):
             yield slice(start, start + size)
 
-    def _poses(self, planting: Planting) -> Iterator[PartPoses]:
+    def _poses(self, planted: PlantedTransfer) -> Iterator[PartPoses]:
         """Yield the poses of the target's parts in every block."""
         for some in self._slices():
-            yield PartPoses(*(values[some] for values in planting.poses))
+            yield PartPoses(*(values[some] for values in planted.poses))
 
 
 def _moved(method: TransferMethod, block: FloatArray) -> Float:
@@ -158,8 +158,8 @@ def plan(
         if not contacts:
             return Transfer(header, motion, shape, found, mixed, quality)
         work = workers or on_threads()
-        planting = plant_contacts(mixed, motion.points, header, contacts, work, progress)
-        return Transfer(header, motion, shape, found, planting.method, quality, planting)
+        planted = plant_contacts(mixed, motion.points, header, contacts, work, progress)
+        return Transfer(header, motion, shape, found, planted.method, quality, planted)
 
 
 def correspondence_of(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float
 from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
-from mixseq.retargeting.footskate import Planted, remove_footskate
+from mixseq.retargeting.footskate import PlantedMotion, remove_footskate
 
 CYCLE, DUTY, STRIDE, LIFT = 40, 0.6, 0.5, 0.08
 BONES = {"thigh": 0.5, "shank": 0.45, "foot": 0.06}
@@ -32,7 +32,7 @@ class Walk:
     up: str = "Y"
     diagonal: float = 2.0
 
-    def planted(self) -> Planted:
+    def planted(self) -> PlantedMotion:
         return remove_footskate(
             self.target,
             self.rotations,
