@@ -31,13 +31,14 @@ SECONDS = 10.0
 """What a damaged file may take, on a busy machine too; whole files take a few tenths."""
 
 
-@pytest.fixture(autouse=True)
-def strict_limits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+@pytest.fixture(scope="module", autouse=True)
+def strict_limits() -> Iterator[None]:
     """Let workers of the C++ libraries have little time and memory."""
     isolation._dismiss_all()
-    monkeypatch.setenv("MIXSEQ_READER_SECONDS", "5")
-    monkeypatch.setenv("MIXSEQ_READER_MEMORY", "1")
-    yield
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("MIXSEQ_READER_SECONDS", "5")
+        environment.setenv("MIXSEQ_READER_MEMORY", "1")
+        yield
     isolation._dismiss_all()
 
 

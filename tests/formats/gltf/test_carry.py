@@ -1,35 +1,17 @@
-"""Writing glTF onto the file that a sequence came from: what is carried over."""
+"""glTF, writing: what is carried over of the file that a sequence came from."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from mixseq.errors import MixseqError, MixseqWarning, OutputError, SettingsError
+from mixseq.errors import MixseqWarning
 from mixseq.sequence import MeshSequence
-from mixseq.surface import Surface
-from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import lossy
-from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, validate, write_glb, written
-
-
-@pytest.fixture
-def rig(tmp_path: Path) -> Path:
-    return write_glb(tmp_path / "rig.glb", *rigged())
-
-
-@pytest.fixture
-def lifted(rig: Path) -> MeshSequence:
-    """The rigged square as it is read, and lifted by one more."""
-    with lossy():
-        sequence = read(rig)
-    return sequence.with_points(sequence.points + np.array([0, 0, 1], np.float32))
+from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, write_glb, written
 
 
 def test_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
@@ -192,143 +174,6 @@ def test_unknown_extensions_keep_everything(rig: Path, lifted: MeshSequence, tmp
         file = written(tmp_path / "new.glb", lifted)
     assert len(file.json["skins"]) == 1
     assert len(file.json["accessors"]) > len(rigged()[0]["accessors"])
-
-
-def test_flatten_leaves_the_file_behind(lifted: MeshSequence, tmp_path: Path) -> None:
-    file = written(tmp_path / "new.glb", lifted, flatten=True)
-    assert "images" not in file.json
-    assert [each.get("name") for each in file.json["nodes"]] == ["body"]
-    assert file.json["materials"][0]["name"] == "fur"
-
-
-def test_a_file_that_is_gone_or_another_is_done_without(
-    rig: Path, lifted: MeshSequence, tmp_path: Path
-) -> None:
-    rig.rename(tmp_path / "moved.glb")
-    with pytest.warns(MixseqWarning, match=r"rig.glb does not exist; the sequence is written alone"):
-        file = written(tmp_path / "new.glb", lifted)
-    assert "images" not in file.json
-    file = written(tmp_path / "new.glb", lifted, onto=tmp_path / "moved.glb")
-    assert "images" in file.json
-    rig.write_bytes(b"glTF")
-    with pytest.warns(MixseqWarning, match="the sequence is written alone"):
-        written(tmp_path / "new.glb", lifted)
-
-
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (
-            lambda document: document["nodes"][1].update(name="torso"),
-            "has no mesh at 'rig/body', which is where 'body' was",
-        ),
-        (lambda document: document["nodes"][1].update(mesh=1), "'rig/body' has other vertices or triangles"),
-        (
-            lambda document: document["meshes"][0]["primitives"][0].update(mode=6),
-            "has other vertices or triangles",
-        ),
-        (
-            lambda document: document["bufferViews"][0].update(byteLength=1 << 40),
-            "bufferViews.0. does not fit",
-        ),
-        (
-            lambda document: document["materials"][0].update(alphaCutoff=float("nan")),
-            "is damaged, truncated or",
-        ),
-        (lambda document: document["images"].append(7), "is damaged, truncated or"),
-        (lambda document: document["animations"].append({"channels": [{}]}), "is damaged, truncated or"),
-    ],
-)
-def test_files_that_do_not_fit(
-    rig: Path, lifted: MeshSequence, tmp_path: Path, edit: Callable[[Json], object], message: str
-) -> None:
-    change(rig, edit)
-    with pytest.warns(MixseqWarning, match=f"{message}.*; the sequence is written alone"):
-        written(tmp_path / "new.glb", lifted)
-    (tmp_path / "new.glb").unlink()
-    with pytest.raises(OutputError, match=f"cannot write .*new.glb onto another file: .*{message}"):
-        written(tmp_path / "new.glb", lifted, onto=rig)
-    assert not (tmp_path / "new.glb").exists()
-
-
-def test_a_file_is_not_written_onto_itself(rig: Path, lifted: MeshSequence) -> None:
-    before = rig.read_bytes()
-    # Nor if it does not fit any more, so that the sequence would be written alone.
-    torn = MeshSequence.from_header(
-        replace(lifted.header, surface=Surface(origin=lifted.surface.origin)), lifted.points
-    )
-    for sequence, onto in ((lifted, None), (lifted, rig), (torn, None)):
-        with pytest.raises(OutputError, match="is the original and would be lost; write to another name"):
-            write_gltf(rig, sequence.header, [sequence.points], onto=onto)
-    assert rig.read_bytes() == before
-    written(rig, lifted, flatten=True)
-
-
-def test_flatten_and_onto_exclude_each_other(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="give one of them"):
-        written(tmp_path / "new.glb", lifted, flatten=True, onto=rig)
-
-
-def test_damaged_files_end_in_an_error_of_ours(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
-    """Replace one value of the JSON after the other by nonsense."""
-    text = json.dumps(rigged()[0])
-
-    def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-        children = (
-            value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-        )
-        for key, child in children:
-            yield (*path, key)
-            yield from places(child, (*path, key))
-
-    everywhere = [
-        place for place in places(json.loads(text)) if place[:1] != ("accessors",) or place < ("accessors", 4)
-    ]
-    for number, place in enumerate(everywhere[::2]):
-        document = json.loads(text)
-        owner = document
-        for key in place[:-1]:
-            owner = owner[key]
-        owner[place[-1]] = [None, -1, "x", [], {}, 1e300, 99, [[]]][number % 8]
-        write_glb(rig, document, rigged()[1])
-        with lossy():
-            try:
-                written(tmp_path / "new.glb", lifted, onto=rig)
-            except MixseqError:
-                continue
-
-
-def test_the_validator_passes_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
-    # The image is none: only that may be found fault with.
-    change(rig, lambda document: (document.pop("images"), document["textures"][0].pop("source")))
-    written(tmp_path / "new.glb", lifted)
-    written(tmp_path / "new.gltf", lifted)
-    validate(tmp_path / "new.glb", tmp_path / "new.gltf")
-
-
-@pytest.mark.realdata
-@pytest.mark.parametrize("name", ["KhronosFox", "CesiumMan"])
-def test_real_characters_keep_their_textures(data: Path, tmp_path: Path, name: str) -> None:
-    source, target = data / "gltf" / f"{name}.glb", tmp_path / f"{name}.glb"
-    with lossy():
-        sequence = read(source)
-        file, before = written(target, sequence), Gltf(source)
-    assert file.view(file.json["images"][0]["bufferView"]) == before.view(
-        before.json["images"][0]["bufferView"]
-    )
-    assert file.json["materials"] == before.json["materials"]
-    again = read(target)
-    assert again.polygons.same_as(sequence.polygons)
-    assert np.abs(again.points - sequence.points).max() < 1e-7 * sequence.diagonal
-
-
-@pytest.mark.realdata
-@pytest.mark.parametrize("flatten", [False, True])
-def test_the_validator_passes_real_characters(data: Path, tmp_path: Path, flatten: bool) -> None:
-    for name in ("KhronosFox", "CesiumMan", "Stag"):
-        with lossy():
-            written(tmp_path / f"{name}.glb", read(data / "gltf" / f"{name}.glb"), flatten=flatten)
-    validate(*sorted(tmp_path.iterdir()))
 
 
 def both(rig: Path) -> None:

@@ -1,0 +1,158 @@
+"""Alembic, reading: what is on a mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+imath = pytest.importorskip("imath")
+from alembic3d import Abc, AbcCoreAbstract, AbcGeom, AbcMaterial  # noqa: E402
+
+from mixseq.errors import (  # noqa: E402
+    MixseqWarning,
+)
+from tests.formats.alembic.alembic_maker import (  # noqa: E402
+    CLOCKWISE,
+    SQUARE,
+    TRIANGLES,
+    Scope,
+    add_mesh,
+    filled,
+    load,
+    positions,
+    rising,
+)
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize(
+    ("scope", "places"),
+    [
+        (Scope.kFacevaryingScope, [0, 1, 2, 3, 4, 5]),
+        (Scope.kVertexScope, CLOCKWISE),
+        (Scope.kVaryingScope, CLOCKWISE),
+        (Scope.kUniformScope, [0, 0, 0, 1, 1, 1]),
+        (Scope.kConstantScope, [0] * 6),
+    ],
+    ids=["corners", "vertices", "varying", "faces", "constant"],
+)
+def test_texture_coordinates(path: Path, scope: Any, places: ArrayLike, indexed: bool) -> None:
+    count = int(np.max(places)) + 1
+    rows = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
+
+    def dress(sample: Any, frame: int) -> None:
+        if indexed:  # the rows backwards
+            order = filled(imath.UnsignedIntArray, np.arange(count)[::-1])
+            sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, rows[::-1]), order, scope))
+        else:
+            sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, rows), scope))
+
+    archive = Abc.OArchive(str(path))
+    add_mesh(archive.getTop(), "square", rising(), dress=dress)
+    del archive
+    uvs = load(path).surface.uvs
+    assert uvs is not None
+    turned = [2, 1, 0, 5, 4, 3]
+    np.testing.assert_array_equal(uvs.at_corners, rows[np.asarray(places)[turned]])
+
+
+def test_texture_coordinates_that_do_not_fit(path: Path) -> None:
+    def dress(sample: Any, frame: int) -> None:
+        sample.setUVs(
+            AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, SQUARE[:, :2]), Scope.kFacevaryingScope)
+        )
+
+    archive = Abc.OArchive(str(path))
+    add_mesh(archive.getTop(), "square", rising(), dress=dress)
+    del archive
+    with pytest.warns(MixseqWarning, match="texture coordinates of /square do not fit its faces"):
+        assert load(path).surface.uvs is None
+
+
+@pytest.mark.parametrize(
+    ("scope", "normals", "hard"),
+    [
+        (Scope.kFacevaryingScope, [[0, 0, 1]] * 3 + [[0, 1, 0]] * 3, True),
+        (Scope.kFacevaryingScope, [[0, 0, 1]] * 6, False),
+        (Scope.kVertexScope, [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 1]], False),
+        (Scope.kUniformScope, [[0, 0, 1], [0, 1, 0]], True),
+    ],
+    ids=["hard", "soft", "vertices", "flat"],
+)
+def test_normals_are_hard_edges(path: Path, scope: Any, normals: ArrayLike, hard: bool) -> None:
+    def dress(sample: Any, frame: int) -> None:
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(positions(normals), scope))
+
+    archive = Abc.OArchive(str(path))
+    add_mesh(archive.getTop(), "square", rising(), dress=dress)
+    del archive
+    hard_edges = load(path).surface.hard_edges
+    assert (hard_edges is not None) == hard
+    if (
+        hard_edges is not None
+    ):  # corners of triangles 0 1 2 and 0 2 3: no vertex's normal is shared by both faces
+        assert len(set(hard_edges.tolist())) == 6
+
+
+def test_face_sets_and_materials(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    belt = mesh.getSchema().createFaceSet("Gürtel")
+    belt.getSchema().set(AbcGeom.OFaceSetSchemaSample(filled(imath.IntArray, [1])))
+    AbcMaterial.addMaterialAssignment(belt, "/materials/leather")
+    AbcMaterial.addMaterialAssignment(mesh, "/materials/skin")
+    del archive, mesh, belt
+    skin, leather = load(path).surface.face_sets
+    assert (skin.name, skin.material, skin.polygons.tolist()) == ("skin", "/materials/skin", [0, 1])
+    assert (leather.name, leather.material, leather.polygons.tolist()) == (
+        "Gürtel",
+        "/materials/leather",
+        [1],
+    )
+
+
+@pytest.mark.parametrize("scheme", ["catmull-clark", "catmullClark", "loop", "bilinear"])
+def test_subdivision(path: Path, scheme: str) -> None:
+    archive = Abc.OArchive(str(path))
+    add_mesh(
+        archive.getTop(),
+        "cage",
+        rising(),
+        subdivided=True,
+        dress=lambda sample, _: sample.setSubdivisionScheme(scheme),
+    )
+    del archive
+    got = load(path)
+    assert got.surface.subdivision == scheme.replace("-c", "C")
+    assert got.polygons.same_as(TRIANGLES)
+
+
+def test_an_unknown_subdivision(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    add_mesh(
+        archive.getTop(),
+        "cage",
+        rising(),
+        subdivided=True,
+        dress=lambda sample, _: sample.setSubdivisionScheme("doo"),
+    )
+    del archive
+    with pytest.warns(MixseqWarning, match="/cage is subdivided by 'doo', which is taken as Catmull-Clark"):
+        assert load(path).surface.subdivision == "catmullClark"
+
+
+def test_more_texture_coordinates(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    metadata = AbcCoreAbstract.MetaData()
+    metadata.setIsUV(True)
+    others = mesh.getSchema().getArbGeomParams()
+    second = AbcGeom.OV2fGeomParam(others, "dirt", False, Scope.kVertexScope, 1, 0, metadata)
+    second.set(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, SQUARE[:, :2]), Scope.kVertexScope))
+    del archive, mesh, others, second
+    with pytest.warns(MixseqWarning, match="/square has more texture coordinates, dirt; they are left out"):
+        assert load(path).surface.uvs is None

@@ -1,0 +1,32 @@
+"""A compressed sequence with streams of any bytes, and its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import mixseq
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes
+from tests.meshes import bar
+
+
+@pytest.fixture
+def coded() -> CompressedSequence:
+    """Three groups of basis vectors; chunks of 4, 4, 4 and 2 frames, the third of which has no residuals."""
+    header = replace(bar(5, 15, 14).header, name="Füchsin", up_axis="Z", metres_per_unit=0.01)
+    sizes = [(4, 301, 50), (4, 302, 60), (4, 303, 0), (2, 304, 40)]
+    chunks = tuple(
+        Chunk(4 * number, count, any_bytes(coefficients), any_bytes(residuals))
+        for number, (count, coefficients, residuals) in enumerate(sizes)
+    )
+    return CompressedSequence(header, PARAMETERS, tuple(any_bytes(size) for size in (500, 600, 700)), chunks)
+
+
+@pytest.fixture
+def path(tmp_path: Path, coded: CompressedSequence) -> Path:
+    file = tmp_path / "small.h5"
+    mixseq.save(file, coded)
+    return file

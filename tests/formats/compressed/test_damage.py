@@ -1,0 +1,161 @@
+"""Compressed sequences in HDF5: damage is noticed and named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from zlib import crc32
+
+import h5py
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.errors import FormatError
+from mixseq_io.hdf5.compressed_reader import (
+    COMPRESSED_VERSION,
+    Stream,
+    StreamIndex,
+    is_compressed,
+    read_compressed,
+)
+from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
+
+STREAMS: list[tuple[Callable[[StreamIndex], Stream], str]] = [
+    (lambda index: index.ground["connectivity"], "the connectivity's bytes are damaged"),
+    (lambda index: index.basis[0], "the basis vectors of group 0 are damaged"),
+    (lambda index: index.basis[2], "the basis vectors of group 2 are damaged"),
+    (lambda index: index.chunks[0].coefficients, "the coefficients of frames 0 to 3 are damaged"),
+    (lambda index: index.chunks[3].coefficients, "the coefficients of frames 12 to 13 are damaged"),
+    (lambda index: index.chunks[1].residuals, "the residuals of frames 4 to 7 are damaged"),
+]
+
+
+@pytest.mark.parametrize(("stream", "message"), STREAMS, ids=[message for _, message in STREAMS])
+def test_damage_is_named(path: Path, stream: Callable[[StreamIndex], Stream], message: str) -> None:
+    damage(path, stream(index_of(path)))
+    with pytest.raises(FormatError, match=rf"small\.h5: {message}; restore the file, or read the rest"):
+        mixseq.load(path)
+
+
+def test_damaged_times_are_named(tmp_path: Path, coded: CompressedSequence) -> None:
+    file = tmp_path / "times.h5"
+    mixseq.save(file, replace(coded, header=coded.header.with_times(np.arange(14) ** 2)))
+    damage(file, index_of(file).ground["times"])
+    with pytest.raises(FormatError, match=r"times\.h5: the times are damaged"):
+        mixseq.load(file)
+    with pytest.raises(FormatError, match="nothing can be salvaged"):
+        mixseq.load(file, salvage=True)
+
+
+def test_every_flipped_bit_is_noticed_or_harmless(path: Path, coded: CompressedSequence) -> None:
+    whole = path.read_bytes()
+    noticed = 0
+    for at in range(0, len(whole), 31):
+        path.write_bytes(whole)
+        flip(path, at)
+        try:
+            assert_same(read_compressed(path), coded)  # bytes that nobody uses: created_by, gaps
+        except FormatError as error:
+            noticed += 1
+            assert str(path) in str(error)
+    assert noticed > 0.95 * len(range(0, len(whole), 31))
+
+
+def test_truncated_files_say_what_is_missing(path: Path) -> None:
+    whole, first, index = path.read_bytes(), place_of(path), index_of(path)
+    path.write_bytes(whole[: first + index.chunks[2].coefficients.start + 5])
+    with pytest.raises(
+        FormatError, match=r"small\.h5: the coefficients of frames 8 to 11 are damaged; restore"
+    ):
+        mixseq.load(path)
+    path.write_bytes(whole[:100])
+    with pytest.raises(FormatError, match=r"small\.h5 cannot be read as HDF5; it is damaged, truncated"):
+        mixseq.load(path)
+
+
+def test_damage_of_hdf5_alone_is_told(path: Path) -> None:
+    flip(path, 30)  # in the superblock
+    with pytest.raises(FormatError, match="HDF5's own structure is damaged, but no signal is"):
+        mixseq.load(path)
+
+
+def test_a_damaged_index_is_the_end(path: Path) -> None:
+    flip(path, place_of(path) + 20)
+    for salvage in (False, True):
+        with pytest.raises(FormatError, match="its index is damaged, so nothing can be read"):
+            mixseq.load(path, salvage=salvage)
+
+
+def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
+    """Change the attribute, and its checksum with it, as somebody might on purpose."""
+    with h5py.File(path, "r+") as file:
+        text = bytes(file.attrs["coding"])
+        facts = json.loads(text)
+        change(facts)
+        new = json.dumps(facts).encode()
+        streams = file["streams"][:].tobytes()
+        lengths, checksums = np.frombuffer(streams[4:12], "<u4").tolist()
+        body = bytearray(streams[16 : 16 + lengths + checksums])
+        body[lengths : lengths + 4] = np.array([crc32(new)], "<u4").tobytes()
+        head = streams[:12] + np.array([crc32(bytes(body))], "<u4").tobytes()
+        data = head + bytes(body) + streams[16 + lengths + checksums :]
+        file["streams"][:] = np.frombuffer(data, np.uint8)
+        file.attrs.create("coding", new, dtype=h5py.string_dtype("ascii", len(new)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda facts: facts["coding"].update(magic=1), "does not know the parameter 'magic'; upgrade it"),
+        (lambda facts: facts["coding"].pop("step"), "parameters are missing .*step"),
+        (lambda facts: facts.pop("coding"), "no parameters"),
+        (lambda facts: facts["coding"].update(factors="x"), "factors is 'x'; trajectories or shapes"),
+        (lambda facts: facts["coding"].update(rank=0), "rank is 0; a whole number above zero"),
+        (lambda facts: facts["coding"].update(rank=2.5), "rank is 2.5; a whole number above zero"),
+        (lambda facts: facts["coding"].update(step=0), "step is 0; a positive number"),
+        (lambda facts: facts["coding"].update(diagonal="long"), "diagonal is 'long'; a positive number"),
+        (lambda facts: facts["coding"].update(correction=float("nan")), "correction is nan; a non-negative"),
+        (lambda facts: facts["coding"].update(promised=1), "promised is 1; true or false"),
+        (lambda facts: facts["coding"].update(frame_count=15), "numbers of frames contradict each other"),
+        (lambda facts: facts.update(vertex_count=1 << 31), "a mesh cannot have .* 2147483648 vertices"),
+        (lambda facts: facts.update(corner_count=float("inf")), "infinity.*; it is damaged"),
+        (lambda facts: facts.pop("fps"), "fps.*; it is damaged"),
+        (lambda facts: facts.update(fps=0.0), "not finite; it is damaged"),
+        (lambda facts: facts.update(fps=-1), "times must increase; it is damaged"),
+        (lambda facts: facts.update(frame_count=99), "chunks do not add up to 99 frames; it is damaged"),
+        (lambda facts: facts.update(vertex_count="many"), "many.*; it is damaged"),
+        (lambda facts: facts.update(up_axis="W"), "up axis is 'W'.*; it is damaged"),
+    ],
+)
+def test_contradictions_are_refused(
+    path: Path, change: Callable[[dict[str, object]], object], message: str
+) -> None:
+    changed(path, change)
+    with pytest.raises(FormatError, match=rf"small\.h5: .*{message}"):
+        read_compressed(path)
+
+
+def test_newer_versions_are_refused(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["version"] = COMPRESSED_VERSION + 1
+    for salvage in (False, True):
+        with pytest.raises(FormatError, match=r"has version 5, this mixseq reads up to 4.*upgrade with pip"):
+            mixseq.load(path, salvage=salvage)
+
+
+def test_other_files_are_no_compressed_models(tmp_path: Path, bar_model: mixseq.Model) -> None:
+    model = tmp_path / "model.h5"
+    mixseq.save(model, bar_model)
+    assert not is_compressed(model)
+    for ask in (read_compressed, compressed_sizes, mixseq.verify):
+        with pytest.raises(
+            FormatError, match=r"model\.h5 is no compressed model; make one with mixseq encode"
+        ):
+            ask(model)
+    with pytest.raises(FormatError, match=r"none\.h5 does not exist"):
+        read_compressed(tmp_path / "none.h5")

@@ -1,0 +1,115 @@
+"""Compressed sequences in HDF5: everything comes back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from mixseq.errors import FormatError, MixseqWarning, OutputError
+from mixseq.sequence import MeshSequence
+from mixseq.spaces.basis import BasisSpace
+from mixseq_io.hdf5.compressed_reader import (
+    COMPRESSED_VERSION,
+    is_compressed,
+    read_compressed,
+)
+from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
+from tests.meshes import bar
+
+
+def test_everything_comes_back(path: Path, coded: CompressedSequence) -> None:
+    assert is_compressed(path)
+    got = read_compressed(path)
+    assert_same(got, coded)
+    assert got.header.surface.origin is None
+
+
+def test_saving_twice_makes_the_same_file(path: Path, coded: CompressedSequence, tmp_path: Path) -> None:
+    mixseq.save(tmp_path / "again.hdf5", coded)
+    assert (tmp_path / "again.hdf5").read_bytes() == path.read_bytes()
+
+
+def test_the_file_says_what_it_is(path: Path) -> None:
+    with h5py.File(path) as file:
+        assert file.attrs["format"] == b"mixseq-model"
+        assert file.attrs["version"] == COMPRESSED_VERSION
+        assert list(file) == ["streams"]
+        facts = json.loads(file.attrs["coding"])
+    assert facts["coding"] == {name: value for name, value in asdict(PARAMETERS).items() if name != "ranks"}
+    assert (facts["name"], facts["frame_count"], facts["polygon_count"]) == ("Füchsin", 14, 150)
+
+
+def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: CompressedSequence) -> None:
+    sizes = compressed_sizes(path)
+    assert sizes["total"] == path.stat().st_size
+    assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
+    streams = sum(map(len, coded.basis)) + sum(
+        len(each.coefficients + each.residuals) for each in coded.chunks
+    )
+    assert sizes["signals"] == streams + sizes["index"]
+    assert sizes["surface"] == 0
+    assert 0 < sizes["connectivity"] < 600
+    assert sizes["index"] < 150
+    assert sizes["container"] < 1100
+
+
+@pytest.mark.parametrize(("groups", "chunks"), [(0, 1), (1, 1), (1, 300)])
+def test_any_number_of_streams(tmp_path: Path, groups: int, chunks: int) -> None:
+    header = bar(5, 15, 2 * chunks).header
+    some = tuple(Chunk(2 * number, 2, any_bytes(number + 200), any_bytes(7)) for number in range(chunks))
+    parameters = replace(PARAMETERS, frame_count=header.frame_count)
+    coded = CompressedSequence(header, parameters, tuple(any_bytes(size) for size in range(groups)), some)
+    file = tmp_path / "many.h5"
+    mixseq.save(file, coded)
+    assert_same(read_compressed(file), coded)
+    assert compressed_sizes(file)["index"] < 40 + 14 * chunks
+
+
+def test_only_h5(tmp_path: Path, coded: CompressedSequence) -> None:
+    with pytest.raises(OutputError, match=r"end the name in \.h5"):
+        mixseq.save(tmp_path / "small.usdc", coded)
+
+
+def test_models_in_the_basis_space_are_kept(tmp_path: Path) -> None:
+    sequence = bar(5, 9, 4)
+    fields = np.concatenate([np.ones((1, 47)), sequence.points[0].T, sequence.points[3].T[:2]])
+    space = BasisSpace(fields, sequence.diagonal)
+    vectors = space.encode(sequence.points)
+    flat = mixseq.fit(sequence, space="vertex", exact=True)
+    model = replace(flat, space=space, shapes=vectors[: len(flat.shapes)])
+    mixseq.save(tmp_path / "basis.h5", model)
+    got = mixseq.load(tmp_path / "basis.h5")
+    assert isinstance(got.space, BasisSpace)
+    np.testing.assert_array_equal(got.space.basis, space.basis)
+    np.testing.assert_array_equal(got.shapes, model.shapes)
+    np.testing.assert_array_equal(got.sample().points, model.sample().points)
+    with h5py.File(tmp_path / "basis.h5", "r+") as file:
+        assert file.attrs["version"] == 4
+        file["space/fields"][1] = 0.0
+    with pytest.raises(FormatError, match=r"basis\.h5: space/fields is zero everywhere in row 1"):
+        mixseq.load(tmp_path / "basis.h5")
+
+
+def test_residual_layers_that_are_not_stored_are_told(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    model = mixseq.fit(bent_bar, space="vertex", exact=True)
+
+    class Lift:
+        def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.ones((len(times), bent_bar.vertex_count, 3))
+
+        rates = at
+
+    lifted = replace(model, residual_layer=Lift())
+    with pytest.warns(MixseqWarning, match=r"lifted\.h5: the residual layer .* is not stored with signals"):
+        mixseq.save(tmp_path / "lifted.h5", lifted)
+    got = mixseq.load(tmp_path / "lifted.h5").sample().points
+    np.testing.assert_allclose(got, bent_bar.points, atol=1e-12)

@@ -1,0 +1,223 @@
+"""What tests of model files have in common: which datasets there are, how models are compared and files changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.signals import Model
+from mixseq.spaces import (
+    AnchoredSpace,
+    FreeSpace,
+    MixedSpace,
+    VertexSpace,
+)
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+COMMON = {
+    "polygons/counts",
+    "polygons/indices",
+    "signals/time/frames",
+    "signals/time/times",
+    "signals/time/values",
+    "signals/pose/offset",
+    "signals/pose/matrix",
+    "signals/placement/times",
+    "signals/placement/rotations",
+    "signals/placement/translations",
+}
+
+EDGE = COMMON | {
+    "space/reference",
+    "space/reference_lengths",
+    "signals/shape/lengths",
+    "signals/shape/angles",
+    "signals/shape/volumes",
+}
+
+PARTS = COMMON | {
+    "segmentation/part_of_face",
+    "segmentation/widths",
+    "segmentation/parts/vertices",
+    "segmentation/parts/sizes",
+    "segmentation/joints/faces",
+    "segmentation/joints/sizes",
+    "space/shapes",
+    "space/reference",
+    "signals/shape/lengths",
+    "signals/shape/angles",
+}
+
+DATASETS = {
+    "mixed": PARTS
+    | {
+        "space/free",
+        "space/known",
+        "space/shares/sizes",
+        "space/shares/parts",
+        "space/shares/weights",
+        "signals/shape/unposed",
+        "signals/shape/sides",
+    },
+    "free": PARTS | {"space/reference_lengths", "signals/shape/parts"},
+    "vertex": COMMON | {"signals/shape/positions"},
+    "gradient": COMMON | {"space/reference", "signals/shape/turns", "signals/shape/stretches"},
+    "lri": COMMON | {"space/reference", "signals/shape/connections", "signals/shape/ends"},
+    "edge": EDGE,
+    "volume": EDGE,
+}
+"""By the names of `models`."""
+
+SETTINGS = {
+    "mixed": {"relaxation"},
+    "free": {"relaxation"},
+    "edge": {"shell", "edge"},
+    "volume": {"shell", "edge"},
+}
+
+EACH_DATASET = [(space, name) for space, names in DATASETS.items() for name in sorted(names)]
+
+VERSIONS = {"vertex": 2, "gradient": 3}
+"""Of spaces whose files did not change when rotations became quaternions; the others have version 5."""
+
+SHAPES = {
+    "mixed": ["lengths", "angles", "unposed", "sides"],
+    "free": ["lengths", "angles", "parts"],
+    "vertex": ["positions"],
+    "gradient": ["turns", "stretches"],
+    "lri": ["connections", "ends"],
+    "edge": ["lengths", "angles", "volumes"],
+    "volume": ["lengths", "angles", "volumes"],
+}
+"""Key shapes: datasets in the order of the vector."""
+
+POSES = {"mixed": [2, 2], "vertex": [0, 0], "gradient": [0, 1]}
+"""How many rotations and translations a placement has; one of each in the other spaces."""
+
+ATTRIBUTES = {
+    "format",
+    "version",
+    "created_by",
+    "settings",
+    "space",
+    "name",
+    "fps",
+    "up_axis",
+    "metres_per_unit",
+    "vertex_count",
+}
+
+
+def assert_equal(first: Model, second: Model) -> None:
+    """Check that two models are equal bit by bit."""
+    for name in ("time", "placement"):
+        a, b = getattr(first, name), getattr(second, name)
+        np.testing.assert_array_equal(a.times, b.times)
+        np.testing.assert_array_equal(a.values, b.values)
+    np.testing.assert_array_equal(first.pose.offset, second.pose.offset)
+    np.testing.assert_array_equal(first.pose.matrix, second.pose.matrix)
+    np.testing.assert_array_equal(first.shapes, second.shapes)
+    np.testing.assert_array_equal(first.vectors, second.vectors)
+    np.testing.assert_array_equal(first.times, second.times)
+    assert first.header.polygons.same_as(second.header.polygons)
+    for name in ("vertex_count", "fps", "up_axis", "metres_per_unit", "name"):
+        assert getattr(first.header, name) == getattr(second.header, name)
+    assert type(first.space) is type(second.space)
+    if isinstance(first.space, VertexSpace):
+        assert first.space == second.space
+    elif isinstance(first.space, MixedSpace):
+        assert_equal_spaces(first.space, second.space)
+    else:
+        assert_equal_fields(first.space, second.space)
+
+
+def assert_equal_fields(first: Any, second: Any) -> None:
+    for field in fields(first):
+        if field.name != "topology":
+            np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
+
+
+def assert_equal_spaces(first: Any, second: Any) -> None:
+    arrays = ["shapes", "reference", *(["reference_lengths"] if isinstance(first, FreeSpace) else [])]
+    for name in arrays:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+        assert getattr(first, name).dtype == getattr(second, name).dtype
+    for name in ("placement", "scale", "sizes", "relaxation"):
+        assert getattr(first, name) == getattr(second, name)
+    if isinstance(first, AnchoredSpace):
+        np.testing.assert_array_equal(first.free, second.free)
+        np.testing.assert_array_equal(first.known, second.known)
+        assert first.shares.shape == second.shares.shape
+        for name in ("indptr", "indices", "data"):
+            np.testing.assert_array_equal(getattr(first.shares, name), getattr(second.shares, name))
+    a, b = first.decomposition, second.decomposition
+    np.testing.assert_array_equal(a.part_of_face, b.part_of_face)
+    np.testing.assert_array_equal(a.widths, b.widths)
+    for part, other in zip(a.parts, b.parts, strict=True):
+        np.testing.assert_array_equal(part, other)
+    for joint, other_joint in zip(a.joints, b.joints, strict=True):
+        for name in ("vertices", "faces", "face_ids", "edge_ids", "hinge_ids", "free"):
+            np.testing.assert_array_equal(getattr(joint, name), getattr(other_joint, name))
+
+
+def replace(path: Path, name: str, change: Callable[[Any], Any]) -> None:
+    """Store other values in place of a dataset's."""
+    with h5py.File(path, "r+") as file:
+        values = change(file[name][...])
+        del file[name]
+        file[name] = values
+
+
+def with_nan(frame: int) -> Callable[[Any], Any]:
+    def change(values: Any) -> Any:
+        values[frame, ...].flat[0] = np.nan
+        return values
+
+    return change
+
+
+# Edits with h5py ------------------------------------------------------------------------------------------
+#
+# In the vertex space what they do is a formula; in the mixed space they meet a reconstruction.
+
+
+def scale(model: Model) -> float:
+    """Return the diagonal in the units of the sequence."""
+    assert isinstance(model.space, MixedSpace | VertexSpace)
+    return model.space.scale
+
+
+def anchored(model: Model) -> AnchoredSpace:
+    assert isinstance(model.space, AnchoredSpace)
+    return model.space
+
+
+def points_at(model: Model, times: Any) -> NDArray[np.float64]:
+    """Decode without what is only for frames."""
+    return np.concatenate(list(model.blocks(times)))
+
+
+INSIDE = np.linspace(0.0, 0.6, 14)
+
+
+def scaled(factor: float) -> Callable[[Any], Any]:
+    return lambda values: values * factor
+
+
+def with_zeros(values: Any) -> Any:
+    """At one knot one part has no rotation."""
+    values[3, 1] = 0.0
+    return values
+
+
+def with_more(values: Any) -> Any:
+    """One of the weights is larger than it should be, by little."""
+    values[7] += 1e-6
+    return values

@@ -1,0 +1,190 @@
+"""Models in HDF5: signals can be edited with h5py, and frames move as they should."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.geometry.quaternions import rotations_of
+from mixseq.signals import Curve, Model
+from mixseq.spaces import (
+    AnchoredSpace,
+)
+from tests.formats.models.model_cases import INSIDE, anchored, points_at, replace, scale
+from tests.meshes import bar
+
+# Use ------------------------------------------------------------------------------------------------------
+
+
+def test_a_model_reads_as_a_sequence(stored: Path, model: Model) -> None:
+    sequence = mixseq.read(stored)
+    np.testing.assert_array_equal(sequence.points, model.sample().points)
+    np.testing.assert_array_equal(sequence.times, model.times)
+
+
+def test_an_edited_key_shape_moves_frames_by_its_weight(vertices: Path, models: dict[str, Model]) -> None:
+    model, bump = models["vertex"], np.array([0.1, -0.2, 0.3])
+    with h5py.File(vertices, "r+") as file:
+        file["signals/shape/positions"][1, 17] += bump
+    moved = points_at(mixseq.load(vertices), INSIDE) - points_at(model, INSIDE)
+    weight = model.pose.weights(model.time(INSIDE))[:, 1]
+    assert np.abs(weight).max() > 0.5
+    np.testing.assert_allclose(moved[:, 17], weight[:, None] * bump * scale(model), atol=1e-12)
+    assert np.abs(np.delete(moved, 17, axis=1)).max() < 1e-12
+
+
+def test_an_edited_value_moves_the_curve_there(vertices: Path, models: dict[str, Model]) -> None:
+    model, knot, change = models["vertex"], 2, np.array([0.05, -0.02])
+    with h5py.File(vertices, "r+") as file:
+        file["signals/time/values"][knot] += change
+    loaded = mixseq.load(vertices)
+    moved = points_at(loaded, model.time.times) - points_at(model, model.time.times)
+    expected = model.space.decode((change @ model.pose.matrix @ model.shapes)[None])[0]
+    np.testing.assert_allclose(moved[knot], expected, atol=1e-12)
+    assert np.abs(np.delete(moved, knot, axis=0)).max() < 1e-12
+
+
+def test_knots_can_be_dropped(vertices: Path, models: dict[str, Model]) -> None:
+    kept = [0, 1, 3, 4]
+    for name in ("times", "values"):
+        replace(vertices, f"signals/time/{name}", lambda array: array[kept])
+    model = models["vertex"]
+    cubic = Curve(model.time.times[kept], model.time.values[kept])
+    np.testing.assert_array_equal(mixseq.load(vertices).time(INSIDE), cubic(INSIDE))
+
+
+def test_a_knot_on_the_curve_changes_nothing(vertices: Path, models: dict[str, Model]) -> None:
+    model, new = models["vertex"], 0.4
+    place = int(np.searchsorted(model.time.times, new))
+    value = model.time([new])[0]
+    replace(vertices, "signals/time/times", lambda times: np.insert(times, place, new))
+    replace(vertices, "signals/time/values", lambda values: np.insert(values, place, value, axis=0))
+    loaded = mixseq.load(vertices)
+    assert len(loaded.time.times) == len(model.time.times) + 1
+    np.testing.assert_allclose(points_at(loaded, INSIDE), points_at(model, INSIDE), atol=1e-12)
+
+
+def test_an_edited_offset_blends_key_shapes(vertices: Path, models: dict[str, Model]) -> None:
+    model = models["vertex"]
+    with h5py.File(vertices, "r+") as file:
+        file["signals/pose/offset"][:2] += [0.25, -0.25]
+    moved = points_at(mixseq.load(vertices), INSIDE) - points_at(model, INSIDE)
+    expected = model.space.decode(0.25 * (model.shapes[:1] - model.shapes[1:2]))
+    np.testing.assert_allclose(moved, np.repeat(expected, len(INSIDE), axis=0), atol=1e-12)
+
+
+def test_an_edited_matrix_damps_a_coordinate(vertices: Path, models: dict[str, Model]) -> None:
+    """Half the row is the same as half the coordinate."""
+    model = models["vertex"]
+    with h5py.File(vertices, "r+") as file:
+        file["signals/pose/matrix"][1] *= 0.5
+    damped = Curve(model.time.times, model.time.values * [1.0, 0.5])
+    expected = Model(model.header, model.space, damped, model.pose, model.shapes, model.placement)
+    np.testing.assert_allclose(
+        points_at(mixseq.load(vertices), INSIDE), points_at(expected, INSIDE), atol=1e-12
+    )
+
+
+def test_key_shapes_can_be_added(vertices: Path, models: dict[str, Model]) -> None:
+    """One that nothing uses yet, and as its offset is zero nothing changes."""
+    replace(vertices, "signals/shape/positions", lambda keys: np.concatenate([keys, 2 * keys[:1]]))
+    replace(vertices, "signals/pose/offset", lambda offset: np.append(offset, 0.0))
+    replace(vertices, "signals/pose/matrix", lambda matrix: np.insert(matrix, 3, 0.0, axis=1))
+    loaded = mixseq.load(vertices)
+    assert len(loaded.shapes) == 4
+    np.testing.assert_allclose(points_at(loaded, INSIDE), points_at(models["vertex"], INSIDE), atol=1e-12)
+
+
+def test_an_edited_translation_moves_the_body_there(copy: Path, model: Model) -> None:
+    """All parts alike, at one knot of the placement; at the others nothing moves."""
+    knot, shift = 3, np.array([1.0, 0.0, -0.5])
+    with h5py.File(copy, "r+") as file:
+        file["signals/placement/translations"][knot] += shift
+    times = model.placement.times
+    moved = points_at(mixseq.load(copy), times) - points_at(model, times)
+    np.testing.assert_allclose(
+        moved[knot], np.broadcast_to(shift * scale(model), moved[knot].shape), atol=1e-9
+    )
+    assert np.abs(np.delete(moved, knot, axis=0)).max() < 1e-9
+
+
+def held_by_one(space: AnchoredSpace, part: int) -> NDArray[np.int64]:
+    """Return the vertices of a part that follow it alone."""
+    vertices = space.decomposition.parts[part]
+    alone: NDArray[np.int64] = vertices[space.frames.alone[vertices] == part]
+    assert len(alone) > 3
+    return alone
+
+
+def test_an_edited_rotation_turns_a_part_there(copy: Path, model: Model) -> None:
+    """By half a turn about z: vertices that follow the part alone go where it goes, about its centre."""
+    space, knot = anchored(model), 2
+    with h5py.File(copy, "r+") as file:
+        file["signals/placement/rotations"][knot, 0] = [0.0, 0.0, 0.0, 1.0]
+    time = model.placement.times[knot]
+    rest, poses = space.frames.rest, space.poses(model.placement.values)
+    before = rotations_of(rest.rotations[0, 0])
+    assert np.abs(rotations_of(poses.rotations[knot, 0]) - np.diag([-1, -1, 1])).max() > 0.5
+    alone = held_by_one(space, 0)
+    shapes = model.pose.weights(model.time([time])) @ model.shapes
+    unposed = space.split(np.append(shapes, model.placement.values[knot])[None]).unposed[0, alone]
+    seen = (unposed - rest.centres[0, 0]) @ before  # from the part
+    expected = space.scale * (seen @ np.diag([-1, -1, 1]) + poses.centres[knot, 0])
+    np.testing.assert_allclose(mixseq.load(copy)(time)[alone], expected, atol=1e-9)
+
+
+def test_quaternions_of_any_length_are_rotations(copy: Path, model: Model) -> None:
+    """Where all are scaled alike, curves and shapes do not change."""
+    with h5py.File(copy, "r+") as file:
+        file["signals/placement/rotations"][...] *= 1.7
+    np.testing.assert_allclose(points_at(mixseq.load(copy), INSIDE), points_at(model, INSIDE), atol=1e-12)
+
+
+def test_an_edited_vertex_moves_with_its_frame(copy: Path, model: Model) -> None:
+    """One that a part keeps, lifted in every key shape, is lifted as its frame is turned, whatever the pose."""
+    space, bump = anchored(model), np.array([0.0, 0.02, 0.01])
+    vertex = space.decomposition.parts[0][5]
+    with h5py.File(copy, "r+") as file:
+        file["signals/shape/unposed"][:, vertex] += bump
+    times = model.placement.times
+    moved = points_at(mixseq.load(copy), times) - points_at(model, times)
+    poses = space.poses(model.placement.values)
+    motions = np.stack([space.frames.motions(*pose) for pose in zip(*poses, strict=True)])
+    np.testing.assert_allclose(
+        moved[:, vertex], space.scale * rotations_of(motions[:, vertex, :4]) @ bump, atol=1e-9
+    )
+
+
+def test_edited_sides_move_free_vertices_only(copy: Path, model: Model) -> None:
+    with h5py.File(copy, "r+") as file:
+        file["signals/shape/sides"][...] *= 1.1
+    moved = np.abs(points_at(mixseq.load(copy), INSIDE) - points_at(model, INSIDE)).max(axis=(0, 2))
+    free = anchored(model).free
+    assert free.any()
+    assert moved[free].min() > 1e-3
+    assert moved[~free].max() == 0.0
+
+
+def test_frames_can_be_chosen_anew(copy: Path, model: Model) -> None:
+    replace(copy, "signals/time/frames", lambda _: np.array([0.05, 0.5]))
+    np.testing.assert_array_equal(mixseq.read(copy).points, model.sample([0.05, 0.5]).points)
+
+
+def test_shares_that_are_edited_by_hand_move_vertices(copy: Path, model: Model) -> None:
+    """Vertices follow one part each: key shapes mean something else between frames, but it is a model."""
+
+    def first(values: Any) -> Any:
+        return values[anchored(model).shares.indptr[:-1]]
+
+    replace(copy, "space/shares/parts", first)
+    replace(copy, "space/shares/weights", lambda values: np.ones(67))
+    replace(copy, "space/shares/sizes", lambda sizes: np.ones_like(sizes))
+    space = anchored(mixseq.load(copy))
+    assert (space.frames.alone >= 0).all()
+    points = bar(sides=5, rings=13, frames=7).points
+    np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-12)

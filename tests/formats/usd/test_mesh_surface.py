@@ -1,0 +1,171 @@
+"""USD, reading: what is on a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from mixseq.arrays import FloatArray
+from mixseq.errors import InvalidSequenceError, MixseqWarning
+from tests.formats.usd.stage_maker import INDICES, Make, plain, saved
+
+UVS = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.25), (0.75, 0.5), (0.25, 0)], dtype=np.float32)
+
+INTERPOLATIONS = {
+    "constant": [0] * 7,
+    "uniform": [0, 0, 0, 0, 1, 1, 1],
+    "vertex": INDICES,
+    "varying": INDICES,
+    "faceVarying": list(range(7)),
+}
+
+
+def give_uvs(
+    mesh: UsdGeom.Mesh,
+    values: FloatArray,
+    interpolation: str,
+    name: str = "st",
+    kind: Sdf.ValueTypeName = Sdf.ValueTypeNames.TexCoord2fArray,
+) -> UsdGeom.Primvar:
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, kind, interpolation)
+    primvar.Set(Vt.Vec2fArrayFromBuffer(np.ascontiguousarray(values, dtype=np.float32)))
+    return primvar
+
+
+class TestSurface:
+    @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+    @pytest.mark.parametrize("indexed", [False, True])
+    @pytest.mark.parametrize("left_handed", [False, True])
+    def test_texture_coordinates(
+        self, stage: Usd.Stage, make: Make, interpolation: str, indexed: bool, left_handed: bool
+    ) -> None:
+        rows = np.array(INTERPOLATIONS[interpolation])
+        count = int(rows.max()) + 1
+        mesh = make("/mesh")
+        primvar = give_uvs(mesh, UVS if indexed else UVS[:count], interpolation)
+        if indexed:
+            primvar.SetIndices(Vt.IntArray(range(6, 6 - count, -1)))
+            rows = 6 - rows
+        if left_handed:
+            mesh.CreateOrientationAttr("leftHanded")
+            rows = rows[[0, 3, 2, 1, 4, 6, 5]]
+        sequence = saved(stage)
+        assert sequence.surface.uvs is not None
+        np.testing.assert_array_equal(sequence.surface.uvs.at_corners, UVS[rows])
+        corners = np.array(INDICES)[[0, 3, 2, 1, 4, 6, 5]] if left_handed else INDICES
+        np.testing.assert_array_equal(sequence.polygons.indices, corners)
+
+    def test_the_first_set_of_texture_coordinates(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        give_uvs(mesh, UVS[:5], "vertex", "UVMap")
+        assert saved(stage).surface.uvs is not None
+        give_uvs(mesh, UVS[:5] + 1, "vertex", "amap", Sdf.ValueTypeNames.Float2Array)
+        with pytest.warns(MixseqWarning, match="sets of texture coordinates only 'UVMap' is kept: /mesh"):
+            saved(stage)
+        give_uvs(mesh, UVS[:5] + 2, "vertex", "st", Sdf.ValueTypeNames.Float2Array)
+        with pytest.warns(MixseqWarning, match="only 'st' is kept"):
+            uvs = saved(stage).surface.uvs
+        assert uvs is not None
+        assert uvs.at_corners[0].tolist() == [2, 2]
+
+    @pytest.mark.parametrize("indices", [None, [0, 1, 2, 3, 9], [0, 1, 2, -1, 0], [0]])
+    def test_texture_coordinates_that_do_not_fit(
+        self, stage: Usd.Stage, make: Make, indices: list[int] | None
+    ) -> None:
+        primvar = give_uvs(make("/mesh"), UVS[:3], "vertex")
+        if indices:
+            primvar.SetIndices(Vt.IntArray(indices))
+        with pytest.warns(MixseqWarning, match="texture coordinates 'st' do not fit"):
+            assert saved(stage).surface.uvs is None
+
+    @pytest.mark.parametrize("as_primvar", [False, True])
+    def test_normals_tell_the_hard_edges(self, stage: Usd.Stage, make: Make, as_primvar: bool) -> None:
+        mesh = make("/mesh")
+        flat = [Gf.Vec3f(0, 0, 1)] * 4 + [Gf.Vec3f(0, 1, 0)] * 3
+        if as_primvar:
+            mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 5)  # yields to the primvar
+            primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+                "normals", Sdf.ValueTypeNames.Normal3fArray, "uniform"
+            )
+            primvar.Set(Vt.Vec3fArray([flat[4], flat[0]]))
+            primvar.SetIndices(Vt.IntArray([1, 0]))
+        else:
+            mesh.CreateNormalsAttr(flat)
+            mesh.SetNormalsInterpolation("faceVarying")
+        hard_edges = saved(stage).surface.hard_edges
+        assert hard_edges is not None
+        shared = hard_edges[:, None] == hard_edges[None, :]
+        np.testing.assert_array_equal(shared, np.eye(7, dtype=bool))  # vertices 1 and 2 have two normals
+        mesh.CreateSubdivisionSchemeAttr("catmullClark")
+        assert saved(stage).surface.hard_edges is None
+
+    def test_normals_of_vertices_are_no_hard_edges(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 5)
+        assert saved(stage).surface.hard_edges is None
+        mesh.SetNormalsInterpolation("faceVarying")
+        with pytest.warns(MixseqWarning, match="normals do not fit the faces"):
+            assert saved(stage).surface.hard_edges is None
+
+    def test_materials_and_subsets(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/hero/body")
+        make("/hero/hat")
+        for name in ("skin", "red"):
+            UsdShade.Material.Define(stage, f"/looks/{name}")
+        bind = UsdShade.MaterialBindingAPI.Apply
+        bind(stage.GetPrimAtPath("/hero")).Bind(UsdShade.Material.Get(stage, "/looks/skin"))
+        shirt = UsdGeom.Subset.CreateGeomSubset(mesh, "shirt", "face", Vt.IntArray([1]), "materialBind")
+        bind(shirt.GetPrim()).Bind(UsdShade.Material.Get(stage, "/looks/red"))
+        UsdGeom.Subset.CreateGeomSubset(mesh, "left", "face", Vt.IntArray([0, 1]), "side")
+        joined = saved(stage)
+        assert [plain(each) for each in joined.surface.face_sets] == [
+            ("skin", [0, 1], "/looks/skin"),
+            ("shirt", [1], "/looks/red"),
+            ("left", [0, 1], ""),
+            ("skin", [2, 3], "/looks/skin"),
+        ]
+
+    @pytest.mark.parametrize("purpose", ["full", "preview"])
+    def test_materials_for_one_purpose(self, stage: Usd.Stage, make: Make, purpose: str) -> None:
+        mesh = make("/mesh")
+        part = UsdGeom.Subset.CreateGeomSubset(mesh, "part", "face", Vt.IntArray([1]), "materialBind")
+        wool, silk = (UsdShade.Material.Define(stage, f"/{name}") for name in ("wool", "silk"))
+        bind = UsdShade.MaterialBindingAPI.Apply
+        bind(mesh.GetPrim()).Bind(wool, materialPurpose=purpose)
+        bind(part.GetPrim()).Bind(silk, materialPurpose=purpose)
+        sets = [plain(each) for each in saved(stage).surface.face_sets]
+        assert sets == [("wool", [0, 1], "/wool"), ("part", [1], "/silk")]
+
+    def test_subsets_that_change(self, stage: Usd.Stage, make: Make) -> None:
+        subset = UsdGeom.Subset.CreateGeomSubset(make("/mesh", 1, 2), "part", "face", Vt.IntArray())
+        for code in (1, 2):
+            subset.GetIndicesAttr().Set(Vt.IntArray([code - 1]), code)
+        with pytest.warns(
+            MixseqWarning, match="subsets that change over time stay .* first frame: /mesh/part"
+        ):
+            assert plain(saved(stage).surface.face_sets[0]) == ("part", [0], "")
+
+    def test_subsets_that_do_not_fit(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        UsdGeom.Subset.CreateGeomSubset(mesh, "far", "face", Vt.IntArray([-1, 1, 7]))
+        UsdGeom.Subset.CreateGeomSubset(mesh, "dots", "point", Vt.IntArray([0]))
+        with pytest.warns(MixseqWarning) as caught:
+            assert [plain(each) for each in saved(stage).surface.face_sets] == [("far", [1], "")]
+        text = " ".join(str(each.message) for each in caught)
+        assert "faces of subsets that the mesh does not have are left out: /mesh/far" in text
+        assert "subsets of other elements than faces are left out: /mesh/dots" in text
+
+    def test_subdivision_and_holes(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        mesh.CreateSubdivisionSchemeAttr("loop")
+        assert saved(stage).surface.subdivision == "loop"
+        mesh.CreateHoleIndicesAttr([1])
+        with pytest.warns(MixseqWarning, match="holes cannot be kept; these faces become visible: /mesh"):
+            saved(stage)
+
+    def test_faces_of_one_mesh_on_vertices_of_the_next(self, stage: Usd.Stage, make: Make) -> None:
+        make("/one").GetFaceVertexIndicesAttr().Set([0, 1, 2, 3, 1, 5, 2])
+        make("/two")
+        with pytest.raises(InvalidSequenceError, match="/one: face 1 uses vertex 5, but vertices are 0 to 4"):
+            saved(stage)
