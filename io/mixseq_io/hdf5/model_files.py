@@ -37,7 +37,6 @@ from mixseq.errors import (
     SettingsError,
 )
 from mixseq.signals.model import Model
-from mixseq.spaces import MixedSpace
 from mixseq.version import __version__
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import write_compressed
@@ -52,9 +51,8 @@ from mixseq_io.hdf5.h5_files import (
     write_header,
 )
 from mixseq_io.hdf5.model_signals import read_signals, write_signals
-from mixseq_io.hdf5.older_models import read_anchored, read_v1
+from mixseq_io.hdf5.older_models import is_old_anchored, read_anchored, read_v1
 from mixseq_io.hdf5.salvage import explain_damage, salvage_compressed
-from mixseq_io.hdf5.stored_mixed import read_placement
 from mixseq_io.hdf5.stored_space import FIRST_WITH_QUATERNIONS, read_space, storable, version_of, write_space
 from mixseq_io.registry import PathLike
 
@@ -176,12 +174,6 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
 def _read(path: Path, file: h5py.File) -> Model:
     frames = increasing(path, file, "signals/time/frames")
     header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
-    if _is_old_anchored(path, file):
+    if is_old_anchored(path, file):
         return read_anchored(path, file, header)
     return read_signals(path, file, header, read_space(path, file, header))
-
-
-def _is_old_anchored(path: Path, file: h5py.File) -> bool:
-    mixed = str(file.attrs["space"]) == MixedSpace.name
-    old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
-    return mixed and old and read_placement(path, file) == "anchored"

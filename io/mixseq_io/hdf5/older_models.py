@@ -22,13 +22,14 @@ from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
-from mixseq.spaces import mixed_space
+from mixseq.spaces import MixedSpace, mixed_space
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 from mixseq_io.hdf5.datasets import floats, increasing, read_scale, read_shell
 from mixseq_io.hdf5.h5_files import read_header
 from mixseq_io.hdf5.model_signals import check_frames, read_placements, read_pose, read_shapes
 from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_free, read_placement, read_segmentation
+from mixseq_io.hdf5.stored_space import FIRST_WITH_QUATERNIONS
 
 _NEAR = 1e-6  # in frames; times that are nearer are one: most knots are frames, but for rounding
 
@@ -47,6 +48,13 @@ def read_v1(path: Path, file: h5py.File) -> Model:
         points = old.decode(np.concatenate([shapes, read_placements(path, file, old, len(times))], axis=1))
         space = mixed_space(points, old.topology, old.decomposition, "free")
         return build(encode(MeshSequence.from_header(header, points), space), Detail())
+
+
+def is_old_anchored(path: Path, file: h5py.File) -> bool:
+    """Whether a model is in the anchored placement of versions 2 to 4."""
+    mixed = str(file.attrs["space"]) == MixedSpace.name
+    old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
+    return mixed and old and read_placement(path, file) == "anchored"
 
 
 def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
