@@ -6,5 +6,5 @@ There are two methods. `gradient_transfer` moves triangles as those of the sourc
 `pivots`, carries over how joints bend (`joint_changes`), and solves for these (`joint_solver`, on `solved_joints`).
 `planting` keeps named vertices from sliding: `footskate` finds when they are at rest (`stance`), moves the body
 (`footing`), then the limbs of the `articulated_body` (`inverse_kinematics`). `report` says how good the result is
-(`measures`, `coverage`).
+(`transfer_measures`, `coverage`).
 """

@@ -58,7 +58,9 @@ def misses(paths: Float, found: Sequence[Sequence[Stance]], negligible: float) -
     return result
 
 
-def shared(missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float) -> tuple[Float, Float]:
+def body_shift(
+    missed: Float, found: Sequence[Sequence[Stance]], axis: int, fps: float
+) -> tuple[Float, Float]:
     """Find how far the body goes along with its feet.
 
     Parameters

@@ -19,7 +19,7 @@ import numpy as np
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
-from mixseq.retargeting.footing import faded, misses, shared
+from mixseq.retargeting.footing import body_shift, faded, misses
 from mixseq.retargeting.inverse_kinematics import move_contacts
 from mixseq.retargeting.stance import Stance, StanceSettings, axis_of, stances
 
@@ -155,7 +155,7 @@ def remove_footskate(
     if not missed.any():
         groups = _groups(contacts, found, before, before, np.zeros(len(contacts)), diagonal)
         return PlantedMotion(rotations, centres, ContactReport(groups))
-    shift, left = shared(missed, found, axis, fps)
+    shift, left = body_shift(missed, found, axis, fps)
     moves = np.stack([faded(*pair, fps) for pair in zip(left, found, strict=True)], axis=1)
     result = move_contacts(body, rotations, centres + shift[:, None], contacts, moves)
     after = _paths(body, contacts, result.rotations, result.centres)

@@ -111,7 +111,7 @@ class JointSolver:
         slices = solved.edge_slices, solved.hinge_slices, solved.vertex_slices
         return list(zip(solved.joints, solved.patches, *slices, self._skins, strict=True))
 
-    def assemble(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
+    def solve(self, frame: JointFrame, settings: ShellSettings) -> tuple[Float, list[ShellReport]]:
         """Return the mesh ``(V, 3)`` of a frame, with a report for each joint that was solved.
 
         A vertex that several parts share is where they put it on average.

@@ -167,7 +167,7 @@ class MixedTransfer(PickledWithoutCaches):
             offsets=self.solver.offsets(moved.rotations, moved.centres, smooth),
             offset_weights=self._offset_weights,
         )
-        return self.solver.assemble(frame, self.settings)[0] * self.gradients.target.scale
+        return self.solver.solve(frame, self.settings)[0] * self.gradients.target.scale
 
     @cached_property
     def _rest_lengths(self) -> Float:

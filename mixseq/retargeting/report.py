@@ -2,8 +2,8 @@ r"""Measure how good a transfer is: strain, smoothness, triangles turned over, a
 
 - *strain* of an edge in a frame: :math:`|\,l / l_\mathrm{rest} - 1\,|`, of the target and of the source,
 - *excess* of a target edge: :math:`|\,l / l_\mathrm{rest} - \lambda\,|` with the stretch :math:`\lambda` that the
-  source says it should have (`mixseq.retargeting.measures`), on average over the triangles at the edge: what the target
-  is strained and the source is not, or the other way round. What has no counterpart should not be strained.
+  source says it should have (`mixseq.retargeting.transfer_measures`), on average over the triangles at the edge: what
+  the target is strained and the source is not, or the other way round. What has no counterpart should not be strained.
 - a triangle is *turned over* if it faces away from where the source says that it should face to,
 - *acceleration* of a vertex: :math:`|x_{t+1} - 2 x_t + x_{t-1}| / d`, per frame squared, with the target's diagonal d
   at rest, and for the source d / s with the scale s between the two (`mixseq.retargeting.alignment`).
@@ -26,8 +26,8 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.coverage import Coverage, coverage
-from mixseq.retargeting.measures import Acceleration, Expected, Smoothness
 from mixseq.retargeting.transfer import Transfer
+from mixseq.retargeting.transfer_measures import Acceleration, Expected, Smoothness
 from mixseq.sequence import bounding_diagonal, check_block
 from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology

@@ -144,7 +144,7 @@ def worst_acceleration(transfer: Transfer, points: Float) -> float:
 
     Frames in which the source hardly accelerates, less than half as much as on average, are left out.
     """
-    from mixseq.retargeting.measures import Expected
+    from mixseq.retargeting.transfer_measures import Expected
 
     scale = Expected.of(transfer).gradients.alignment.scale
     carried = scale * transfer.correspondence.carry(transfer.source.points[:].astype(np.float64))

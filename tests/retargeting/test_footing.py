@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.retargeting.footing import faded, misses, shared
+from mixseq.retargeting.footing import body_shift, faded, misses
 from mixseq.retargeting.stance import Stance
 
 FPS = 24.0
@@ -30,7 +30,7 @@ def test_feet_that_slide_evenly_carry_the_body() -> None:
     """Every stance asks for the same speed, so the body has it all the time, and limbs have nothing to do."""
     whole = (Stance("left", 0, 31), Stance("right", 30, 60))
     paths = np.concatenate([sliding(0.1), sliding(0.1)])
-    shift, left = shared(misses(paths, [whole[:1], whole[1:]], 1e-9), [whole[:1], whole[1:]], 1, FPS)
+    shift, left = body_shift(misses(paths, [whole[:1], whole[1:]], 1e-9), [whole[:1], whole[1:]], 1, FPS)
     np.testing.assert_allclose(shift[:, 0], 0.1 * (29.5 - np.arange(60)), atol=0.01)
     assert np.abs(left).max() < 0.01
     np.testing.assert_allclose(shift.mean(axis=0), 0.0, atol=1e-12)
@@ -39,7 +39,7 @@ def test_feet_that_slide_evenly_carry_the_body() -> None:
 def test_upwards_the_body_returns() -> None:
     """A foot that rises in every stance does not press the body into the ground."""
     missed = misses(sliding(0.1)[..., [1, 0, 2]], [STEPS], 1e-9)
-    shift, left = shared(missed, [STEPS], 1, FPS)
+    shift, left = body_shift(missed, [STEPS], 1, FPS)
     assert np.abs(shift[:, 1]).max() < np.abs(missed).max()
     frames = np.r_[10:22, 40:52]
     np.testing.assert_allclose(left[0, frames, 1] + shift[frames, 1], missed[0, frames, 1], atol=1e-12)
@@ -47,7 +47,7 @@ def test_upwards_the_body_returns() -> None:
 
 def test_the_shift_ends_where_no_foot_asks_for_it() -> None:
     some = (Stance("foot", 0, 24),)
-    shift, _ = shared(misses(sliding(0.1, 600), [some], 1e-9), [some], 1, FPS)
+    shift, _ = body_shift(misses(sliding(0.1, 600), [some], 1e-9), [some], 1, FPS)
     steps = np.abs(np.diff(shift[:, 0]))
     assert steps[5:15].min() > 0.09
     assert steps[-300:].max() < 1e-3
@@ -57,7 +57,7 @@ def test_what_feet_disagree_on_is_left_to_limbs() -> None:
     both = (Stance("left", 0, 60),), (Stance("right", 0, 60),)
     paths = np.concatenate([sliding(0.1), sliding(-0.1)])
     missed = misses(paths, both, 1e-9)
-    shift, left = shared(missed, both, 1, FPS)
+    shift, left = body_shift(missed, both, 1, FPS)
     np.testing.assert_allclose(shift, 0.0, atol=1e-9)
     np.testing.assert_allclose(left, missed, atol=1e-9)
 

@@ -12,9 +12,9 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.errors import InvalidSequenceError
 from mixseq.metrics import compare
 from mixseq.retargeting.coverage import component_names, coverage
-from mixseq.retargeting.measures import Acceleration
 from mixseq.retargeting.report import Counts, Meter, TransferReport, measure
 from mixseq.retargeting.transfer import Transfer, plan
+from mixseq.retargeting.transfer_measures import Acceleration
 from mixseq.sequence import MeshSequence
 from mixseq.surface import MeshObject, Surface
 from mixseq.topology import Topology

@@ -145,4 +145,4 @@ class _Anchored:
             offsets=offsets,
             offset_weights=self.offset_weights,
         )
-        return self.solver.assemble(frame, self.settings)[0]
+        return self.solver.solve(frame, self.settings)[0]
