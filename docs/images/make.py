@@ -180,7 +180,7 @@ def coding(path: Path) -> None:
     view, limits, _ = camera([walk.points[:1]])
     page = Sheet.of(2, 4, (limits[3] - limits[2]) / (limits[1] - limits[0]), "", left=0.9)
     page.label_row(0, "coarse\nto fine")
-    page.label_row(1, "fields")
+    page.label_row(1, "basis\nvectors")
     screen = points @ view.rows.T
     front = np.zeros(len(points), dtype=bool)
     front[faces[area_normals(screen, faces)[:, 2] > 0]] = True

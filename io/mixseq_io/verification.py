@@ -1,4 +1,4 @@
-r"""Whether a compressed model keeps its promise.
+r"""Check a compressed model against its original, and whether it keeps the error that it promises.
 
 With :math:`A, B` the points of the original and of the decoded frames, and d the diagonal of the bounding box of the
 original's first frame, or 1 if that is a single point, the promise is
@@ -139,14 +139,14 @@ class _Checked:
 
 def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
     """Compare every vertex of every frame."""
-    squares = spread = diagonal = worst = 0.0
+    squares = variation = diagonal = worst = 0.0
     first, where = 0, (0, 0)
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
             diagonal = bounding_diagonal(x[0]) or 1.0
         distances = np.square(x - y).sum(axis=2)
         squares += float(distances.sum())
-        spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+        variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
         if distances.max() > worst:
             worst = float(distances.max())
             frame, vertex = np.unravel_index(distances.argmax(), distances.shape)
@@ -154,7 +154,7 @@ def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
         first += len(x)
     return {
         "max_error": _ratio(np.sqrt(worst), diagonal),
-        "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+        "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
         "worst_frame": where[0],
         "worst_vertex": where[1],
     }

@@ -1,4 +1,4 @@
-"""What compressed files are made of, frozen: changing anything here that a decoder computes breaks old files.
+"""Decode compressed files, and code what they hold. Frozen: changing what a decoder computes breaks old files.
 
 Files of version 4 are read with these modules, which write them, too; `mixseq.coding.encoder` decides what is
 written, and is free to change. Constants are part of the format unless they say that they are free. Decoders find the

@@ -1,4 +1,4 @@
-r"""Bits that are predicted by several contexts at once, and sorted by how sure the prediction is.
+r"""Predict bits from several contexts at once (logistic mixing), and sort them by how sure the prediction is.
 
 Every bit is seen in several *contexts*, small whole numbers that say what is known when it is coded. In the context
 :math:`c` of input :math:`i` the bit was 1 with the relative frequency :math:`p_{ic}`. The inputs are mixed in the

@@ -1,4 +1,4 @@
-r"""Polygons as few bytes, without loss: the order of vertices and faces, and first corners, stay as they are.
+r"""Code polygons without loss: the order of vertices and faces, and first corners, stay as they are.
 
 Users number vertices and faces, so a coder may not renumber them, as Edgebreaker and its like do. Corners are coded one
 after the other, in their order, and predicted from the mesh so far, from the polygons before, and from the numbers of

@@ -1,4 +1,4 @@
-"""What earlier corners of a mesh say about the next one: guesses, and what is remembered for them.
+"""Guess the next corner of a mesh from earlier ones, and remember what that takes.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
 by the text of their own file: who changes this module must change `mixseq.coding.bitstream.connectivity_kernels`, too.

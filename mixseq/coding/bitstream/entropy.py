@@ -1,4 +1,4 @@
-r"""Whole numbers as few bytes: an adaptive model of every context, and range coding by *constriction*.
+r"""Code whole numbers with few bytes: range coding by *constriction*, with an adaptive model of every context.
 
 A number :math:`n` is coded as a symbol of its context's model, an escape for numbers that are too large for the
 alphabet. The models start as two-sided geometric distributions

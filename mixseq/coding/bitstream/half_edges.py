@@ -1,4 +1,4 @@
-"""A mesh that grows polygon by polygon: its open half-edges, and which vertices are unused, open, or closed.
+"""Half-edges of a mesh that grows polygon by polygon, and which of its vertices are unused, open, or closed.
 
 A half-edge runs from a corner's vertex to the next corner's. It is *open* as long as no half-edge runs the other way.
 A vertex is *unused* until a polygon has it, then *open* while open half-edges end or start there, else *closed*; it may

@@ -1,4 +1,4 @@
-r"""Signals over a graph as bytes: basis vectors over a mesh, and their coefficients over time.
+r"""Code signals over a graph: basis vectors over a mesh, and their coefficients over time.
 
 A signal is coded batch by batch from coarse to fine: every value is predicted, what is left is rounded to a whole
 number of steps, and the number is coded in the context of its expected size, which is told by what is known around it

@@ -1,4 +1,4 @@
-"""In which order a signal over a mesh, or over time, is coded, and what every value is predicted from.
+"""The order in which a signal over a mesh, or over time, is coded, and the neighbours that predict each value.
 
 A signal has a value at every node of a graph: the vertices of a mesh and its edges, or frames and the steps between
 them. Nodes are taken away level by level: an independent set of nodes with few neighbours goes, each of them is

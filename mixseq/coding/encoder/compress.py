@@ -129,13 +129,13 @@ def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None
         best.chunks,
     )
     model = to_model(coded)
-    squares = spread = largest = 0.0
+    squares = variation = largest = 0.0
     done = 0
     for block in model.blocks(model.times):
         points = sequence.points[done : done + len(block)].astype(np.float64)
         distances = np.square(points - block).sum(axis=2)
         squares, largest = squares + float(distances.sum()), max(largest, float(distances.max()))
-        spread += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
+        variation += float(np.square(points - points.mean(axis=1, keepdims=True)).sum())
         done += len(block)
     error = float(np.sqrt(largest)) / unit
     if bound is not None and error > bound:
@@ -143,6 +143,6 @@ def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None
             f"a vertex is off by {error:.3g} diagonals after decoding, more than {bound:g}; please report this"
         )
     rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
-    kg_percent = 100 * float(np.sqrt(squares / spread)) if spread > rounding else 0.0
+    kg_percent = 100 * float(np.sqrt(squares / variation)) if variation > rounding else 0.0
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
     return replace(coded, parameters=parameters)

@@ -30,7 +30,7 @@ from tests.meshes import bar, tetrahedron, tube
 
 @cache
 def bounded() -> CompressedSequence:
-    """Trajectories, with corrections in several runs and in both chunks."""
+    """Trajectories, with residuals in several runs and in both chunks."""
     smooth = bar(sides=4, rings=6, frames=200)
     noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
@@ -41,7 +41,7 @@ def bounded() -> CompressedSequence:
 
 @cache
 def noisy() -> CompressedSequence:
-    """Shapes, in several groups of fields."""
+    """Shapes, in several groups of the basis."""
     points, faces = tube(6, 9)
     noise = np.random.default_rng(1).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
@@ -51,7 +51,7 @@ def noisy() -> CompressedSequence:
 
 @cache
 def grouped() -> tuple[MeshSequence, CompressedSequence]:
-    """Trajectories, in several groups of fields: every one of many vertices' modes has its own three tracks."""
+    """Trajectories, in several groups of the basis: each of many vertices' modes has its own three coefficients."""
     points, faces = tube(8, 20)
     rng = np.random.default_rng(2)
     modes = rng.normal(size=(30, len(points))) * np.geomspace(0.3, 0.02, 30)[:, None]
@@ -72,8 +72,8 @@ def frames_of(coded: CompressedSequence) -> Float:
     )
     for chunk in coded.chunks:
         for run in range(-(-chunk.count // RUN)):
-            corrections = read_residuals(chunk.residuals, chunk.count, run, graph)
-            for place, (vertices, numbers) in enumerate(corrections):
+            residuals = read_residuals(chunk.residuals, chunk.count, run, graph)
+            for place, (vertices, numbers) in enumerate(residuals):
                 points[chunk.first + run * RUN + place, vertices] += parameters.correction * numbers
     return points
 
@@ -107,25 +107,25 @@ def test_frames_are_the_same_bits_however_they_are_asked_for() -> None:
 # Between frames ---------------------------------------------------------------------------------------------
 
 
-def test_corrections_are_linear_between_frames() -> None:
+def test_residuals_are_linear_between_frames() -> None:
     model = to_model(bounded())
-    corrections = model.residual_layer
-    assert corrections is not None
-    frames = corrections.at(model.times)
+    residuals = model.residual_layer
+    assert residuals is not None
+    frames = residuals.at(model.times)
     assert frames.any()
     for share in (0.25, 0.5):
         between = (1 - share) * model.times[:-1] + share * model.times[1:]
         expected = (1 - share) * frames[:-1] + share * frames[1:]
-        np.testing.assert_allclose(corrections.at(between), expected, atol=1e-12)
+        np.testing.assert_allclose(residuals.at(between), expected, atol=1e-12)
         alone = replace(model, residual_layer=None).sample(between[:20]).points
         np.testing.assert_allclose(model.sample(between[:20]).points, alone + expected[:20], atol=1e-12)
 
 
 def test_times_that_are_nearly_frames_are_frames() -> None:
-    corrections = to_model(bounded()).residual_layer
-    assert corrections is not None
+    residuals = to_model(bounded()).residual_layer
+    assert residuals is not None
     times = bounded().header.times
-    np.testing.assert_array_equal(corrections.at(times * (1 + 1e-15)), corrections.at(times))
+    np.testing.assert_array_equal(residuals.at(times * (1 + 1e-15)), residuals.at(times))
 
 
 def test_velocities_are_derivatives() -> None:
@@ -178,14 +178,14 @@ def test_fewer_groups_are_coarser() -> None:
     assert (np.diff(errors) < 0).all()
 
 
-def test_without_fields_the_centre_is_left() -> None:
+def test_without_a_basis_the_centre_is_left() -> None:
     sequence, coded = grouped()
     points = to_model(replace(coded, basis=())).sample().points
     np.testing.assert_array_equal(np.ptp(points, axis=1), 0)
     np.testing.assert_allclose(points[:, 0], sequence.points.mean(axis=1), atol=0.05)
 
 
-def test_more_fields_than_a_sequence_can_have_are_refused() -> None:
+def test_more_vectors_than_a_sequence_can_have_are_refused() -> None:
     coded = bounded()
     many = replace(coded, parameters=replace(coded.parameters, rank=10**9))
     with pytest.raises(FormatError, match="1000000000 basis vectors are more than"):

@@ -1,4 +1,4 @@
-"""Corrections bring every vertex below the bound, and say nothing where nothing has to be said."""
+"""Residuals bring every vertex below the bound, and say nothing where nothing has to be said."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def test_only_what_is_above_the_bound_is_corrected() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, RUN - 1, RUN, RUN + 1, 3 * RUN + 2])
 @pytest.mark.parametrize("share", [0.01, 0.3, 1.0])
-def test_corrections_come_back(count: int, share: float) -> None:
+def test_residuals_come_back(count: int, share: float) -> None:
     numbers = needed(errors(count, count, share), 1.0)
     np.testing.assert_array_equal(decoded(write_residuals(iter(numbers), GRAPH), count), numbers)
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds, power=st.integers(0, 60))
-def test_corrections_of_any_size_come_back(seed: int, power: int) -> None:
+def test_residuals_of_any_size_come_back(seed: int, power: int) -> None:
     rng = np.random.default_rng(seed)
     numbers = rng.integers(-(1 << power), (1 << power) + 1, (3, VERTICES, 3)) * rng.integers(
         0, 2, (3, VERTICES, 1)
@@ -77,7 +77,7 @@ def test_nothing_to_correct_is_nothing() -> None:
     assert not decoded(b"", 2 * RUN + 1).any()
 
 
-def test_runs_without_corrections_have_no_bytes() -> None:
+def test_runs_without_residuals_have_no_bytes() -> None:
     numbers = np.zeros((3 * RUN, VERTICES, 3), dtype=np.int64)
     numbers[RUN + 3, 5] = 1, -2, 0
     stream = write_residuals(iter(numbers), GRAPH)
@@ -106,7 +106,7 @@ def test_runs_are_decoded_by_themselves() -> None:
         assert len(vertices) == frame.any(axis=1).sum()
 
 
-def test_corrections_that_last_are_cheap() -> None:
+def test_residuals_that_last_are_cheap() -> None:
     """The frame before tells where they are."""
     one = needed(errors(1, share=0.2), 1.0)[0]
     lasting = write_residuals(iter([one] * RUN), GRAPH)
@@ -124,7 +124,7 @@ def test_cut_streams_are_refused(length: int) -> None:
         read_residuals(stream[:length], 3 * RUN, 0, GRAPH)
 
 
-def test_flipped_bits_give_other_corrections_or_an_error() -> None:
+def test_flipped_bits_give_other_residuals_or_an_error() -> None:
     count = RUN + 2
     stream = write_residuals(iter(needed(errors(count, share=0.1), 1.0)), GRAPH)
     for place in range(0, len(stream), 7):

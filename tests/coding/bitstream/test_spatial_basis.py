@@ -1,4 +1,4 @@
-"""The tracks of fields are those nearest to the sequence, and frames are their products."""
+"""The coefficients of a basis are those nearest to the sequence, and frames are the sums."""
 
 from __future__ import annotations
 
@@ -34,57 +34,61 @@ def shapes(count: int = 4) -> SpatialBasis:
     )
 
 
-def test_tracks_of_trajectories_are_least_squares() -> None:
+def test_coefficients_of_trajectories_are_least_squares() -> None:
     basis, sequence = trajectories(), sequence_of()
-    fields = basis.vectors[:, 0]
+    vectors = basis.vectors[:, 0]
     expected = np.stack(
-        [np.linalg.lstsq(fields.T, frame, rcond=None)[0] for frame in np.asarray(sequence.points)]
+        [np.linalg.lstsq(vectors.T, frame, rcond=None)[0] for frame in np.asarray(sequence.points)]
     )
-    tracks = least_squares(basis, sequence)
-    assert tracks.shape == (11, 5, 3)
-    np.testing.assert_allclose(tracks * basis.norms[:, None], expected * basis.norms[:, None], atol=1e-9)
-    np.testing.assert_allclose(basis.frames(tracks), np.einsum("tki,kv->tvi", expected, fields), atol=1e-9)
+    coefficients = least_squares(basis, sequence)
+    assert coefficients.shape == (11, 5, 3)
+    np.testing.assert_allclose(
+        coefficients * basis.norms[:, None], expected * basis.norms[:, None], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        basis.frames(coefficients), np.einsum("tki,kv->tvi", expected, vectors), atol=1e-9
+    )
 
 
-def test_tracks_of_shapes_are_least_squares() -> None:
+def test_coefficients_of_shapes_are_least_squares() -> None:
     basis, sequence = shapes(), sequence_of()
     directions = basis.vectors[1:].transpose(0, 2, 1).reshape(3, -1)
     mean = basis.vectors[0].T / np.sqrt(11)
     centred = (sequence.points[:] - mean).reshape(11, -1)
     expected = np.linalg.lstsq(directions.T, centred.T, rcond=None)[0].T
-    tracks = least_squares(basis, sequence)
-    assert tracks.shape == (11, 3, 1)
-    np.testing.assert_allclose(tracks[..., 0], expected, rtol=1e-7)
+    coefficients = least_squares(basis, sequence)
+    assert coefficients.shape == (11, 3, 1)
+    np.testing.assert_allclose(coefficients[..., 0], expected, rtol=1e-7)
     frames = mean + (expected @ directions).reshape(11, -1, 3)
-    np.testing.assert_allclose(basis.frames(tracks), frames, atol=1e-9)
+    np.testing.assert_allclose(basis.frames(coefficients), frames, atol=1e-9)
 
 
-def test_what_the_fields_span_comes_back() -> None:
+def test_what_the_vectors_span_comes_back() -> None:
     basis = trajectories()
-    tracks = RNG.normal(size=(3, 5, 3)) / basis.norms[:, None]
-    sequence = frame_store(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
+    coefficients = RNG.normal(size=(3, 5, 3)) / basis.norms[:, None]
+    sequence = frame_store(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
     np.testing.assert_allclose(
-        least_squares(basis, sequence) * basis.norms[:, None], tracks * basis.norms[:, None], atol=1e-9
+        least_squares(basis, sequence) * basis.norms[:, None], coefficients * basis.norms[:, None], atol=1e-9
     )
 
 
-def test_fields_that_are_the_same_are_no_harm() -> None:
-    """Rounding may make two fields the same, or the constant one."""
-    field = RNG.normal(size=(1, 1, VERTICES))
-    basis = basis_of("trajectories", np.concatenate([field, field, np.ones_like(field)]), 11)
+def test_vectors_that_are_the_same_are_no_harm() -> None:
+    """Rounding may make two vectors the same, or the constant one."""
+    vector = RNG.normal(size=(1, 1, VERTICES))
+    basis = basis_of("trajectories", np.concatenate([vector, vector, np.ones_like(vector)]), 11)
     sequence = sequence_of()
-    once = basis_of("trajectories", field, 11)
+    once = basis_of("trajectories", vector, 11)
     np.testing.assert_allclose(
         basis.frames(least_squares(basis, sequence)), once.frames(least_squares(once, sequence)), atol=1e-5
     )
 
 
 def test_places_far_from_the_origin_are_exact() -> None:
-    """The damping that makes equal fields harmless takes nothing from coordinates that are large."""
+    """The damping that makes equal vectors harmless takes nothing from coordinates that are large."""
     basis = trajectories()
-    tracks = np.zeros((3, 5, 3))
-    tracks[:, 0] = 1e6 * np.sqrt(VERTICES)
-    sequence = frame_store(MeshSequence.from_arrays(basis.frames(tracks), tube(5, 6)[1]))
+    coefficients = np.zeros((3, 5, 3))
+    coefficients[:, 0] = 1e6 * np.sqrt(VERTICES)
+    sequence = frame_store(MeshSequence.from_arrays(basis.frames(coefficients), tube(5, 6)[1]))
     np.testing.assert_allclose(basis.frames(least_squares(basis, sequence)), 1e6, atol=1e-7)
 
 
@@ -97,40 +101,40 @@ def test_the_known_field_is_a_unit_vector() -> None:
     assert shapes().varying == slice(1, None)
 
 
-def test_fields_of_zeros_have_no_tracks() -> None:
-    fields = np.zeros((3, 1, VERTICES))
-    fields[1] = 2
-    assert len(basis_of("trajectories", fields, 5).vectors) == 2
-    assert len(basis_of("trajectories", fields[:1], 5).vectors) == 1
+def test_vectors_of_zeros_have_no_coefficients() -> None:
+    vectors = np.zeros((3, 1, VERTICES))
+    vectors[1] = 2
+    assert len(basis_of("trajectories", vectors, 5).vectors) == 2
+    assert len(basis_of("trajectories", vectors[:1], 5).vectors) == 1
 
 
 def test_a_mean_of_zeros_stays_the_mean() -> None:
     """A mesh that swings about the origin: what moves must not be taken for the mean."""
-    fields = RNG.normal(size=(2, 3, VERTICES))
-    fields[0] = 0
-    basis = basis_of("shapes", fields, 4)
+    vectors = RNG.normal(size=(2, 3, VERTICES))
+    vectors[0] = 0
+    basis = basis_of("shapes", vectors, 4)
     assert len(basis.vectors) == 2
     swing = np.array([1.0, -1, 2, -2])
-    points = np.einsum("t,iv->tvi", swing, fields[1])
+    points = np.einsum("t,iv->tvi", swing, vectors[1])
     sequence = frame_store(MeshSequence.from_arrays(points, tube(5, 6)[1]))
     np.testing.assert_allclose(least_squares(basis, sequence)[:, 0, 0], swing, rtol=1e-12)
 
 
-def test_a_mean_alone_has_no_tracks() -> None:
+def test_a_mean_alone_has_no_coefficients() -> None:
     basis, sequence = shapes(1), sequence_of()
-    tracks = least_squares(basis, sequence)
-    assert tracks.shape == (11, 0, 1)
+    coefficients = least_squares(basis, sequence)
+    assert coefficients.shape == (11, 0, 1)
     np.testing.assert_allclose(
-        basis.frames(tracks), np.repeat(basis.vectors[:1] / np.sqrt(11), 11, axis=0).transpose(0, 2, 1)
+        basis.frames(coefficients), np.repeat(basis.vectors[:1] / np.sqrt(11), 11, axis=0).transpose(0, 2, 1)
     )
 
 
 def test_blocks_are_all_frames() -> None:
     basis = trajectories()
-    tracks = least_squares(basis, sequence_of(21))
-    blocks = list(decoded_blocks(basis, tracks))
+    coefficients = least_squares(basis, sequence_of(21))
+    blocks = list(decoded_blocks(basis, coefficients))
     assert [len(block) for block in blocks[:-1]] == [block_size(VERTICES)] * (len(blocks) - 1)
-    np.testing.assert_allclose(np.concatenate(blocks), basis.frames(tracks), atol=1e-12)
+    np.testing.assert_allclose(np.concatenate(blocks), basis.frames(coefficients), atol=1e-12)
 
 
 def test_a_sequence_of_single_precision_is_fitted_in_double() -> None:

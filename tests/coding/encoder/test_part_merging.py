@@ -130,7 +130,7 @@ def test_bodies_get_bases_of_their_own(flying: tuple[MeshSequence, CompressedSeq
     assert len(coded.parameters.ranks) == 6
     assert sum(coded.parameters.ranks) == coded.parameters.rank
     assert mixseq.compare(sequence, to_model(coded).sample()).kg_percent <= 0.1
-    # A rigid motion has a constant field, and three that are affine; a little noise of rounding.
+    # A rigid motion has a constant vector, and three that are affine; a little noise of rounding.
     assert max(coded.parameters.ranks) <= 6
 
 
@@ -155,7 +155,7 @@ def test_bounds_are_kept(bound: float) -> None:
 
 
 def test_fewer_groups_decode_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tracks of the first groups come first, so that those of groups that are missing are not asked for."""
+    """Coefficients of the first groups come first, so that those of groups that are missing are not asked for."""
     monkeypatch.setattr("mixseq.coding.bitstream.spatial_basis.GROUP", 2)
     sequence = bodies(20, noise=1e-3)
     coded = compress(sequence, kg=0.05)

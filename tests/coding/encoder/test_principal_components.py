@@ -1,4 +1,4 @@
-"""Fields over the mesh and tracks over time whose products are the sequence, as few of them as there can be."""
+"""Components whose sums are the sequence, as few of them as there can be."""
 
 from __future__ import annotations
 
