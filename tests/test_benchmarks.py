@@ -72,9 +72,9 @@ def test_predictions_are_undone_exactly(name: str) -> None:
 @pytest.mark.parametrize("space", get_args(Space))
 def test_all_components_are_the_sequence(space: Space) -> None:
     points = bar().points
-    mean, tracks, fields = components(points, space)
-    lengths = np.maximum(np.linalg.norm(tracks, axis=0), 1e-9)
-    matrix = (tracks / lengths) @ fields + mean[:, None]
+    mean, coefficients, vectors = components(points, space)
+    lengths = np.maximum(np.linalg.norm(coefficients, axis=0), 1e-9)
+    matrix = (coefficients / lengths) @ vectors + mean[:, None]
     np.testing.assert_allclose(to_points(matrix, space, len(points)), points, atol=1e-9)
 
 

@@ -1,7 +1,7 @@
 r"""The residual layer: what is added to decoded frames to bring every vertex below a bound.
 
 A residual is a displacement of a vertex at a frame, in whole units :math:`w` per coordinate; nearly all vertices have
-none. Which of them have one is told frame by frame, in contexts of the vertices around them and of the frame before:
+none. Which of them have one is coded frame by frame, in contexts of the vertices around them and of the frame before:
 where a few basis vectors too few make an error, it lasts a while.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.npz``,
@@ -237,7 +237,7 @@ def _read_run(stream: bytes, count: int, graph: SignalGraph) -> list[Residuals]:
 
 
 class _Contexts:
-    """What is known around a node when it is told whether it has a residual."""
+    """What is known around a node when it is coded whether it has a residual."""
 
     def __init__(self, graph: SignalGraph) -> None:
         self._graph = graph

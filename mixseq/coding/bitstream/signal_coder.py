@@ -1,7 +1,7 @@
 r"""Code signals over a graph: basis vectors over a mesh, and their coefficients over time.
 
 A signal is coded batch by batch from coarse to fine: every value is predicted, what is left is rounded to a whole
-number of steps, and the number is coded in the context of its expected size, which is told by what is known around it
+number of steps, and the number is coded in the context of its expected size, which follows from what is known around it
 (numbers of the same signal at neighbours, and of earlier signals here and there).
 
 **Prediction.** Signals over one graph resemble each other: in a rigid part, every vector of a basis of trajectories is

@@ -1,7 +1,7 @@
 """A trial: one compression with a given step, and the bytes and the error it comes to.
 
 The spatial basis is rounded first. The coefficients are then those nearest to the sequence with the basis *as a decoder
-has it*, which makes good for some of what rounding has spoiled; then they are rounded.
+has it*, which makes good for some of the error of rounding; then they are rounded.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-r"""A sequence as a matrix of rank K: tracks in time times fields over the mesh.
+r"""A sequence as a matrix of rank K: coefficients in time times basis vectors over the mesh.
 
 A sequence about its mean point is a matrix; with the singular vectors :math:`U` of what is left of it without its mean,
-and the singular values :math:`\sigma`, it is about *mean* :math:`+ U_K B` with the fields :math:`B = U_K^\top Z`.
+A sequence about its mean point is a matrix; with the singular vectors :math:`U` of the rest without the row means,
 
-- *shape space* (Alexa and Mueller 2000): ``(T, 3V)``; a field is a shape, the mean shape is one more of them
-- *trajectory space* (as in CoDDyAC, Vasa and Skala 2007): ``(3T, V)``; a field is one number a vertex, the mean is a
+- *shape space* (Alexa and Mueller 2000): ``(T, 3V)``; a vector is a shape, the mean shape is one more of them
+- *trajectory space* (as in CoDDyAC, Vasa and Skala 2007): ``(3T, V)``; a vector is one number a vertex, the mean is a
   number for each row
 """
 
@@ -20,11 +20,11 @@ Space = Literal["shape", "trajectory"]
 
 
 class Components(NamedTuple):
-    """Mean of the rows ``(R,)``, tracks ``(R, K)`` as long as their singular values, fields ``(K, N)``."""
+    """Mean of the rows ``(R,)``, coefficients ``(R, K)`` as long as their singular values, basis vectors ``(K, N)``."""
 
     mean: Float
-    tracks: Float
-    fields: Float
+    coefficients: Float
+    vectors: Float
 
 
 def components(points: FloatArray, space: Space) -> Components:
@@ -36,14 +36,14 @@ def components(points: FloatArray, space: Space) -> Components:
     else:
         mean = matrix.mean(axis=1)
         rest = matrix - mean[:, None]
-    _, vectors = np.linalg.eigh(rest @ rest.T)
-    vectors = vectors[:, ::-1]
-    fields = vectors.T @ rest
+    _, eigenvectors = np.linalg.eigh(rest @ rest.T)
+    eigenvectors = eigenvectors[:, ::-1]
+    vectors = eigenvectors.T @ rest
     if space == "shape":
         constant = np.full((len(matrix), 1), len(matrix) ** -0.5)
-        vectors = np.concatenate([constant, vectors], axis=1)
-        fields = np.concatenate([shape[None] * len(matrix) ** 0.5, fields])
-    return Components(mean, vectors * np.linalg.norm(fields, axis=1), fields)
+        eigenvectors = np.concatenate([constant, eigenvectors], axis=1)
+        vectors = np.concatenate([shape[None] * len(matrix) ** 0.5, vectors])
+    return Components(mean, eigenvectors * np.linalg.norm(vectors, axis=1), vectors)
 
 
 def to_matrix(points: Float, space: Space) -> Float:

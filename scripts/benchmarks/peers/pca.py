@@ -1,10 +1,11 @@
 r"""Principal components, spatially predicted: the peer to beat.
 
-Fields and tracks (`components`) are quantised with one step s, tracks in units of the singular value, which is the
-optimum of rate and distortion (reverse water-filling). The decoder gives the tracks their length, 1, again. A component
-is kept if it is worth its bits, :math:`D_i > \lambda R_i` with the slope of uniform quantisation
-:math:`\lambda = s^2 \ln 2 / 6`. Fields are predicted over the connectivity (`prediction`), tracks by their differences
-in time, each by what makes it smallest; then lzma. Rates are those of real bytes, errors those of decoded points.
+Basis vectors and coefficients (`components`) are quantised with one step s, coefficients in units of singular values,
+which is the optimum of rate and distortion (reverse water-filling). The decoder gives the coefficients their length, 1,
+again. A component is kept if it is worth its bits, :math:`D_i > \lambda R_i` with the slope of uniform quantisation
+:math:`\lambda = s^2 \ln 2 / 6`. Basis vectors are predicted over the connectivity (`prediction`), coefficients by their
+differences in time, each by what makes it smallest; then lzma. Rates are those of real bytes, errors those of decoded
+points.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Pca:
         """Return steps: from where few components have all of the error to where all of them share it."""
         found = components(sequence.points, self._space)
         size = spread(sequence.points) / 100
-        coarse = size * max(KG_SWEEP) * np.sqrt(12 / found.fields.shape[1]) / 2
-        fine = size * min(KG_SWEEP) * np.sqrt(12 / (found.fields.size + found.tracks.size))
+        coarse = size * max(KG_SWEEP) * np.sqrt(12 / found.vectors.shape[1]) / 2
+        fine = size * min(KG_SWEEP) * np.sqrt(12 / (found.vectors.size + found.coefficients.size))
         return (float(step) for step in np.geomspace(coarse, fine, STEPS))
 
     def encode(self, sequence: mixseq.MeshSequence, setting: float) -> bytes:
@@ -53,25 +54,25 @@ class Pca:
         found = components(sequence.points - centre.astype(np.float64), self._space)
         over_mesh = prediction(mixseq.Topology(sequence.faces, vertices))
 
-        # The mean of the rows moves all vertices: it is the track of a constant field of length 1.
-        tracks = [_differences(_whole(found.mean * np.sqrt(vertices), setting), frames)]
-        fields = []
-        for track, field in zip(found.tracks.T, found.fields, strict=True):
-            track_q, field_q = _whole(track, setting), _whole(field, setting)
-            if not (track_q.any() and field_q.any()):
+        # The mean of the rows moves all vertices: it is the coefficient of a constant vector of length 1.
+        coefficients = [_differences(_whole(found.mean * np.sqrt(vertices), setting), frames)]
+        vectors = []
+        for coefficient, vector in zip(found.coefficients.T, found.vectors, strict=True):
+            coefficients_q, vector_q = _whole(coefficient, setting), _whole(vector, setting)
+            if not (coefficients_q.any() and vector_q.any()):
                 continue
-            values = field_q.reshape(-1, vertices).T
+            values = vector_q.reshape(-1, vertices).T
             predicted = [
                 over_mesh.residuals(values, k)[over_mesh.order].T for k in range(len(over_mesh.weights))
             ]
-            in_time, in_space = _differences(track_q, frames), _smallest(predicted)
-            gained = np.square(field).sum()
-            for values, whole in ((track, track_q), (field, field_q)):
+            in_time, in_space = _differences(coefficients_q, frames), _smallest(predicted)
+            gained = np.square(vector).sum()
+            for values, whole in ((coefficient, coefficients_q), (vector, vector_q)):
                 gained -= np.square(values - setting * whole).sum()
             if gained > SLOPE * setting**2 * (in_time.bits + in_space.bits):
-                tracks.append(in_time)
-                fields.append(in_space)
-        return _HEAD.pack(frames, len(fields), setting, *centre) + to_lzma(_written(tracks + fields))
+                coefficients.append(in_time)
+                vectors.append(in_space)
+        return _HEAD.pack(frames, len(vectors), setting, *centre) + to_lzma(_written(coefficients + vectors))
 
     def signals(self, mesh: mixseq.Topology, data: bytes) -> int:
         return len(data)
@@ -83,16 +84,18 @@ class Pca:
         )
         streams = _read(from_lzma(data[_HEAD.size :]), [rows] * (count + 1) + [columns] * count)
 
-        mean, *tracks = [_sums(values.reshape(-1, frames), order) for order, values in streams[: count + 1]]
-        u = np.array(tracks, np.float64).reshape(count, rows)
+        mean, *coefficients = [
+            _sums(values.reshape(-1, frames), order) for order, values in streams[: count + 1]
+        ]
+        u = np.array(coefficients, np.float64).reshape(count, rows)
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-        fields = _fields(mesh, streams[count + 1 :]).reshape(count, columns)
-        matrix = u.T @ (step * fields) + (mean * (step / np.sqrt(mesh.vertex_count)))[:, None]
+        vectors = _vectors(mesh, streams[count + 1 :]).reshape(count, columns)
+        matrix = u.T @ (step * vectors) + (mean * (step / np.sqrt(mesh.vertex_count)))[:, None]
         return np.asarray(to_points(matrix, self._space, frames) + np.array(centre))
 
 
 class _Stream(NamedTuple):
-    """A field or a track as it is written: by which prediction, what is left, and about how many bits that takes."""
+    """A vector or its coefficients as written: by which prediction, what is left, and about how many bits it takes."""
 
     choice: int
     residuals: Index
@@ -121,9 +124,9 @@ def _bits(values: Index) -> float:
     return float(values.size * (np.log2((1 + theta) / (1 - theta)) - m * np.log2(theta)))
 
 
-def _differences(track: Index, frames: int) -> _Stream:
-    """Take the differences of the order that makes a track, or three one after the other, smallest."""
-    found = [track.reshape(-1, frames)]
+def _differences(coefficients: Index, frames: int) -> _Stream:
+    """Take the differences of the order that makes coefficients, or three one after the other, smallest."""
+    found = [coefficients.reshape(-1, frames)]
     for _ in range(_ORDERS - 1):
         found.append(np.diff(found[-1], axis=1, prepend=0))
     return _smallest(found)
@@ -136,18 +139,18 @@ def _sums(values: Index, order: int) -> Index:
     return values.reshape(-1)
 
 
-def _fields(mesh: mixseq.Topology, streams: Sequence[tuple[int, Index]]) -> Index:
-    """Undo the prediction of fields, those with the same predictor together: ``(K, c V)``."""
+def _vectors(mesh: mixseq.Topology, streams: Sequence[tuple[int, Index]]) -> Index:
+    """Undo the prediction of vectors, those with the same predictor together: ``(K, c V)``."""
     over_mesh = prediction(mesh)
-    fields = np.empty((len(streams), 0 if not streams else streams[0][1].size), np.int64)
+    vectors = np.empty((len(streams), 0 if not streams else streams[0][1].size), np.int64)
     choices = np.array([choice for choice, _ in streams], np.int64)
     for choice in np.unique(choices):
         chosen = np.flatnonzero(choices == choice).tolist()
         stacked = np.concatenate([streams[i][1].reshape(-1, mesh.vertex_count) for i in chosen])
         residuals = np.empty(stacked.shape[::-1], np.int64)
         residuals[over_mesh.order] = stacked.T
-        fields[chosen] = over_mesh.values(residuals, choice).T.reshape(len(chosen), -1)
-    return fields
+        vectors[chosen] = over_mesh.values(residuals, choice).T.reshape(len(chosen), -1)
+    return vectors
 
 
 def _written(streams: Sequence[_Stream]) -> bytes:
