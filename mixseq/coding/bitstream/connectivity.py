@@ -17,31 +17,7 @@ queue, largest number 1, of mean magnitude :math:`r_q / (1 - r_q)`, where :math:
 0.6041\overline{6} r_q`.
 
 **The bits.** For every polygon, its number of corners less that of the polygon before (3 for the first), then its
-corners. The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With *b*
-the corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and
-:math:`p_0, p_1, p_2` the first, second and last corner of the polygon before (0 at the start), :math:`q_i` those of the
-one before that, the guesses at a corner are
-
-=======  ====================================================================================================
-0-2      place 0: where the newest open half-edge into :math:`p_0, p_1, p_2` starts; else: where the newest, second,
-         third newest open half-edge into *b* starts
-3-5      place 0: where the newest open half-edge out of :math:`p_0, p_1, p_2` ends; place 3: where the newest,
-         second, third newest open half-edge out of *s* ends
-6, 7     the next unused vertex above, below the one that was last used for the first time
-8        *b* plus the difference that came after the same three differences of corners, the last time
-9        place 0: :math:`2 p_0 - q_0`; else: *b* plus the same difference in the polygon before
-10       not at place 0: *b* plus the same difference in the polygon before that
-11-13    :math:`p_0, p_1, p_2`
-14, 15   *b* + 1, *b* - 1
-=======  ====================================================================================================
-
-`mixseq.coding.bitstream.half_edges` says when half-edges are *open*, and vertices *unused*, *open* or *closed*. Every
-guess that is a vertex and was not guessed before is a bit: whether it is the one. If none is, the vertex is *named*:
-its state as a number (-1 unused, 0 open, 1 closed), and how many vertices of this state it comes after a base; the
-base is the one that was nearest on average among the one after the last new vertex, *b*, the vertex named last at this
-place, and :math:`p_i, q_i`. A number is coded as whether it is not 0, whether it is negative, whether its magnitude
-has a second bit, a third, ..., and its bits after the highest. The contexts of all bits are in
-`mixseq.coding.bitstream.connectivity_kernels`, which is the specification of these.
+corners, as `mixseq.coding.bitstream.connectivity_kernels` says.
 """
 
 from __future__ import annotations

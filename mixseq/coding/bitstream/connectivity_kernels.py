@@ -1,5 +1,12 @@
 """The loop over all corners of a mesh that `mixseq.coding.bitstream.connectivity` describes, for coding and decoding.
 
+Every guess at a corner (`corner_guesses`) that is a vertex and was not guessed before is a bit: whether it is the one.
+If none is, the vertex is *named*: its state as a number (-1 unused, 0 open, 1 closed), and how many vertices of this
+state it comes after a base; the base is the one that was nearest on average among the one after the last new vertex,
+the corner before, the vertex named last at this place, and the corners of the last two polygons. A number is coded as
+whether it is not 0, whether it is negative, whether its magnitude has a second bit, a third, ..., and its bits after
+the highest. The contexts of all bits are specified here.
+
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
 by the text of their own file, and this one contains those of `corner_guesses`, `bit_mixing` and `half_edges`: who
 changes these must change this file, too. Format 1.

@@ -1,4 +1,24 @@
-"""Guess the next corner of a mesh from earlier ones, and remember what that takes.
+r"""Guess the next corner of a mesh from earlier ones, and remember what that takes.
+
+The *place* of a corner is 0 for the first, 1 for the second, 3 for the last and 2 for those between. With *b* the
+corner before (of any polygon; 0 at the start), *s* the first corner of this polygon (*b* at place 0), and :math:`p_0,
+p_1, p_2` the first, second and last corner of the polygon before (0 at the start), :math:`q_i` those of the one before
+that, the guesses at a corner are
+
+=======  ====================================================================================================
+0-2      place 0: where the newest open half-edge into :math:`p_0, p_1, p_2` starts; else: where the newest, second,
+         third newest open half-edge into *b* starts
+3-5      place 0: where the newest open half-edge out of :math:`p_0, p_1, p_2` ends; place 3: where the newest,
+         second, third newest open half-edge out of *s* ends
+6, 7     the next unused vertex above, below the one that was last used for the first time
+8        *b* plus the difference that came after the same three differences of corners, the last time
+9        place 0: :math:`2 p_0 - q_0`; else: *b* plus the same difference in the polygon before
+10       not at place 0: *b* plus the same difference in the polygon before that
+11-13    :math:`p_0, p_1, p_2`
+14, 15   *b* + 1, *b* - 1
+=======  ====================================================================================================
+
+`mixseq.coding.bitstream.half_edges` says when half-edges are open, and vertices unused.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
 by the text of their own file: who changes this module must change `mixseq.coding.bitstream.connectivity_kernels`, too.
