@@ -1,8 +1,8 @@
 """The neutral form of an animation cache: one fixed mesh, new vertex positions every frame.
 
 `SequenceHeader` is everything about a sequence but its points; `MeshSequence` adds them. Readers stream
-``(header, blocks of points)``; `Frames` is what they and `MeshSequence` have in common. This module is the one place
-where sequences are validated: whoever holds a `MeshSequence` holds a sound one.
+``(header, blocks of points)``; `Frames` is what they and `MeshSequence` have in common. Sequences are validated here
+and by their headers, and nowhere else: whoever holds a `MeshSequence` holds a sound one.
 """
 
 from __future__ import annotations
@@ -10,114 +10,29 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons, frozen
-from mixseq.surface import MeshObject, Surface
+from mixseq.sequence_header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 
 __all__ = [
+    "DEFAULT_FPS",
+    "UP_AXES",
     "Frames",
     "MeshSequence",
     "Polygons",
     "SequenceHeader",
     "bounding_diagonal",
     "check_block",
+    "check_frames",
     "collect",
     "header_fields",
 ]
-
-UP_AXES = ("X", "Y", "Z")
-DEFAULT_FPS = 24.0
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SequenceHeader:
-    """Everything about a mesh sequence but its points.
-
-    Parameters
-    ----------
-    polygons : Polygons
-        The faces as authored. `faces` is their triangulation.
-    vertex_count : int
-        Number of vertices V.
-    times : (T,) float64
-        Time of every frame in seconds, strictly increasing.
-    fps : float
-        Frames per second of the time line the sequence lives on (USD: ``timeCodesPerSecond``). Times need
-        not be multiples of ``1 / fps``.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    metres_per_unit : float
-        Length of one unit of `points` in metres.
-    name : str
-        Name of the mesh.
-    surface : Surface
-        Texture coordinates, hard edges, face sets, objects, and the file it came from.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If faces point outside the vertices, times do not increase, or a value is out of range.
-    """
-
-    polygons: Polygons
-    vertex_count: int
-    times: NDArray[np.float64]
-    fps: float = DEFAULT_FPS
-    up_axis: str = "Y"
-    metres_per_unit: float = 1.0
-    name: str = "mesh"
-    surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
-
-    def __post_init__(self) -> None:
-        times = np.asarray(self.times, dtype=np.float64).reshape(-1)
-        object.__setattr__(self, "times", frozen(times))
-        object.__setattr__(self, "vertex_count", int(self.vertex_count))
-        object.__setattr__(self, "fps", float(self.fps))
-        object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
-        _check_header(self)
-
-    def __repr__(self) -> str:
-        return (
-            f"{type(self).__name__}({self.name!r}: {self.frame_count} frames, {self.vertex_count} vertices, "
-            f"{len(self.polygons.counts)} faces, {self.fps:g} fps)"
-        )
-
-    @property
-    def faces(self) -> NDArray[np.int32]:
-        """Triangles ``(F, 3)`` of the polygons."""
-        return self.polygons.triangles
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames T."""
-        return int(self.times.size)
-
-    @property
-    def objects(self) -> tuple[MeshObject, ...]:
-        """The meshes that the sequence joins, at least one: the sequence itself if nothing else is known."""
-        whole = MeshObject(self.name, "", self.vertex_count, len(self.polygons.counts))
-        return self.surface.objects or (whole,)
-
-    def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
-        """Return the header of the same mesh with other frames."""
-        return SequenceHeader(
-            **{
-                **header_fields(self),
-                "times": np.asarray(times, dtype=np.float64),
-                "fps": self.fps if fps is None else fps,
-            }
-        )
-
-
-def header_fields(header: SequenceHeader) -> dict[str, Any]:
-    """Return the header's fields by name, to make another header or a sequence of them."""
-    return {field: getattr(header, field) for field in SequenceHeader.__dataclass_fields__}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -313,42 +228,6 @@ def _check_velocities(points: FloatArray, velocities: FloatArray) -> None:
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
         raise InvalidSequenceError(f"frame {frame}: the velocity of vertex {vertex} is not finite")
-
-
-def _check_header(header: SequenceHeader) -> None:
-    if header.vertex_count < 3:
-        raise InvalidSequenceError(f"the mesh has {header.vertex_count} vertices; at least 3 are needed")
-    indices = header.polygons.indices
-    if indices.size == 0:
-        raise InvalidSequenceError("the mesh has no faces; a triangle mesh is needed, not points or curves")
-    outside = (indices < 0) | (indices >= header.vertex_count)
-    if outside.any():
-        corner = int(np.argmax(outside))
-        polygon = int(np.searchsorted(np.cumsum(header.polygons.counts), corner, side="right"))
-        raise InvalidSequenceError(
-            f"face {polygon} uses vertex {indices[corner]}, but vertices are 0 to {header.vertex_count - 1}"
-        )
-    if header.times.size == 0:
-        raise InvalidSequenceError("the sequence has no frames")
-    if not np.isfinite(header.times).all():
-        raise InvalidSequenceError(
-            f"frame {int(np.argmin(np.isfinite(header.times)))}: its time is not finite"
-        )
-    steps = np.diff(header.times)
-    if (steps <= 0).any():
-        frame = int(np.argmax(steps <= 0)) + 1
-        raise InvalidSequenceError(
-            f"frame {frame} is at {header.times[frame]:g} s, not after frame {frame - 1} at "
-            f"{header.times[frame - 1]:g} s; times must increase"
-        )
-    for label, value in (("fps", header.fps), ("metres_per_unit", header.metres_per_unit)):
-        if not (np.isfinite(value) and value > 0):
-            raise InvalidSequenceError(f"{label} is {value}; a positive number is expected")
-    if "\0" in header.name or any("\ud800" <= letter <= "\udfff" for letter in header.name):
-        raise InvalidSequenceError(f"the name {header.name!r} has characters that no file can hold")
-    header.surface.check(header.polygons, header.vertex_count)
-    if header.up_axis not in UP_AXES:
-        raise InvalidSequenceError(f"up axis is {header.up_axis!r}; one of {', '.join(UP_AXES)} is expected")
 
 
 def _as_points(points: ArrayLike) -> FloatArray:

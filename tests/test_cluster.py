@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import mixseq.cluster
+import mixseq.dask_executor
 from mixseq.cluster import Cluster, cluster
 from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, SettingsError
 from mixseq.mapping import serially
@@ -163,7 +164,7 @@ def test_what_was_given_up_with_another_is_tried_again_alone(
         suspected.append(future)
         return len(suspected) == 1
 
-    monkeypatch.setattr(mixseq.cluster, "_given_up", suspect_once)
+    monkeypatch.setattr(mixseq.dask_executor, "_given_up", suspect_once)
     found = [(item, result()) for item, result in two.as_done(pow, 2, [1, 2, 3])]
     assert len(suspected) == 3
     assert sorted(found) == [(1, 2), (2, 4), (3, 8)]

@@ -14,8 +14,9 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("arrays", "choices"),
     ("compiled", "errors", "pickling", "progress", "statistics", "threads", "version"),
-    ("cluster", "mapping", "polygons", "renamed", "disk_array", "warned"),
-    ("surface",),
+    ("dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
+    ("cluster", "surface"),
+    ("sequence_header",),
     ("sequence",),
     ("topology", "geometry", "frame_store"),
     ("prediction", "segmentation"),

@@ -10,9 +10,16 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, read_sequence, write_frames
+from mixseq.cli.decode_rig import RigSettings, rows
+from mixseq.cli.files import (
+    MODEL_EXTENSIONS,
+    check_origin,
+    check_target,
+    is_model,
+    read_sequence,
+    write_frames,
+)
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
-from mixseq.cli.rigs import RigSettings, check_origin, rows
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
@@ -193,6 +200,8 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     """Choose frames from `start` to `end`: at the rate `fps` from the start on, else the original ones."""
     import numpy as np
 
+    from mixseq.sequence_header import frame_times
+
     first = float(model.times[0]) if start is None else start
     last = float(model.times[-1]) if end is None else end
     if not (np.isfinite(first) and np.isfinite(last) and first <= last):
@@ -203,8 +212,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     if fps is not None:
         for time in (first, last):
             model.header_at([time], fps)  # refuses what could not be counted
-        steps = np.arange(int((last - first + slack) * fps) + 1)
-        return model.header_at(np.minimum(first + steps / fps, last), fps)
+        return model.header_at(frame_times(first, last, fps), fps)
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
         raise SettingsError(

@@ -81,12 +81,17 @@ def write_sequence(
     writing: Mapping[str, Any],
 ) -> None:
     """Write frames as they come, but never over the file that they once came from."""
+    check_origin(path, header)
+    mixseq.write_blocks(path, header, blocks, velocities, **writing)
+
+
+def check_origin(path: Path, header: SequenceHeader) -> None:
+    """Refuse to write over the file that a sequence once came from."""
     origin = header.surface.origin
     if origin is not None and path.exists() and Path(origin.path).exists() and path.samefile(origin.path):
         raise OutputError(
             f"{path} is the file that the sequence came from, which would be lost; give another name"
         )
-    mixseq.write_blocks(path, header, blocks, velocities, **writing)
 
 
 def check_target(path: Path, source: Path) -> None:

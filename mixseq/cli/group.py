@@ -1,16 +1,39 @@
-"""A group of commands that loads each one when it is needed, and fails in one line."""
+"""A group of commands that loads each one when it is needed, and fails in one line, never with a traceback.
+
+Exit codes:
+
+====  ======================================================================
+0     all is well
+1     the reader of a pipe went away; an asset of a batch failed; or a bound does not hold
+2     an error that the user can do something about
+130   interrupted by Ctrl-C
+129   its terminal was closed
+143   terminated by a signal
+====  ======================================================================
+
+Anything else is a bug in mixseq, and those do come with a traceback.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from mixseq.cli.failures import exit_code
+from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.warned import warnings_heard
+
+_LATER = 0.2  # seconds
+_ENDING = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]  # which Windows has not
 
 
 class LazyGroup(click.Group):
@@ -58,3 +81,78 @@ class LazyGroup(click.Group):
         if not standalone_mode:
             return run()
         sys.exit(exit_code(run))
+
+
+def exit_code(run: Callable[[], object]) -> int:
+    """Run a command, report its errors and warnings, and return the exit code of the process."""
+    try:
+        with _warnings_in_one_line(), _unwinding_when_terminated():
+            result = run()
+        return result if isinstance(result, int) else 0
+    except MixseqError as error:
+        _say(f"error: {error}")
+    except click.ClickException as error:
+        _say(f"error: {error.format_message()}{_hint(error)}")
+    except (click.Abort, KeyboardInterrupt):
+        _say("interrupted")
+        return 130
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _say(f"error: {where}{error.strerror or error}")
+    except MemoryError as error:
+        _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
+    return 2
+
+
+def _hint(error: click.ClickException) -> str:
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    return f" (see {context.command_path} --help)" if context else ""
+
+
+def _say(message: str) -> None:
+    """Print a message on one line of stderr; the lines of a list become an enumeration."""
+    head, *rest = (line.strip() for line in message.splitlines())
+    click.echo(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", MixseqWarning)
+        with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
+            yield
+
+
+@contextmanager
+def _unwinding_when_terminated() -> Iterator[None]:
+    """Let signals end the process as Ctrl-C does, by an exception, so that no half-written file stays behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+
+    def leave(number: int, frame: object) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    again: list[threading.Timer] = []
+
+    def swallowed(ignored: sys.UnraisableHookArgs) -> None:
+        # What is raised while a library in C calls Python is printed and lost, and the work goes on. So it is raised
+        # once more, a little later, unless the library gave up and the process is ending anyway.
+        if not issubclass(ignored.exc_type, SystemExit | KeyboardInterrupt):
+            usual(ignored)
+            return
+        number = signal.SIGTERM if issubclass(ignored.exc_type, SystemExit) else signal.SIGINT
+        again.append(threading.Timer(_LATER, os.kill, (os.getpid(), number)))
+        again[-1].daemon = True
+        again[-1].start()
+
+    before, usual = {number: signal.signal(number, leave) for number in _ENDING}, sys.unraisablehook
+    sys.unraisablehook = swallowed
+    try:
+        yield
+    finally:
+        for timer in again:
+            timer.cancel()
+        sys.unraisablehook = usual
+        for number, handler in before.items():
+            signal.signal(number, handler)

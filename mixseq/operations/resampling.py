@@ -19,8 +19,9 @@ from mixseq.errors import SettingsError
 from mixseq.mapping import Executor
 from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
-from mixseq.sequence import MeshSequence, SequenceHeader, collect
-from mixseq.signals.model import FRAMES, MOST_FRAMES, Model
+from mixseq.sequence import MeshSequence, collect
+from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
+from mixseq.signals.model import FRAMES, Model
 
 SLACK = 1e-3
 """Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""

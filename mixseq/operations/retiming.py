@@ -32,8 +32,9 @@ from mixseq.operations.splines import (
     sites_of,
 )
 from mixseq.pickling import PickledWithoutCaches
+from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve, Measure
-from mixseq.signals.model import MOST_FRAMES, Model, ResidualLayer
+from mixseq.signals.model import Model, ResidualLayer
 
 ACCURACY = 2e-6
 """Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""
@@ -192,7 +193,7 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
         model.inside(sources)  # between the keys the map is between them, too
     except SettingsError as error:
         raise SettingsError(f"the retiming asks for more than there is: {error}") from None
-    frames = _frames(model, retiming)
+    frames = frame_times(retiming.start, retiming.end, model.header.fps, SLACK)
 
     dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
     time = _composed(model, model.time, retiming, dense, shape_measure(model))
@@ -200,16 +201,6 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     layer = model.residual_layer
     retimed = None if layer is None else RetimedLayer(layer, retiming)
     return model.with_motion(time, placement, model.header.with_times(frames), retimed)
-
-
-def _frames(model: Model, retiming: Retiming) -> Float:
-    lasting, fps = retiming.end - retiming.start, model.header.fps
-    if lasting * fps >= MOST_FRAMES:
-        raise SettingsError(
-            f"the output lasts {lasting:g} s, which makes more than {MOST_FRAMES:,} frames; give less"
-        )
-    frames = retiming.start + np.arange(int(np.floor(lasting * fps + SLACK)) + 1) / fps
-    return np.asarray(np.minimum(frames, retiming.end))
 
 
 def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: Measure) -> Curve:

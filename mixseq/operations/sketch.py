@@ -28,9 +28,10 @@ from scipy.spatial.distance import cdist
 from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.splines import placement_measure, sampled, shape_measure
+from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane
-from mixseq.signals.model import MOST_FRAMES, Model
+from mixseq.signals.model import Model
 
 ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
@@ -82,10 +83,7 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
-    if duration * model.header.fps >= MOST_FRAMES:
-        raise SettingsError(
-            f"duration is {duration:g} s, which makes more than {MOST_FRAMES:,} frames; give less"
-        )
+    header = model.header.with_times(frame_times(0.0, float(duration), model.header.fps))
     drawn = _drawn(curve, float(duration))
     places = model.layout(model.times, plane)
     frames = _frames_apart(model, places)
@@ -98,8 +96,6 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
 
     time = sampled(blended(model.time(times)), drawn.times, ACCURACY, shape_measure(model))
     placement = sampled(blended(model.placement(times)), drawn.times, ACCURACY, placement_measure(model))
-    fps = model.header.fps
-    header = model.header.with_times(np.arange(int(np.floor(duration * fps + 1e-6)) + 1) / fps)
     return model.with_motion(time, placement, header)
 
 

@@ -27,7 +27,8 @@ from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.sequence import MeshSequence
+from mixseq.sequence_header import SequenceHeader, frame_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.layout import Plane, plane
 from mixseq.signals.pose import PoseMap
@@ -38,9 +39,6 @@ Decoded = TypeVar("Decoded")
 
 FRAMES = 4
 """Frames decoded at once; each thread has as many in hand."""
-
-MOST_FRAMES = 10_000_000
-"""More would be a slip of the rate or of the speed."""
 
 
 class ResidualLayer(Protocol):
@@ -277,12 +275,7 @@ class Model(PickledWithoutCaches):
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         if times is None and fps is not None:
-            first, last = self.times[0], self.times[-1]
-            if (last - first) * fps >= MOST_FRAMES:
-                raise SettingsError(
-                    f"fps is {fps:g}, which makes more than {MOST_FRAMES:,} frames; give less"
-                )
-            times = np.minimum(first + np.arange(int(np.floor((last - first) * fps + 1e-6)) + 1) / fps, last)
+            times = frame_times(self.times[0], self.times[-1], fps)
         return self.header.with_times(self.times if times is None else self.inside(times), fps)
 
     def blocks(

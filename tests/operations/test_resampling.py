@@ -13,9 +13,9 @@ from mixseq.errors import SettingsError
 from mixseq.operations.resampling import plan, resample
 from mixseq.operations.retiming import Retiming
 from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.sequence_header import MOST_FRAMES
 from mixseq.signals import Model, fit
 from mixseq.signals.curve import Curve
-from mixseq.signals.model import MOST_FRAMES
 from tests.meshes import bar
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])

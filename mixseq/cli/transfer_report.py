@@ -1,11 +1,14 @@
-"""What ``mixseq transfer`` tells, as a table and as JSON."""
+"""What ``mixseq transfer`` tells, as a table, as JSON and as a picture."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mixseq.arrays import FloatArray
     from mixseq.correspondence.matching import Quality
     from mixseq.retargeting.coverage import Coverage
     from mixseq.retargeting.footskate import ContactReport
@@ -15,6 +18,9 @@ if TYPE_CHECKING:
 
 NAMED = 4
 """So many followers and markers at most have names in the table."""
+
+COLUMNS = 5
+"""Frames in the picture, beside the rest."""
 
 
 def facts(made: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
@@ -153,3 +159,44 @@ def _number(count: int, what: str) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
+
+
+# Picture ---------------------------------------------------------------------------------------------------
+
+
+def frames_to_draw(made: Transfer, frame: int, rest_file: Path | None) -> list[int]:
+    """Choose frames for the picture; the one that is the rest is drawn anyway."""
+    from mixseq.arrays import evenly
+
+    count = made.header.frame_count
+    chosen = [int(each) for each in evenly(count, COLUMNS)]
+    return [each for each in chosen if rest_file is not None or each != frame % count] or chosen
+
+
+class PassingFrames:
+    """Keeps some frames ``(V', 3)`` while blocks pass by."""
+
+    def __init__(self, frames: Sequence[int]) -> None:
+        self.frames = frames
+        self.points: list[FloatArray] = []
+
+    def passing(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Pass on blocks of frames."""
+        first = 0
+        for block in blocks:
+            self.points += [
+                block[each - first].copy() for each in self.frames if 0 <= each - first < len(block)
+            ]
+            first += len(block)
+            yield block
+
+
+def draw(picture: Path, made: Transfer, shown: PassingFrames) -> None:
+    """Draw the source and the target beside each other in some frames."""
+    import numpy as np
+
+    from mixseq.plots.transfers import transfer_sheet
+    from mixseq_io.atomic import replacing
+
+    with replacing(picture) as temporary:
+        transfer_sheet(temporary, made, shown.frames, np.stack(shown.points))

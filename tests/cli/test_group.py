@@ -15,7 +15,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli.failures import exit_code
+from mixseq.cli.group import exit_code
 from mixseq.errors import MissingExtraError, MixseqError
 
 Run = Callable[..., Result]

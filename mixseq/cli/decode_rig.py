@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import OutputError, SettingsError
+from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.progress import Progress
@@ -66,15 +66,6 @@ class RigSettings:
         if self.kind == "morph":
             return mixseq.fit_morph(sequence, self.max_error, **targets, progress=progress)
         return mixseq.fit_skin(sequence, self.bones, self.correctives, **targets, progress=progress)
-
-
-def check_origin(target: Path, sequence: MeshSequence) -> None:
-    """Refuse to write over the file that a sequence once came from."""
-    origin = sequence.surface.origin
-    if origin is not None and target.exists() and Path(origin.path).exists() and target.samefile(origin.path):
-        raise OutputError(
-            f"{target} is the file that the sequence came from, which would be lost; give another name"
-        )
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:

@@ -1,0 +1,217 @@
+"""An executor whose work is done by the workers of a cluster, with dask.distributed (extra ``dask``).
+
+The same function, shared object and items give the same results in the same order as `mixseq.mapping.serially`. A
+worker that dies costs time, not results. Everything that a task needs is part of a task that the scheduler can send
+again, the shared object too: data that is merely *scattered* is gone with its worker [1]_.
+
+References
+----------
+.. [1] https://distributed.dask.org/en/stable/resilience.html, https://github.com/dask/distributed/issues/3149
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from functools import partial
+from importlib import import_module
+from itertools import cycle, islice
+from typing import Any, TypeVar
+from uuid import uuid4
+
+from mixseq.errors import ClusterError, GivenUpError, MissingExtraError
+from mixseq.threads import one_blas_thread
+
+Shared = TypeVar("Shared")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Cluster:
+    """An `Executor` over the workers of a cluster; made by `cluster`.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The connection.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def __call__(
+        self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    ) -> Iterator[Result]:
+        """Yield ``function(shared, item)`` for every item, in order.
+
+        Items are taken as results are: there are never more under way than keep the workers busy.
+
+        Raises
+        ------
+        GivenUpError
+            If several workers died over an item.
+        ClusterError
+            If the scheduler is gone.
+        """
+        ahead: deque[Any] = deque()
+        submit = self._prepare(function, shared)
+        many = 2 * self._threads()
+        try:
+            for item in items:
+                ahead.append(submit(item))
+                if len(ahead) > many:
+                    yield _result(ahead.popleft())
+            while ahead:
+                yield _result(ahead.popleft())
+        finally:
+            self._cancel(ahead)
+
+    def as_done(
+        self, function: Callable[[Shared, Item], Result], shared: Shared, items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Callable[[], Result]]]:
+        """Yield every item when it is done, in any order, with a function that returns or raises its result.
+
+        For work that takes long and may kill its worker, with little that is shared. To dask whatever a worker that
+        dies has taken on is suspicious, so workers get no more than they work on. A neighbour may still be given up
+        with the one that kills; so what was given up is tried once more at the end, with nothing beside it.
+
+        Raises
+        ------
+        ClusterError
+            If the scheduler is gone; the function that comes with an item raises it too, and GivenUpError.
+        """
+        suspects = []
+        for item, future in self._as_done(function, shared, items, self._threads):
+            if _given_up(future):
+                suspects.append(item)
+            else:
+                yield item, partial(_result, future)
+        for item, future in self._as_done(function, shared, suspects, lambda: 1):
+            yield item, partial(_result, future)
+
+    def _as_done(
+        self,
+        function: Callable[[Shared, Item], Result],
+        shared: Shared,
+        items: Iterable[Item],
+        most: Callable[[], int],
+    ) -> Iterator[tuple[Item, Any]]:
+        """Yield items with their futures when they are done; never more than `most` are under way."""
+        dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
+        waiting = iter(items)
+        ahead: dict[Any, Item] = {}
+        done = dask_module("distributed").as_completed(loop=self._client.loop)
+        try:
+            while True:
+                free = most() - len(ahead)  # asked again each time, as workers come and go
+                for item in islice(waiting, max(0, free)):
+                    with _connected():
+                        work = dumps((function, shared, item))
+                        future = self._client.submit(_apply_alone, work, key=f"{name}-{uuid4()}")
+                    ahead[future] = item
+                    done.add(future)
+                if not ahead:
+                    return
+                future = next(done)
+                yield ahead.pop(future), future
+        finally:
+            self._cancel(ahead)
+
+    def _threads(self) -> int:
+        """Return how many threads the workers have now, at least 1: there may be some again soon."""
+        with _connected():
+            threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def _cancel(self, futures: Iterable[Any]) -> None:
+        """Leave work undone; without a connection there is none, which is no reason to hide another error."""
+        with suppress(ClusterError), _connected():
+            self._client.cancel(list(futures))
+
+    def _prepare(self, function: Callable[..., Any], shared: object) -> Callable[[Any], Any]:
+        """Return what submits an item."""
+        # Pickled here, so that dask does not look for tasks in what it carries.
+        dumps, name = dask_module("distributed.protocol.pickle").dumps, _name(function)
+        with _connected():
+            call = self._client.submit(_call, dumps((function, shared)), key=f"{name}-call-{uuid4()}")
+            workers = sorted(self._client.nthreads())
+        # In turn: left to itself dask keeps quick tasks where what is shared already is. Others help if one is gone.
+        # If there are none just now, whichever comes does the work.
+        turns = cycle([{"workers": worker, "allow_other_workers": True} for worker in workers] or [{}])
+
+        def submit(item: object) -> Any:
+            with _connected():
+                return self._client.submit(_apply, call, dumps(item), key=f"{name}-{uuid4()}", **next(turns))
+
+        return submit
+
+
+_LOST = "the connection to the scheduler of the cluster was lost; start again"
+
+
+@contextmanager
+def _connected() -> Iterator[None]:
+    """Turn what dask raises without a connection into an error of ours."""
+    closed = (
+        dask_module("distributed.client").ClosedClientError,
+        dask_module("distributed.comm").CommClosedError,
+    )
+    try:
+        yield
+    except (*closed, CancelledError, ConnectionError, TimeoutError):
+        raise ClusterError(_LOST) from None
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """Return how tasks are named: by their names dask knows those that take as long as each other."""
+    return f"mixseq-{getattr(function, '__name__', 'work')}"
+
+
+def _call(pickled: bytes) -> Callable[[Any], Any]:
+    """Return the function with what is shared, on a worker; others copy it from there."""
+    function, shared = pickle.loads(pickled)
+    return partial(function, shared)
+
+
+def _apply(call: Callable[[Item], Result], item: bytes) -> Result:
+    """Do the work, on a worker."""
+    with one_blas_thread():
+        return call(pickle.loads(item))
+
+
+def _apply_alone(work: bytes) -> Any:
+    """Do work that brings everything that it needs, on a worker."""
+    function, shared, item = pickle.loads(work)
+    with one_blas_thread():
+        return function(shared, item)
+
+
+def _given_up(future: Any) -> bool:
+    return future.status == "error" and isinstance(
+        future.exception(), dask_module("distributed").KilledWorker
+    )
+
+
+def _result(future: Any) -> Any:
+    distributed = dask_module("distributed")
+    try:
+        return future.result()
+    except distributed.KilledWorker:
+        raise GivenUpError(
+            "several workers died over the same piece of work, which was given up; they may have too little memory"
+        ) from None
+    except (CancelledError, distributed.client.ClosedClientError, distributed.comm.CommClosedError):
+        raise ClusterError(_LOST) from None
+
+
+def dask_module(module: str) -> Any:
+    """Import a module when it is needed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            "clusters need dask.distributed; get it with: pip install 'mixseq[dask]'"
+        ) from error
