@@ -223,7 +223,7 @@ def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:
 def _measured(header: SequenceHeader, points: FloatArray, labels: Labels) -> _Measured:
     import numpy as np
 
-    from mixseq.segmentation.near_rigid import near_rigid_errors
+    from mixseq.segmentation.scores import near_rigid_errors
 
     parts, count = labels.part_of_face, len(labels.names)
     errors, whole = near_rigid_errors(points, header.faces, parts)
@@ -254,7 +254,7 @@ class _Agreement:
 
 
 def _agreement(reader: SequenceReader, points: FloatArray, labels: Labels, source: str) -> _Agreement:
-    from mixseq.segmentation.agreement import adjusted_rand_index
+    from mixseq.segmentation.scores import adjusted_rand_index
     from mixseq_io.labels.reading import labels_of
 
     others = labels_of(reader, source)

@@ -17,7 +17,7 @@ from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import kabsch, turned
 from mixseq.retargeting.solved_joints import HarmonicSkin, SolvedJoints
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import NO_PULL, Pull, ShellReport, ShellSettings
+from mixseq.shells.fitting import UNCONSTRAINED, ShellReport, ShellSettings, SoftConstraint
 from mixseq.shells.patch import Patch
 from mixseq.shells.reconstruction import rebuild
 from mixseq.topology import Topology
@@ -120,7 +120,7 @@ class JointSolver:
         moves, shifts = self._moves(frame.rotations, frame.translations)
         reports = []
         for joint, patch, edges, hinges, free, skin in self._systems:
-            guess, pull = _expected(skin, moves, shifts, frame, free)
+            guess, soft = _expected(skin, moves, shifts, frame, free)
             rebuilt, report = rebuild(
                 patch,
                 frame.lengths[edges],
@@ -129,7 +129,7 @@ class JointSolver:
                 points[joint.vertices],
                 settings,
                 guess,
-                pull,
+                soft,
             )
             points[joint.vertices[patch.free]] = rebuilt[patch.free]
             reports.append(report)
@@ -164,10 +164,10 @@ class JointSolver:
 
 def _expected(
     skin: HarmonicSkin, moves: Float, shifts: Float, frame: JointFrame, free: slice
-) -> tuple[Float, Pull]:
+) -> tuple[Float, SoftConstraint]:
     """Where the free vertices ``(f, 3)`` of a joint are to begin with, and the soft constraint that offsets give."""
     carried = skin.place(moves, shifts)
     if not frame.offset_weights.size:
-        return carried, NO_PULL
+        return carried, UNCONSTRAINED
     places = carried + turned(frame.rotations[skin.nearest], frame.offsets[free])
-    return places, Pull(places, frame.offset_weights[free])
+    return places, SoftConstraint(places, frame.offset_weights[free])

@@ -15,7 +15,7 @@ from mixseq.frame_store import frame_store
 from mixseq.geometry.lengths_angles import edge_lengths
 from mixseq.progress import Progress, silent
 from mixseq.segmentation import segment
-from mixseq.segmentation.given import segment_by_labels
+from mixseq.segmentation.methods import segment_by_labels
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_frames
 from mixseq.signals.model import Model

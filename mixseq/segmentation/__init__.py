@@ -1,14 +1,20 @@
 """Cutting a mesh into near-rigid parts and the joints between them."""
 
-from mixseq.segmentation.agreement import adjusted_rand_index
-from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import Decomposition, Joint, decompose
-from mixseq.segmentation.methods import METHODS, MethodSettings, Segmentation, chosen, segment
+from mixseq.segmentation.methods import (
+    METHODS,
+    MethodSettings,
+    Segmentation,
+    chosen,
+    segment,
+    segment_by_labels,
+)
 from mixseq.segmentation.motion import MotionSettings, segment_by_motion
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, gather, observe
+from mixseq.segmentation.scores import adjusted_rand_index
 from mixseq.segmentation.silhouettes import SilhouetteSettings, segment_by_silhouettes
-from mixseq.segmentation.softness import Softening
 from mixseq.segmentation.spanning_tree import SpanningTreeSettings, segment_by_spanning_tree
+from mixseq.segmentation.stretch_tolerance import StretchTolerance
 
 __all__ = [
     "METHODS",
@@ -19,8 +25,8 @@ __all__ = [
     "Observed",
     "Segmentation",
     "SilhouetteSettings",
-    "Softening",
     "SpanningTreeSettings",
+    "StretchTolerance",
     "Watched",
     "adjusted_rand_index",
     "chosen",

@@ -42,7 +42,7 @@ class Clusters:
 
         Costs are averaged over neighbouring elements first, as many times as `rounds` tells.
         """
-        from mixseq.segmentation.kernels import cheapest
+        from mixseq.segmentation.segmentation_kernels import cheapest
 
         stale = np.flatnonzero(self._sizes > 0 if rounds != self._rounds else self._stale)
         self._rounds = rounds
@@ -59,7 +59,7 @@ class Clusters:
         self._move(labels)
 
     def _move(self, labels: Index) -> None:
-        from mixseq.segmentation.kernels import transfer
+        from mixseq.segmentation.segmentation_kernels import transfer
 
         moved = np.flatnonzero(labels != self.labels)
         e = self._elements
@@ -77,7 +77,7 @@ class Clusters:
 
     def _diffused(self, clusters: Index, rounds: int) -> Single:
         """Costs ``(E, n)`` of some clusters, averaged over neighbours."""
-        from mixseq.segmentation.kernels import averages, squared_distances
+        from mixseq.segmentation.segmentation_kernels import averages, squared_distances
 
         e = self._elements
         moved = e.trajectories.moved
@@ -97,7 +97,7 @@ class Clusters:
 
 def tally(elements: Elements, labels: Index, count: int, counted: Mask | None = None) -> Float:
     """Sum ``w h y^T`` ``(count, 4, 4T + 4)`` over the vertices of the (counted) elements with each label."""
-    from mixseq.segmentation.kernels import transfer
+    from mixseq.segmentation.segmentation_kernels import transfer
 
     rows = elements.trajectories.rows
     tallies = np.zeros((count, 4, rows.shape[1]))

@@ -96,7 +96,7 @@ class Elements:
     @classmethod
     def cells(cls, topology: Topology, faces: Elements) -> tuple[Elements, Index]:
         """Make elements of cells of a mesh, each a vertex and what is nearest; return the cell of every face, too."""
-        from mixseq.segmentation.kernels import cells
+        from mixseq.segmentation.segmentation_kernels import cells
 
         graph = topology.vertex_adjacency
         owner = np.full(topology.vertex_count, -1, dtype=np.int32)

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
@@ -53,10 +54,7 @@ class Passes:
         i, j = self.topology.hinge_faces[np.delete(self.hinges, where)].T
         graph = sparse.coo_array((np.ones(len(i), dtype=bool), (i, j)), shape=(count, count))
         region = csgraph.connected_components(graph, directed=False)[1]
-        order = np.argsort(-np.bincount(region, self.face_areas), kind="stable")
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        return np.asarray(rank[region], dtype=np.int64)
+        return by_area(region, self.face_areas)
 
     def deepest(self, parts: int, least_area: float) -> Index:
         """Choose the deepest passes with at least some area, as many as leave `parts` regions.
@@ -89,11 +87,20 @@ def flood(topology: Topology, heights: Float, bottoms: Float, areas: Float) -> P
     areas : (F,) float64
         Area of every face, positive.
     """
-    from mixseq.segmentation.growing_kernels import kruskal
+    from mixseq.segmentation.segmentation_kernels import kruskal
 
     order = np.argsort(heights, kind="stable")
     tree, area, depth = kruskal(topology.hinge_faces[order], heights[order], bottoms.copy(), areas.copy())
     return Passes(topology, areas, order[tree], area, depth)
+
+
+def by_area(labels: NDArray[np.integer], areas: Float) -> Index:
+    """Number the labels ``(F,)`` of faces by decreasing area, 0, 1, ..., equal ones in the order of first faces."""
+    _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.lexsort((first, -np.bincount(dense, areas)))
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return np.asarray(rank[dense], dtype=np.int64)
 
 
 def check_parts(parts: int | None, topology: Topology) -> None:
@@ -108,7 +115,7 @@ def check_parts(parts: int | None, topology: Topology) -> None:
         return
     whole = isinstance(parts, int | np.integer)
     if not (whole and 1 <= parts <= len(topology.faces)):
-        told = parts if np.ndim(parts) == 0 else f"of type {type(parts).__name__}"
+        given = parts if np.ndim(parts) == 0 else f"of type {type(parts).__name__}"
         raise SettingsError(
-            f"parts is {told}; a whole number from 1 to {len(topology.faces)} (the faces) is expected"
+            f"parts is {given}; a whole number from 1 to {len(topology.faces)} (the faces) is expected"
         )

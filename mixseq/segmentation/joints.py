@@ -8,7 +8,7 @@ a vertex, ``max_b (w_b - number of edges to the boundary vertex b)``:
 - the faces with a vertex of depth >= 1 are a joint's,
 - vertices of depth >= 2 on all sides are *free*: no part keeps them, only the joint knows where they are.
 
-Where parts bend by themselves (`mixseq.segmentation.softness`) joints go on: there, vertices have a depth as well.
+Where parts bend by themselves joints go on (`mixseq.segmentation.stretch_tolerance`): vertices have a depth there, too.
 
 The width follows the motion: each strip but the first takes up a bend of at most 30 degrees between the two parts
 (their largest relative rotation between any two frames), and `joint_width` is the limit. And it follows the mesh:
@@ -30,8 +30,9 @@ from scipy.sparse import csgraph
 from mixseq.arrays import FloatArray, Index, Mask
 from mixseq.errors import SegmentationError, SettingsError
 from mixseq.geometry.rigid import bend
+from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
-from mixseq.segmentation.softness import Softening
+from mixseq.segmentation.stretch_tolerance import StretchTolerance
 from mixseq.topology import Topology, face_patches, spread, vertices_of
 
 CORE = 1.0 / 3.0
@@ -110,7 +111,7 @@ def decompose(
     part_of_face: Index,
     joint_width: int = 3,
     points: FloatArray | Observed | None = None,
-    softening: Softening | None = None,
+    stretch: StretchTolerance | None = None,
     core: float = CORE,
 ) -> Decomposition:
     """Grow joints around the boundaries of a segmentation.
@@ -127,7 +128,7 @@ def decompose(
         The sequence, or what was seen of its frames: joints are as wide as it bends, and faces must have area in
         every frame. Without it all joints have full width, and faces that collapse in some frame cannot be kept
         out of them.
-    softening : Softening, optional
+    stretch : StretchTolerance, optional
         Where parts bend by themselves joints go on; by default they are at boundaries only.
     core : float
         Share of its vertices that a part keeps, whatever the width of its joints.
@@ -150,25 +151,25 @@ def decompose(
             f"part_of_face has shape {part_of_face.shape}, the mesh has {len(topology.faces)} faces"
         )
     if isinstance(points, Observed) or points is None:
-        seen = points
+        observed = points
     else:
         looked_at = points[frames_to_look_at(len(points))]
-        seen = observe(Watched.of(topology, part_of_face, looked_at), points)
+        observed = observe(Watched.of(topology, part_of_face, looked_at), points)
     part_count = int(part_of_face.max()) + 1
     members = [vertices_of(topology, part_of_face == part) for part in range(part_count)]
-    wanted = _boundary_widths(topology, part_of_face, joint_width, seen)
+    wanted = _boundary_widths(topology, part_of_face, joint_width, observed)
     depths = [spread(topology, np.minimum(wanted, width)) for width in range(joint_width + 1)]
     widths = np.array([_width(depths, inside, core) for inside in members], dtype=np.int64)
 
     kept = [inside & (depths[width] <= 1) for inside, width in zip(members, widths, strict=True)]
     touching = np.stack([np.logical_or.reduce(_at_corners(topology, depth >= 1)) for depth in depths])
     in_joint = touching[widths[part_of_face], np.arange(len(topology.faces))]
-    if softening is not None:
-        free = softening.depth(topology, kept)
+    if stretch is not None:
+        free = stretch.depth(topology, kept)
         kept = [inside & (free <= 1) for inside in kept]
         in_joint |= np.logical_or.reduce(_at_corners(topology, free >= 1))
-    if seen is not None:
-        in_joint &= ~seen.flat
+    if observed is not None:
+        in_joint &= ~observed.flat
 
     patches = _give_back(topology, part_of_face, kept, in_joint)
     if topology.unused_vertices.size:
@@ -188,21 +189,17 @@ def decompose(
 
 
 def _boundary_widths(
-    topology: Topology, part_of_face: Index, joint_width: int, seen: Observed | None
+    topology: Topology, part_of_face: Index, joint_width: int, observed: Observed | None
 ) -> Index:
     """Width ``(V,)`` that the joint at every boundary vertex should have, 0 where there is no boundary."""
-    sides = part_of_face[topology.hinge_faces]
-    crossing = np.flatnonzero(sides[:, 0] != sides[:, 1])
-    sides = np.sort(sides[crossing], axis=1)
-    pairs, pair_of_hinge = np.unique(sides, axis=0, return_inverse=True)
-    width_of_pair = np.full(len(pairs), joint_width)
-    if seen is not None:
-        for number, (i, j) in enumerate(pairs):
-            strips = int(np.ceil(bend(seen.rotations[:, i], seen.rotations[:, j]) / BEND))
+    boundaries = Boundaries.of(topology, part_of_face)
+    width_of_pair = np.full(len(boundaries.parts), joint_width)
+    if observed is not None:
+        for number, (i, j) in enumerate(boundaries.parts):
+            strips = int(np.ceil(bend(observed.rotations[:, i], observed.rotations[:, j]) / BEND))
             width_of_pair[number] = min(joint_width, max(2, 1 + strips))
     widths = np.zeros(topology.vertex_count, dtype=np.int64)
-    ends = topology.edges[topology.hinge_edges[crossing]]
-    np.maximum.at(widths, ends, width_of_pair[pair_of_hinge.reshape(-1)][:, None])
+    np.maximum.at(widths, boundaries.edges, width_of_pair[boundaries.pair][:, None])
     return widths
 
 

@@ -4,7 +4,7 @@
    (Lloyd's iteration), the costs being diffused over the surface first so that boundaries come out smooth. The
    worst predicted patch seeds the next cluster, until there are enough. On dense meshes cells of some faces are
    clustered first.
-2. *Connect.* Clusters are split into connected patches; crumbs join the neighbour that predicts them best.
+2. *Connect.* Clusters are split into connected patches; small regions join the neighbour that predicts them best.
 3. *Merge.* Neighbours are merged, those that turn least against each other first, until every boundary bends
    enough (or the number of parts asked for is reached). Bending is the measure because it is what a part cannot
    do: vertices of a part are combined linearly, which is fine for slides and small deformations, but shortens
@@ -21,9 +21,10 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import bend
+from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.clusters import Clusters, moments_of, tally
 from mixseq.segmentation.elements import Elements
-from mixseq.segmentation.growing import check_parts
+from mixseq.segmentation.growing import by_area, check_parts
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.segmentation.rigid_error import Moments
 from mixseq.topology import Topology, split_labels
@@ -32,6 +33,7 @@ DENSE = 20000
 """Meshes with more faces are clustered by cells first."""
 
 
+@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class MotionSettings:
     """Settings of `segment_by_motion`.
@@ -55,7 +57,7 @@ class MotionSettings:
         A patch softer than `soft` is no part: it joins a neighbour with which it is stiffer than `stiff`, if
         there is one. Softness is the largest rigid error of a frame, root mean square, relative to the radius
         of gyration.
-    crumb : float
+    small_region : float
         Patches below this fraction of the faces join a neighbour.
     """
 
@@ -66,7 +68,7 @@ class MotionSettings:
     narrow: float = 1.0
     soft: float = 0.5
     stiff: float = 0.35
-    crumb: float = 0.003
+    small_region: float = 0.003
 
 
 def segment_by_motion(
@@ -105,9 +107,9 @@ def segment_by_motion(
     clusters = max(settings.clusters, round(1.5 * (parts or 1)))
     labels = _cluster(topology, faces, min(clusters, len(topology.faces)), settings)
     bodies = _Bodies.of(topology, faces, split_labels(topology, labels))
-    _absorb_crumbs(bodies, settings)
+    _absorb_small_regions(bodies, settings)
     _merge(bodies, topology, parts, settings)
-    return _by_area(bodies.patches, faces.weights)
+    return by_area(bodies.patches, faces.weights)
 
 
 def _looked_at(points: FloatArray, frames: int) -> Float:
@@ -203,20 +205,20 @@ class _Bodies:
                 self.neighbours[keep].add(beside)
 
 
-def _absorb_crumbs(bodies: _Bodies, settings: MotionSettings) -> None:
+def _absorb_small_regions(bodies: _Bodies, settings: MotionSettings) -> None:
     """Give every small patch to the neighbour with which the rigid error grows least, smallest first."""
-    smallest = max(4, round(settings.crumb * len(bodies.patches)))
+    smallest = max(4, round(settings.small_region * len(bodies.patches)))
     moments = bodies.moments
     while True:
-        crumbs = [(size, p) for p, size in bodies.sizes.items() if size < smallest and bodies.neighbours[p]]
-        if not crumbs:
+        small = [(size, p) for p, size in bodies.sizes.items() if size < smallest and bodies.neighbours[p]]
+        if not small:
             return
-        crumb = min(crumbs)[1]
+        region = min(small)[1]
         into = min(
-            bodies.neighbours[crumb],
-            key=lambda n: ((moments[n] + moments[crumb]).error() - moments[n].error(), n),
+            bodies.neighbours[region],
+            key=lambda n: ((moments[n] + moments[region]).error() - moments[n].error(), n),
         )
-        bodies.merge(into, crumb)
+        bodies.merge(into, region)
 
 
 def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: MotionSettings) -> None:
@@ -259,12 +261,3 @@ def _narrowness(topology: Topology, patches: Index) -> Float:
     near[topology.edges[boundary[topology.edges].any(axis=1)]] = True
     share = sum(near[corner].astype(np.float64) for corner in topology.faces.T) / 3.0
     return np.asarray(np.bincount(patches, share) / np.maximum(np.bincount(patches), 1), dtype=np.float64)
-
-
-def _by_area(labels: Index, area: Float) -> Index:
-    """Number labels by decreasing area (ties: by first face)."""
-    _, first, dense = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.lexsort((first, -np.bincount(dense, area)))
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return np.asarray(rank[dense], dtype=np.int64)

@@ -79,7 +79,7 @@ class Observed:
 
 def observe(watched: Watched, points: FloatArray) -> Observed:
     """Look at a block of frames ``(B, V, 3)``. What is seen of a frame does not depend on its block."""
-    from mixseq.segmentation.kernels import mark_flat
+    from mixseq.segmentation.segmentation_kernels import mark_flat
 
     flat = np.zeros(len(watched.faces), dtype=bool)
     covariances = np.empty((len(points), len(watched.parts), 3, 3))

@@ -31,6 +31,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.errors import SettingsError
+from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.deformation import some_frames, vertex_bending, vertex_strain
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
@@ -38,6 +39,7 @@ from mixseq.segmentation.growing import check_parts, flood
 from mixseq.topology import Topology
 
 
+@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class SilhouetteSettings:
     """Settings of `segment_by_silhouettes`. The quantities N, K and K' are the paper's, all values are ours.
@@ -65,7 +67,7 @@ class SilhouetteSettings:
     contrast : float
         Without a number of parts, a seed makes one if it is higher than the pass to a higher seed by this fraction of
         the mean distance.
-    crumb : float
+    small_region : float
         Parts have at least this fraction of the area, unless more parts are asked for than that allows.
     """
 
@@ -79,16 +81,17 @@ class SilhouetteSettings:
     eigenvectors: int = 40
     time: float = 0.01
     contrast: float = 0.08
-    crumb: float = 0.005
+    small_region: float = 0.005
 
     def __post_init__(self) -> None:
         counts = min(self.frames, self.viewpoints, self.silhouettes, self.eigenvectors)
         sizes = min(self.seed, self.radius, self.still, self.time, self.contrast)
         finite = np.isfinite([self.radius, self.still, self.time, self.contrast]).all()
-        if counts < 1 or sizes < 0 or not (finite and 0 < self.share <= 1 and 0 <= self.crumb < 1):
+        if counts < 1 or sizes < 0 or not (finite and 0 < self.share <= 1 and 0 <= self.small_region < 1):
             raise SettingsError(
                 f"{self}: frames, viewpoints, silhouettes and eigenvectors of at least 1, seed, radius, still, time "
-                f"and contrast of at least 0, a share from above 0 to 1 and a crumb from 0 to below 1 are expected"
+                "and contrast of at least 0, a share from above 0 to 1 and a small_region from 0 to below 1 are "
+                "expected"
             )
 
 
@@ -131,7 +134,7 @@ def segment_by_silhouettes(
     distance = _signed_distance(surface, significant, settings)
     bottoms = -distance[topology.faces].mean(axis=1)  # water runs down: seeds, which are tops, turned over
     passes = flood(topology, bottoms[topology.hinge_faces].max(axis=1), bottoms, face_areas(x[0], topology))
-    least_area = settings.crumb * float(passes.face_areas.sum())
+    least_area = settings.small_region * float(passes.face_areas.sum())
     if parts is not None:
         return passes.cut(passes.deepest(parts, least_area))
     deep = settings.contrast * float(np.average(np.abs(distance), weights=surface.areas))

@@ -23,6 +23,7 @@ import numpy as np
 
 from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
+from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.deformation import some_frames, vertex_bending
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
@@ -30,6 +31,7 @@ from mixseq.segmentation.growing import check_parts, flood
 from mixseq.topology import Topology
 
 
+@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class SpanningTreeSettings:
     """Settings of `segment_by_spanning_tree`. The values are ours; the paper gives none.
@@ -45,7 +47,7 @@ class SpanningTreeSettings:
         the mesh's mean variation ...
     still : float
         ... and by more than this angle, in degrees: what varies less is taken for noise.
-    crumb : float
+    small_region : float
         Parts have at least this fraction of the area, unless more parts are asked for than that allows.
     """
 
@@ -53,13 +55,15 @@ class SpanningTreeSettings:
     radius: float = 0.015
     contrast: float = 0.25
     still: float = 0.1
-    crumb: float = 0.005
+    small_region: float = 0.005
 
     def __post_init__(self) -> None:
         sizes = (self.radius, self.contrast, self.still)
-        if self.frames < 1 or not (np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.crumb < 1):
+        if self.frames < 1 or not (
+            np.isfinite(sizes).all() and min(sizes) >= 0 and 0 <= self.small_region < 1
+        ):
             raise SettingsError(
-                f"{self}: frames of at least 1, radius, contrast and still of at least 0, and a crumb from 0 to "
+                f"{self}: frames of at least 1, radius, contrast and still of at least 0, and a small_region from 0 to "
                 f"below 1 are expected"
             )
 
@@ -103,7 +107,7 @@ def segment_by_spanning_tree(
     bottoms = np.full(len(topology.faces), np.inf)
     np.minimum.at(bottoms, topology.hinge_faces.reshape(-1), np.repeat(heights, 2))
     passes = flood(topology, heights, bottoms, face_areas(x[0], topology))
-    least_area = settings.crumb * float(passes.face_areas.sum())
+    least_area = settings.small_region * float(passes.face_areas.sum())
     if parts is not None:
         return passes.cut(passes.deepest(parts, least_area))
     deep = settings.contrast * float(np.average(bending, weights=surface.areas))

@@ -141,7 +141,7 @@ class FrameGraph(PickledWithoutCaches):
         How much the pairs count; positive.
     known : (n,) bool
         Frames that chains start from: one, at least, of all that are connected.
-    hold : float
+    known_weight : float
         How much known frames stay what they are while rotations are averaged.
     """
 
@@ -149,12 +149,12 @@ class FrameGraph(PickledWithoutCaches):
     pairs: Index
     weights: Float
     known: Mask
-    hold: float
+    known_weight: float
 
     @cached_property
     def factor(self) -> Factor:
         """Factor of the matrix of all averages."""
-        return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.hold, 0.0))
+        return factored_laplacian(self.pairs, self.weights, np.where(self.known, self.known_weight, 0.0))
 
     def constants(self) -> tuple[object, ...]:
         """Implement `PickledWithoutCaches.constants`."""

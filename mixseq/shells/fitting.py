@@ -8,7 +8,7 @@ Minimises, over the free vertices of a patch,
          + \sum_v w_v^2 |x_v - x_v^*|^2
 
 with ``w_e = 1 / mean length of e`` and one weight for all angles, so that both terms count relative changes
-(Froehlich and Botsch 2011). The last term is ours, and optional: a pull towards places where vertices are expected.
+(Froehlich and Botsch 2011). The last term is ours, and optional: soft constraints of positions.
 Angle residuals are wrapped to (-pi, pi], or a fold that passes half a turn would pull the wrong way round.
 """
 
@@ -28,7 +28,15 @@ from mixseq.shells.fitting_kernels import conjugate_gradients, shell_equations, 
 from mixseq.shells.gauss_newton import DampedStep, ShellReport, ShellSettings, damped, minimise
 from mixseq.shells.patch import Patch
 
-__all__ = ["NO_PULL", "DenseTerm", "Pull", "ShellProblem", "ShellReport", "ShellSettings", "fit_shell"]
+__all__ = [
+    "UNCONSTRAINED",
+    "DenseTerm",
+    "ShellProblem",
+    "ShellReport",
+    "ShellSettings",
+    "SoftConstraint",
+    "fit_shell",
+]
 
 
 CLOSE = 0.03
@@ -38,18 +46,18 @@ MOST = 100
 """After so many of them the matrix is factored instead."""
 
 
-class Pull(NamedTuple):
-    """Where free vertices are expected.
+class SoftConstraint(NamedTuple):
+    """Soft constraints of positions: where free vertices are expected.
 
     Attributes
     ----------
-    places : (f, 3) float64
-        The places.
+    positions : (f, 3) float64
+        Where they are expected, in the unit of the points.
     weights : (f,) float64
-        Weights of the distances from them; empty for no pull at all.
+        Weights of the distances from there, per unit; empty for no constraints at all.
     """
 
-    places: Float
+    positions: Float
     weights: Float
 
 
@@ -63,15 +71,15 @@ class DenseTerm(Protocol):
         """Return its derivatives ``(n, 3)``."""
 
 
-NO_PULL = Pull(np.zeros((0, 3)), np.zeros(0))
+UNCONSTRAINED = SoftConstraint(np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
 class ShellProblem:
     """What to fit: lengths of the patch's free edges, angles of its free hinges, weights of both.
 
-    A *pull* is optional: places for the free vertices, which add the residuals ``weight * (x - place)``. So is a
-    *dense* term, one residual more, the last.
+    Soft constraints are optional, and add the residuals ``weight * (x - position)`` of free vertices. So is a *dense*
+    term, one residual more, the last.
     """
 
     patch: Patch
@@ -79,7 +87,7 @@ class ShellProblem:
     angles: Float
     length_weights: Float
     bending: float
-    pull: Pull = NO_PULL
+    soft: SoftConstraint = UNCONSTRAINED
     dense: DenseTerm | None = None
 
     @property
@@ -93,7 +101,7 @@ class ShellProblem:
         return self.patch.equations.hinges
 
     def residuals(self, points: Float) -> Float:
-        """Weighted residuals ``(e' + h',)`` at points ``(n, 3)``; with a pull ``3 free`` more, then the dense one."""
+        """Weighted residuals of points ``(n, 3)``: ``e' + h'``, ``3 free`` of soft constraints, and the dense one."""
         return self._residuals(points)[0]
 
     def energy(self, points: Float) -> float:
@@ -102,7 +110,7 @@ class ShellProblem:
 
     def _residuals(self, points: Float) -> tuple[Float, float]:
         rows = self.patch.equations
-        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.pull.weights))
+        residuals = np.empty(len(rows.edges) + len(rows.hinges) + 3 * len(self.soft.weights))
         energy = shell_residuals(
             points,
             rows.edges,
@@ -112,8 +120,8 @@ class ShellProblem:
             self.length_weights,
             self.bending,
             rows.free,
-            self.pull.places,
-            self.pull.weights,
+            self.soft.positions,
+            self.soft.weights,
             residuals,
         )
         if self.dense is not None:
@@ -134,7 +142,7 @@ class ShellProblem:
             rows.hinges,
             self.length_weights,
             self.bending,
-            self.pull.weights,
+            self.soft.weights,
             residuals,
             rows.number,
             rows.edge_blocks,
@@ -166,12 +174,12 @@ class ShellProblem:
         column = (3 * place[:, None] + np.arange(3)).reshape(-1)
         value = np.concatenate([stretch.reshape(-1), bend.reshape(-1)])
         inside = np.repeat(place >= 0, 3)
-        held = np.repeat(self.pull.weights, 3)
-        value = np.concatenate([value[inside], held])
+        weights = np.repeat(self.soft.weights, 3)
+        value = np.concatenate([value[inside], weights])
         first = len(self.edges) + len(self.hinges)
-        row = np.concatenate([row[inside], first + np.arange(len(held))])
-        column = np.concatenate([column[inside], np.arange(len(held))])
-        size = (first + len(held), 3 * len(self.patch.free))
+        row = np.concatenate([row[inside], first + np.arange(len(weights))])
+        column = np.concatenate([column[inside], np.arange(len(weights))])
+        size = (first + len(weights), 3 * len(self.patch.free))
         return sparse.coo_array((value, (row, column)), shape=size).tocsr()
 
 
@@ -207,12 +215,12 @@ class _Fit:
 
     def __init__(self, problem: ShellProblem) -> None:
         self._problem = problem
-        self._held = bool(problem.pull.weights.size)
+        self._constrained = bool(problem.soft.weights.size)
 
-    def measured(self, points: Float) -> tuple[Float, float]:
+    def residual(self, points: Float) -> tuple[Float, float]:
         return self._problem._residuals(points)
 
-    def linearised(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
+    def linearize(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
         pattern = self._problem.patch.equations.pattern
         values, gradient = self._problem.normal_equations(points, residuals)
         with_damping, row = damped(pattern, values), self._problem.dense_row(points)
@@ -223,24 +231,26 @@ class _Fit:
             matrix = with_damping(damping)
             if row is not None:
                 return _dense_step(pattern, matrix, gradient, row)
-            result, self._held = _step(pattern, matrix, gradient, self._held)
+            result, self._constrained = _step(pattern, matrix, gradient, self._constrained)
             return result
 
         return gradient, step
 
-    def moved(self, points: Float, step: Float) -> Float:
+    def retract(self, points: Float, step: Float) -> Float:
         result = points.copy()
         result[self._problem.patch.free] += step.reshape(-1, 3)
         return result
 
 
-def _step(pattern: BlockSparsePattern, values: Float, gradient: Float, held: bool) -> tuple[Float, bool]:
-    """Solve for a step; also tell whether conjugate gradients, which are tried if `held`, are worth trying again.
+def _step(
+    pattern: BlockSparsePattern, values: Float, gradient: Float, constrained: bool
+) -> tuple[Float, bool]:
+    """Solve for a step, by conjugate gradients if `constrained`; also tell whether these are worth trying again.
 
-    Where every vertex is held by a pull the matrix is well conditioned, and a few conjugate gradients are a tenth of
-    the work of a factorisation; without a pull soft bends make it so ill conditioned that they would be many.
+    Where every position is constrained the matrix is well conditioned, and a few conjugate gradients are a tenth of the
+    work of a factorisation; without constraints soft bends make it so ill conditioned that they would be many.
     """
-    if held:
+    if constrained:
         step = np.empty_like(gradient)
         steps = conjugate_gradients(
             pattern.starts, pattern.rows, pattern.places, values, -gradient, CLOSE, MOST, step

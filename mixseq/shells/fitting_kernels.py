@@ -23,11 +23,27 @@ def shell_residuals(
     weights: Float,
     bending: float,
     free: Index,
-    places: Float,
-    holds: Float,
+    positions: Float,
+    soft_weights: Float,
     residuals: Float,
 ) -> float:
-    """Write the residuals of lengths, angles, and of the pull; return the sum of their squares."""
+    """Write the residuals of lengths, angles and soft constraints; return the sum of their squares.
+
+    Parameters
+    ----------
+    x : (n, 3) float64
+        Vertices, in diagonals.
+    edges, hinges : (e', 2), (h', 4) int64
+        Those that count.
+    lengths, angles : (e',), (h',) float64
+        What they should have, in diagonals and radians.
+    weights, bending : (e',) float64, float
+        Weights of lengths, per diagonal, and of angles, per radian.
+    free, positions, soft_weights : (f,) int64, (f, 3) float64, (f,) float64
+        Vertices, where they are expected, and weights of that; no weights for no constraints.
+    residuals : (e' + h' + 3f,) float64
+        Written to.
+    """
     energy = 0.0
     for k in range(len(edges)):
         r = weights[k] * (length(x, edges[k, 0], edges[k, 1]) - lengths[k])
@@ -40,9 +56,9 @@ def shell_residuals(
         residuals[first + k] = r
         energy += r * r
     first += len(hinges)
-    for k in range(len(holds)):
+    for k in range(len(soft_weights)):
         for i in range(3):
-            r = holds[k] * (x[free[k], i] - places[k, i])
+            r = soft_weights[k] * (x[free[k], i] - positions[k, i])
             residuals[first + 3 * k + i] = r
             energy += r * r
     return energy
@@ -81,7 +97,7 @@ def shell_equations(
     hinges: Index,
     weights: Float,
     bending: float,
-    holds: Float,
+    soft_weights: Float,
     residuals: Float,
     number: Index,
     edge_blocks: Index,
@@ -90,7 +106,21 @@ def shell_equations(
     values: Float,
     gradient: Float,
 ) -> None:
-    """Write the lower triangle of ``J^T J`` and the gradient ``J^T r`` of half the energy."""
+    """Write the lower triangle of ``J^T J`` and the gradient ``J^T r`` of half the energy.
+
+    Parameters
+    ----------
+    x, edges, hinges, weights, bending, soft_weights, residuals
+        As in `shell_residuals`.
+    number : (n,) int64
+        Place of every vertex among the free ones, -1 if fixed.
+    edge_blocks, hinge_blocks : (e',), (h', 6) int64
+        Blocks that couple their vertices, as in `NormalEquations`.
+    places : (f + m, 3) int64
+        Where the values of blocks are, as in `BlockSparsePattern`.
+    values, gradient : (N,), (3f,) float64
+        Written to.
+    """
     values[:] = 0.0
     gradient[:] = 0.0
     g = np.empty((4, 3))
@@ -128,10 +158,10 @@ def shell_equations(
                     else:
                         _fold(values, places, block, g, p, o)
     first += len(hinges)
-    for k in range(len(holds)):
+    for k in range(len(soft_weights)):
         for i in range(3):
-            gradient[3 * k + i] += holds[k] * residuals[first + 3 * k + i]
-            values[places[k, i] + i] += holds[k] * holds[k]
+            gradient[3 * k + i] += soft_weights[k] * residuals[first + 3 * k + i]
+            values[places[k, i] + i] += soft_weights[k] * soft_weights[k]
 
 
 @compiled
@@ -149,7 +179,18 @@ def conjugate_gradients(
 
     -1 if there would be too many, or rounding makes the matrix or the preconditioner indefinite.
 
-    Stops when the residual, in the norm of the preconditioner, is down to `tolerance` times that of the start, zero.
+    Parameters
+    ----------
+    starts, rows, places : (n + 1,), (N,), (f + m, 3) int64
+        The pattern of the matrix, as in `BlockSparsePattern`.
+    values, right : (N,), (n,) float64
+        Its values, and the right-hand side.
+    tolerance : float
+        Stop when the residual, in the norm of the preconditioner, is down to so much of that of the start, zero.
+    most : int
+        Most steps.
+    solution : (n,) float64
+        Written to.
     """
     size = len(right)
     inverse = np.empty((size // 3, 6))

@@ -22,7 +22,7 @@ STUCK = 1e12
 """With this damping no step is worth taking: the energy is not smooth here, or not finite."""
 
 HELD = 1e-2
-"""Above this damping steps are short because they are held back, which says nothing about convergence."""
+"""Above this damping steps are short because of the damping, which says nothing about convergence."""
 
 LEVEL = 0.1
 """A step that lowers the energy by more than to this fraction is not the last: there is a mesh that fits exactly."""
@@ -84,13 +84,13 @@ class ShellReport:
 class LeastSquares(Protocol):
     """What is fitted to."""
 
-    def measured(self, points: Float) -> tuple[Float, float]:
+    def residual(self, points: Float) -> tuple[Float, float]:
         """Return the residuals ``(r,)`` at points ``(n, 3)``, and the sum of their squares."""
 
-    def linearised(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
+    def linearize(self, points: Float, residuals: Float) -> tuple[Float, DampedStep]:
         """Return the gradient ``J^T r`` ``(u,)``, and what solves for the step ``(u,)`` with a damping."""
 
-    def moved(self, points: Float, step: Float) -> Float:
+    def retract(self, points: Float, step: Float) -> Float:
         """Return the points after a step; those given stay what they are."""
 
 
@@ -117,21 +117,21 @@ def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tu
         If the start or what it is fitted to is not finite.
     """
     points = start
-    residuals, energy = problem.measured(points)
+    residuals, energy = problem.residual(points)
     if not np.isfinite(energy):
         raise ReconstructionError("lengths, angles or fixed vertices of a joint are not finite")
     damping = 1e-6
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:
             return points, ShellReport(energy, iteration, True)
-        gradient, damped_step = problem.linearised(points, residuals)
+        gradient, damped_step = problem.linearize(points, residuals)
         while True:
             step = damped_step(damping)
             promised = -float(gradient @ step)  # what the linear model gains, for small damping
             if promised <= settings.tolerance * energy:
                 return points, ShellReport(energy, iteration, damping <= HELD)
-            candidate = problem.moved(points, step)
-            new_residuals, new_energy = problem.measured(candidate)
+            candidate = problem.retract(points, step)
+            new_residuals, new_energy = problem.residual(candidate)
             if new_energy < energy:
                 break
             if not damping < STUCK:

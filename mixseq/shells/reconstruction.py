@@ -19,7 +19,14 @@ from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, sound_
 from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.shells.face_frames import flat_triangles, frames_of
-from mixseq.shells.fitting import NO_PULL, Pull, ShellProblem, ShellReport, ShellSettings, fit_shell
+from mixseq.shells.fitting import (
+    UNCONSTRAINED,
+    ShellProblem,
+    ShellReport,
+    ShellSettings,
+    SoftConstraint,
+    fit_shell,
+)
 from mixseq.shells.patch import Patch
 
 NEAR = 0.5
@@ -114,7 +121,7 @@ def rebuild(
     positions: Float,
     settings: ShellSettings,
     guess: Float | None = None,
-    pull: Pull = NO_PULL,
+    soft: SoftConstraint = UNCONSTRAINED,
 ) -> tuple[Float, ShellReport]:
     """Rebuild a patch from the edge lengths and dihedral angles around its free vertices.
 
@@ -134,8 +141,8 @@ def rebuild(
         Weight of the angles, and when to stop.
     guess : (f, 3) float64, optional
         Another start for the free vertices.
-    pull : Pull, optional
-        Where the free vertices are expected.
+    soft : SoftConstraint, optional
+        Soft constraints of the free vertices.
 
     Returns
     -------
@@ -146,16 +153,16 @@ def rebuild(
     -----
     The linear start is exact where lengths and angles are those of a mesh. Between meshes it is what makes
     Gauss-Newton find the right fold where poses are far apart; where they are near, a guess may be closer. The
-    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where a pull
-    tells which fold is meant.
+    start of lower energy is taken. It is not looked for where the guess has no residual above `NEAR`, or where soft
+    constraints tell which fold is meant.
     """
     lengths = sound_lengths(lengths, weights)
-    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, pull)
+    problem = ShellProblem(patch, lengths, angles, weights, settings.bending, soft)
     if guess is None:
         return fit_shell(problem, _initial(problem, positions), settings)
     start = np.array(positions, dtype=np.float64)
     start[patch.free] = guess
-    if not pull.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
+    if not soft.weights.size and np.abs(problem.residuals(start)).max(initial=0.0) > NEAR:
         start = min(_initial(problem, positions), start, key=problem.energy)
     return fit_shell(problem, start, settings)
 

@@ -118,7 +118,7 @@ class Shell(PickledWithoutCaches):
         Typical lengths of all edges, in diagonals.
     ties : (t, 2) int64
         Further pairs of vertices whose sides are known: what holds together without an edge.
-    holds : (V,) float64
+    position_weights : (V,) float64
         How much vertices stay where they are expected, against the sides of faces, relative to these: positive for
         one, at least, of all that are connected.
     bending : float
@@ -129,7 +129,7 @@ class Shell(PickledWithoutCaches):
     reference: Float
     typical: Float
     ties: Index
-    holds: Float
+    position_weights: Float
     bending: float
 
     def constants(self) -> tuple[object, ...]:
@@ -201,7 +201,7 @@ class Shell(PickledWithoutCaches):
         i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
         j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
         weights = np.concatenate([self._side_weights.reshape(-1), np.full(len(self.ties), self._tie_weight)])
-        return factored_laplacian(np.stack([i, j], axis=1), weights, self._tie_weight * self.holds)
+        return factored_laplacian(np.stack([i, j], axis=1), weights, self._tie_weight * self.position_weights)
 
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
         """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
@@ -215,7 +215,7 @@ class Shell(PickledWithoutCaches):
         expected : (V, 3) float64
             Where the vertices are expected that are held.
         """
-        right = (self._tie_weight * self.holds)[:, None] * expected
+        right = (self._tie_weight * self.position_weights)[:, None] * expected
         kernels.gathered(self._faces, self._side_weights, sides, right)
         np.add.at(right, self.ties[:, 1], self._tie_weight * tied)
         np.add.at(right, self.ties[:, 0], -self._tie_weight * tied)

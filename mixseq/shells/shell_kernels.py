@@ -136,7 +136,7 @@ def misfit(
 
 
 @compiled
-def measured(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
+def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
     """Return lengths ``(e,)`` and angles ``(h,)`` of edges ``(e, 2)`` and hinges ``(h, 4)``."""
     lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
     for k in range(len(edges)):

@@ -70,21 +70,21 @@ def factorise(matrix: sparse.sparray) -> Factor:
     return analyse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64)).factor(lower.data)
 
 
-def factored_laplacian(pairs: Index, weights: Float, held: Float) -> Factor:
+def factored_laplacian(pairs: Index, weights: Float, position_weights: Float) -> Factor:
     r"""Factor the matrix of :math:`\sum_k w_k |x_{j_k} - x_{i_k}|^2 + \sum_v h_v |x_v|^2`.
 
     Parameters
     ----------
     pairs, weights : (k, 2) int64, (k,) float64
         Pairs i, j, which may be there more than once, and their weights.
-    held : (n,) float64
+    position_weights : (n,) float64
         Weights h, positive for one, at least, of all that are connected.
     """
-    (i, j), count = pairs.T, len(held)
+    (i, j), count = pairs.T, len(position_weights)
     degrees = np.bincount(i, weights, minlength=count) + np.bincount(j, weights, minlength=count)
     places = np.concatenate([i, j]), np.concatenate([j, i])
     coupled = sparse.coo_array((np.tile(weights, 2), places), shape=(count, count))
-    return factorise((sparse.diags_array(degrees + held) - coupled).tocsr())
+    return factorise((sparse.diags_array(degrees + position_weights) - coupled).tocsr())
 
 
 def _rslab() -> Any | None:

@@ -106,7 +106,7 @@ def fit(
         How parts are found; settings of a method, such as `mixseq.segmentation.MotionSettings`, are that method.
     stretch_tolerance : float, optional
         Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
-        `mixseq.segmentation.softness`; by default they are at boundaries only.
+        `mixseq.segmentation.stretch_tolerance`; by default they are at boundaries only.
     projection, volume, shell : optional
         Of the edge space, see `mixseq.spaces.EdgeSettings`.
     knots : int or (n,) array_like, optional

@@ -136,7 +136,7 @@ class LRISpace(PosedSpace):
         i, j = self.edges.T
         edges = rows[j] - rows[i]
         connections = np.swapaxes(frames[i], 1, 2) @ frames[j]
-        ends = np.stack([_seen(frames[i], edges), _seen(frames[j], -edges)], axis=1)
+        ends = np.stack([_in_axes(frames[i], edges), _in_axes(frames[j], -edges)], axis=1)
         return np.concatenate([connections.reshape(-1), ends.reshape(-1)])
 
     def rebuilt(self, shape: Float) -> Float:
@@ -198,7 +198,7 @@ class LRISpace(PosedSpace):
         return result
 
 
-def _seen(frames: Float, vectors: Float) -> Float:
+def _in_axes(frames: Float, vectors: Float) -> Float:
     """Return vectors ``(n, 3)`` in the axes of frames ``(n, 3, 3)``."""
     return np.asarray(np.einsum("nba,nb->na", frames, vectors))
 

@@ -18,7 +18,7 @@ from mixseq.progress import Progress, Stages, silent
 from mixseq.segmentation import (
     Observed,
     Segmentation,
-    Softening,
+    StretchTolerance,
     Watched,
     chosen,
     decompose,
@@ -59,7 +59,7 @@ class MixedSettings:
         How parts are found.
     stretch_tolerance : float, optional
         Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
-        `mixseq.segmentation.softness`; by default they are at boundaries only.
+        `mixseq.segmentation.stretch_tolerance`; by default they are at boundaries only.
     settling_from : float
         From where on lengths and angles are made to agree, see `mixseq.spaces.mixed_space`.
     """
@@ -225,7 +225,7 @@ def _mixed(
     watched = Watched.of(topology, labels, looked_at)
     observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))
     tolerance = settings.stretch_tolerance
-    softening = None if tolerance is None else Softening(looked_at, tolerance)
+    softening = None if tolerance is None else StretchTolerance(looked_at, tolerance)
     decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
     return mixed_space(
         points, topology, decomposition, settings.placement, settings.settling_from, workers, stages.at(2)

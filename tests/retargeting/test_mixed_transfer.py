@@ -12,8 +12,8 @@ from mixseq.correspondence.dense import Correspondence
 from mixseq.geometry.rigid import kabsch
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
 from mixseq.retargeting.part_correspondence import PartPoses, RestShapes
-from mixseq.segmentation.given import segment_by_labels
 from mixseq.segmentation.joints import decompose
+from mixseq.segmentation.methods import segment_by_labels
 from mixseq.shells.fitting import ShellSettings
 from tests.meshes import Mesh, bent, joined, rotation, tetrahedron, topology_of, tube
 from tests.retargeting.pairs import furthest, gradients, same, subdivided, to_subdivided

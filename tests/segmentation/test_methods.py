@@ -107,7 +107,7 @@ def test_motion_is_the_default() -> None:
 @methods
 def test_of_a_sequence(method: SegmentationName) -> None:
     sequence = bar()
-    settings = METHODS[method].settings(crumb=0.02)
+    settings = METHODS[method].settings(small_region=0.02)
     topology = Topology(sequence.faces, sequence.vertex_count)
     np.testing.assert_array_equal(
         mixseq.segment(sequence, method, parts=3, settings=settings),
@@ -179,7 +179,14 @@ def test_settings_of_another_method(method: SegmentationName, settings: MethodSe
 
 @pytest.mark.parametrize(
     "settings",
-    [{"frames": 0}, {"radius": -0.1}, {"radius": np.nan}, {"contrast": -1}, {"crumb": 1.0}, {"still": -1}],
+    [
+        {"frames": 0},
+        {"radius": -0.1},
+        {"radius": np.nan},
+        {"contrast": -1},
+        {"small_region": 1.0},
+        {"still": -1},
+    ],
 )
 @pytest.mark.parametrize("kind", [SilhouetteSettings, SpanningTreeSettings])
 def test_settings_outside_their_range(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.segmentation.near_rigid import near_rigid_errors
+from mixseq.segmentation.scores import near_rigid_errors
 
 
 def test_near_rigid_errors() -> None:

@@ -43,7 +43,7 @@ def test_small_bends_are_noise() -> None:
 def test_parts_below_the_least_area_are_not_cut_off_unless_asked_for() -> None:
     points, faces = folding(crease=1)  # an eighth
     topology = Topology(faces, points.shape[1])
-    large = SpanningTreeSettings(radius=0.0, crumb=0.2)
+    large = SpanningTreeSettings(radius=0.0, small_region=0.2)
     assert segment_by_spanning_tree(points, topology, settings=large).max() == 0
     labels = segment_by_spanning_tree(points, topology, 2, large)
     assert np.bincount(labels).tolist() == [56, 8]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
 from mixseq.shells.block_pattern import BlockSparsePattern
-from mixseq.shells.fitting import Pull, ShellProblem
+from mixseq.shells.fitting import ShellProblem, SoftConstraint
 from mixseq.shells.fitting_kernels import conjugate_gradients
 from mixseq.shells.patch import NormalEquations, Patch
 from tests.meshes import seeds
@@ -28,27 +28,27 @@ def dense(pattern: BlockSparsePattern, values: Float) -> Float:
 
 def pulled(problem: ShellProblem, rng: np.random.Generator) -> ShellProblem:
     count = len(problem.patch.free)
-    pull = Pull(rng.normal(size=(count, 3)), rng.uniform(0.5, 2.0, count))
+    soft = SoftConstraint(rng.normal(size=(count, 3)), rng.uniform(0.5, 2.0, count))
     return ShellProblem(
-        problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, pull
+        problem.patch, problem.lengths, problem.angles, problem.length_weights, problem.bending, soft
     )
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=seeds, name=st.sampled_from(list(MESHES)), pull=st.booleans())
-def test_residuals_and_equations(seed: int, name: str, pull: bool) -> None:
+@given(seed=seeds, name=st.sampled_from(list(MESHES)), soft=st.booleans())
+def test_residuals_and_equations(seed: int, name: str, soft: bool) -> None:
     rng = np.random.default_rng(seed)
     mesh, fixed = MESHES[name]
     problem = problem_of(mesh, fixed)
-    if pull:
+    if soft:
         problem = pulled(problem, rng)
     x = mesh[0] + rng.normal(scale=0.3, size=mesh[0].shape)
     expected = [
         problem.length_weights * (edge_lengths(x, problem.edges) - problem.lengths),
         problem.bending * wrap(dihedral_angles(x, problem.hinges) - problem.angles),
     ]
-    if pull:
-        away = problem.pull.weights[:, None] * (x[problem.patch.free] - problem.pull.places)
+    if soft:
+        away = problem.soft.weights[:, None] * (x[problem.patch.free] - problem.soft.positions)
         expected.append(away.reshape(-1))
     residuals = problem.residuals(x)
     np.testing.assert_allclose(residuals, np.concatenate(expected), atol=1e-12)

@@ -20,10 +20,10 @@ MESHES = [tube(6, 9), torus(9, 6), grid(5, 5)]
 
 def shell_of(mesh: Mesh, hold: float = 0.0, bending: float = 0.25) -> Shell:
     topology = topology_of(mesh)
-    holds = np.full(topology.vertex_count, hold)
-    holds[0] = max(hold, 1.0)
+    position_weights = np.full(topology.vertex_count, hold)
+    position_weights[0] = max(hold, 1.0)
     nothing = np.zeros((0, 2), dtype=np.int64)
-    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), nothing, holds, bending)
+    return Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), nothing, position_weights, bending)
 
 
 def shaken(mesh: Mesh, size: float, seed: int = 0) -> Float:
@@ -62,7 +62,7 @@ def test_the_energy_is_half_the_squared_residuals_and_has_its_gradient() -> None
 @pytest.mark.parametrize("mesh", MESHES)
 def test_lengths_and_angles_are_those_of_the_geometry(mesh: Mesh) -> None:
     shell, x = shell_of(mesh), shaken(mesh, 0.3)
-    lengths, angles = kernels.measured(x, shell.topology.edges, shell.topology.hinges)
+    lengths, angles = kernels.lengths_and_angles(x, shell.topology.edges, shell.topology.hinges)
     expected = measured(shell, x)
     np.testing.assert_allclose(lengths, expected[0], rtol=1e-14)
     np.testing.assert_allclose(angles, expected[1], atol=1e-12)
@@ -87,8 +87,8 @@ def test_ties_hold_what_no_edge_does() -> None:
     points, faces = grid(3, 3)
     mesh = np.concatenate([points, [[5.0, 5.0, 5.0]]]), faces
     topology = topology_of(mesh)
-    holds, ties = np.eye(1, len(mesh[0]))[0], np.array([[2, len(points)]])
-    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), ties, holds, 0.25)
+    position_weights, ties = np.eye(1, len(mesh[0]))[0], np.array([[2, len(points)]])
+    shell = Shell(topology, mesh[0], edge_lengths(mesh[0], topology.edges), ties, position_weights, 0.25)
     found = shell.integrated(sides_of(mesh, mesh[0]), np.array([[0.0, 1.0, 2.0]]), np.zeros_like(mesh[0]))
     np.testing.assert_allclose(found[-1] - found[2], [0, 1, 2], atol=1e-12)
 

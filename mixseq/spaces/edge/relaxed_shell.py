@@ -95,13 +95,15 @@ class RelaxedShell(PickledWithoutCaches):
     def shell(self) -> Shell:
         """The mesh, whose lengths and angles are to agree; one vertex of every piece is held."""
         topology, edge_ids, _ = self._rows
-        holds = np.zeros(topology.vertex_count)
-        holds[[rows.start for rows in self.pieces.slices]] = 1.0
+        position_weights = np.zeros(topology.vertex_count)
+        position_weights[[rows.start for rows in self.pieces.slices]] = 1.0
         ties = np.zeros((0, 2), dtype=np.int64)
-        return Shell(topology, self.pieces.shapes, self.typical[edge_ids], ties, holds, self.bending)
+        return Shell(
+            topology, self.pieces.shapes, self.typical[edge_ids], ties, position_weights, self.bending
+        )
 
     @cached_property
-    def _told(self) -> Index:
+    def _crossing(self) -> Index:
         """Hinges ``(h,)`` that tell how frames are turned: the sound ones, and others where there is no other."""
         hinge_faces = self._rows.topology.hinge_faces
         return np.flatnonzero(bridging(len(self.topology.faces), hinge_faces, self.shell.sound))
@@ -109,10 +111,13 @@ class RelaxedShell(PickledWithoutCaches):
     @cached_property
     def graph(self) -> FrameGraph:
         """Frames of all faces; chains start in the middle of every piece."""
-        count, pairs = len(self.topology.faces), self._rows.topology.hinge_faces[self._told].astype(np.int64)
+        count, pairs = (
+            len(self.topology.faces),
+            self._rows.topology.hinge_faces[self._crossing].astype(np.int64),
+        )
         known = np.zeros(count, dtype=bool)
         known[_middles(count, pairs)] = True
-        return FrameGraph(count, pairs, np.maximum(self.shell.bend[self._told], THIN), known, 1.0)
+        return FrameGraph(count, pairs, np.maximum(self.shell.bend[self._crossing], THIN), known, 1.0)
 
     @cached_property
     def hinges(self) -> Hinges:
@@ -130,7 +135,7 @@ class RelaxedShell(PickledWithoutCaches):
         lengths = sound_lengths(wanted.lengths, wanted.weights)[edge_ids]
         angles = wanted.angles[hinge_ids]
         flat = flat_triangles(lengths[topology.face_edges])
-        turns = self.hinges.turns(flat, angles)[self._told]
+        turns = self.hinges.turns(flat, angles)[self._crossing]
         known = np.tile([1.0, 0.0, 0.0, 0.0], (int(np.count_nonzero(self.graph.known)), 1))
         frames, x = self.graph.averaged(self.graph.chained(turns, known), turns, ROUNDS), self.pieces.shapes
         best = Relaxed(x, np.inf)

@@ -207,13 +207,13 @@ class AnchoredSpace(MixedSpace):
             _, rotations, centres = self.registered(x)
             turns = self.frames.signed(quaternions(rotations))
             motions = self.frames.motions(turns, centres)
-            blocks = (*self._seen(motions, x), turns, centres)
+            blocks = (*self._shape(motions, x), turns, centres)
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return vectors
 
-    def _seen(self, motions: Float, x: Float) -> tuple[Float, Float, Float, Float]:
+    def _shape(self, motions: Float, x: Float) -> tuple[Float, Float, Float, Float]:
         """The shape of a frame ``(V, 3)`` whose vertices have these motions."""
-        return *self.measured(x), kernels.unpose(motions, x), self.seams.seen(motions, x)
+        return *self.lengths_and_angles(x), kernels.unpose(motions, x), self.seams.local(motions, x)
 
     def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
         """Implement `ShapeSpace.unwrap`."""
@@ -294,6 +294,6 @@ class AnchoredSpace(MixedSpace):
         """Implement `ShapeSpace.shape_difference`: vertices that did not move stay where they are."""
         blocks = self.split(vector[None])
         motions = self.frames.motions(blocks.rotations[0], blocks.centres[0])
-        first, second = (self._seen(motions, x / self.scale) for x in (before, after))
+        first, second = (self._shape(motions, x / self.scale) for x in (before, after))
         lengths, angles, unposed, sides = (b - a for a, b in zip(first, second, strict=True))
         return np.concatenate([block.reshape(-1) for block in (lengths, wrap(angles), unposed, sides)])

@@ -28,7 +28,7 @@ from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.face_frame_kernels import turned_sides
 from mixseq.shells.face_frames import FrameGraph, Hinges, bridging, connected, flat_triangles, frames_of
 from mixseq.shells.shell import THIN, Relaxation, Relaxed, Shell
-from mixseq.shells.shell_kernels import measured
+from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.topology import Topology
 
 ROUNDS = 3
@@ -141,7 +141,7 @@ class Assembly(PickledWithoutCaches):
         return node
 
     @cached_property
-    def held(self) -> Mask:
+    def rigid_faces(self) -> Mask:
         """Mark the faces ``(F,)`` with all corners in one part."""
         return np.asarray(self._layout.faces[:, 0] >= 0)
 
@@ -154,7 +154,7 @@ class Assembly(PickledWithoutCaches):
     @cached_property
     def _count(self) -> int:
         """Number of all that turn by themselves."""
-        return len(self.decomposition.parts) + int(np.count_nonzero(~self.held))
+        return len(self.decomposition.parts) + int(np.count_nonzero(~self.rigid_faces))
 
     @cached_property
     def posed(self) -> Index:
@@ -184,9 +184,9 @@ class Assembly(PickledWithoutCaches):
         typical[self.edge_ids] = self.typical
         ties = self._ties
         component = connected(t.vertex_count, np.concatenate([t.edges, ties]))
-        holds = np.zeros(t.vertex_count)
-        holds[np.unique(component, return_index=True)[1]] = 1.0
-        return Shell(t, self.reference, typical, ties, holds, self.relaxation.bending)
+        position_weights = np.zeros(t.vertex_count)
+        position_weights[np.unique(component, return_index=True)[1]] = 1.0
+        return Shell(t, self.reference, typical, ties, position_weights, self.relaxation.bending)
 
     @cached_property
     def _ties(self) -> Index:
@@ -221,7 +221,7 @@ class Assembly(PickledWithoutCaches):
 
     def targets(self, frame: FreeFrame) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
-        lengths, angles = measured(frame.parts, *self._inside)
+        lengths, angles = lengths_and_angles(frame.parts, *self._inside)
         lengths[self.edge_ids] = sound_lengths(frame.lengths, self.shell.stretch[self.edge_ids])
         angles[self.hinge_ids] = frame.angles
         return lengths, angles
@@ -241,7 +241,7 @@ class Assembly(PickledWithoutCaches):
 
     def start(self, frame: FreeFrame, lengths: Float, angles: Float) -> Float:
         """Return the vertices ``(V, 3)``, anywhere, that frames tell."""
-        t, loose, crossing = self.topology, ~self.held, self._crossing
+        t, loose, crossing = self.topology, ~self.rigid_faces, self._crossing
         flat = flat_triangles(lengths[t.face_edges])
         own = np.zeros((len(t.faces), 4))
         own[:, 0] = 1.0

@@ -149,7 +149,7 @@ class FreeSpace(MixedSpace):
         for vector, frame in zip(vectors, points, strict=True):
             x = frame.astype(np.float64) / self.scale
             aligned, rotations, centres = self.registered(x)
-            blocks = *self.measured(x), aligned, quaternions(rotations[posed]), centres[posed]
+            blocks = *self.lengths_and_angles(x), aligned, quaternions(rotations[posed]), centres[posed]
             np.concatenate([block.reshape(-1) for block in blocks], out=vector)
         return vectors
 
@@ -171,7 +171,7 @@ class FreeSpace(MixedSpace):
         What vertices of a part moved by is turned back by its rotation, not registered anew.
         """
         x = np.stack([before, after]) / self.scale
-        (lengths, angles), parts = self.measured(x), self.decomposition.parts
+        (lengths, angles), parts = self.lengths_and_angles(x), self.decomposition.parts
         shapes = np.split(self.split(vector[None]).parts[0], np.cumsum([len(part) for part in parts])[:-1])
         moved = [
             (x[1, part] - x[0, part]) @ kabsch(shape, x[0, part])[0]

@@ -83,7 +83,7 @@ class MixedSpace(ShapeSpace):
         """Hinge angles ``(H',)`` of the reference frame."""
         return dihedral_angles(self.reference, self.topology.hinges[self.hinge_ids])
 
-    def measured(self, x: Float) -> tuple[Float, Float]:
+    def lengths_and_angles(self, x: Float) -> tuple[Float, Float]:
         """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
         edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges[self.hinge_ids]
         return edge_lengths(x, edges), dihedral_angles(x, hinges)

@@ -31,19 +31,19 @@ from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.face_frame_kernels import turned_sides
 from mixseq.shells.face_frames import FrameGraph, Hinges, flat_triangles, frames_of
 from mixseq.shells.shell import Relaxation, Relaxed, Shell
-from mixseq.shells.shell_kernels import measured
+from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.shells.solvers import Factor, factorise
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
 from mixseq.topology import Topology
 
-HOLD_SIDES = 1.0
+POSED_WEIGHT = 1.0
 r"""Weight :math:`\eta` of posed vertices against sides. Ours. Between .01 and 1 frames between frames are nearly
 the same; models of few modes are the better the more it is."""
 
 ROUNDS = 2
 """So often what does not fit between frames is divided among them."""
 
-HOLD_MESH = 1e-3
+EXPECTED_WEIGHT = 1e-3
 """How much frames and vertices stay where they are expected, against hinges and sides: enough to keep a mesh in its
 place, too little to bend it. Ours."""
 
@@ -105,7 +105,7 @@ class Sides(PickledWithoutCaches):
         weights = self.weights.reshape(-1)
         i, j = self._number[a], self._number[b]
         both = (i >= 0) & (j >= 0)
-        diagonal = np.full(len(self.vertices), HOLD_SIDES)
+        diagonal = np.full(len(self.vertices), POSED_WEIGHT)
         for end in (i, j):
             np.add.at(diagonal, end[end >= 0], weights[end >= 0])
         count = len(self.vertices)
@@ -113,7 +113,7 @@ class Sides(PickledWithoutCaches):
         coupling = sparse.coo_array((np.tile(-weights[both], 2), places), shape=(count, count))
         return factorise(sparse.csr_array(coupling.tocsr() + sparse.diags_array(diagonal)))
 
-    def seen(self, motions: Float, x: Float) -> Float:
+    def local(self, motions: Float, x: Float) -> Float:
         """Return the sides 01 and 02 ``(f, 2, 3)`` of a frame ``(V, 3)``, from the mean of the corners' motions."""
         corners = x[self.faces]
         sides = corners[:, 1:] - corners[:, :1]
@@ -151,7 +151,7 @@ class Sides(PickledWithoutCaches):
         if not len(self.vertices):
             return x
         right = kernels.right_hand_side(
-            self.faces, self.weights, self._number, turned, x, HOLD_SIDES, self.vertices
+            self.faces, self.weights, self._number, turned, x, POSED_WEIGHT, self.vertices
         )
         settled = x.copy()
         settled[self.vertices] = self.factor.solve(right)
@@ -189,12 +189,12 @@ class Settling(PickledWithoutCaches):
     ) -> Settling:
         """Make it for a mesh whose reference frame ``(V, 3)`` has typical lengths."""
         nothing = np.zeros((0, 2), dtype=np.int64)
-        holds = np.full(topology.vertex_count, HOLD_MESH)
+        position_weights = np.full(topology.vertex_count, EXPECTED_WEIGHT)
         typical = edge_lengths(reference, topology.edges)
-        shell = Shell(topology, reference, typical, nothing, holds, relaxation.bending)
+        shell = Shell(topology, reference, typical, nothing, position_weights, relaxation.bending)
         sound, everything = shell.sound, np.ones(len(topology.faces), dtype=bool)
         pairs = topology.hinge_faces[sound]
-        graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, HOLD_MESH)
+        graph = FrameGraph(len(everything), pairs, shell.bend[sound], everything, EXPECTED_WEIGHT)
         hinges = Hinges(topology.faces, topology.hinges, topology.hinge_faces)
         return cls(edge_ids, hinge_ids, shell, graph, hinges, relaxation.steps)
 
@@ -209,7 +209,7 @@ class Settling(PickledWithoutCaches):
     def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
         """Return the lengths ``(E,)`` and angles ``(H,)`` that all edges and hinges should have."""
         topology = self.shell.topology
-        all_lengths, all_angles = measured(x, topology.edges, topology.hinges)
+        all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
         all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
         return all_lengths, all_angles
 

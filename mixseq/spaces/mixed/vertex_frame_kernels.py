@@ -179,7 +179,7 @@ def turn_sides(frames: Float, sides: Float, back: bool) -> Float:
 
 @compiled
 def right_hand_side(
-    faces: Index, weights: Float, number: Index, sides: Float, x: Float, held: float, vertices: Index
+    faces: Index, weights: Float, number: Index, sides: Float, x: Float, posed_weight: float, vertices: Index
 ) -> Float:
     """Return the right-hand side ``(n, 3)`` of the system of `Sides`.
 
@@ -195,7 +195,7 @@ def right_hand_side(
         What the sides 01 and 02 should be.
     x : (V, 3) float64
         Where vertices are, or are expected.
-    held : float
+    posed_weight : float
         Weight of that for unknown vertices.
     vertices : (n,) int64
         The unknown ones.
@@ -203,7 +203,7 @@ def right_hand_side(
     right = np.empty((len(vertices), 3))
     for n in range(len(vertices)):
         for i in range(3):
-            right[n, i] = held * x[vertices[n], i]
+            right[n, i] = posed_weight * x[vertices[n], i]
     for f in range(len(faces)):
         for side in range(3):
             a, b = faces[f, side], faces[f, (side + 1) % 3]

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, Index
 from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation.joints import Decomposition, decompose
-from mixseq.segmentation.softness import Softening
+from mixseq.segmentation.stretch_tolerance import StretchTolerance
 from mixseq.shells.fitting import ShellReport, ShellSettings, fit_shell
 from mixseq.shells.patch import Patch
 from mixseq.shells.reconstruction import rebuild
@@ -216,7 +216,7 @@ class Free(Mixed):
     @property
     def rigid(self) -> NDArray[np.bool_]:
         """Mark the faces ``(F,)`` with all corners in one part."""
-        return self.space.projection.held
+        return self.space.projection.rigid_faces
 
     def frame(self, weights: Float) -> FreeFrame:
         """Blend parts, lengths and angles."""
@@ -286,7 +286,7 @@ def strips(poses: Poses, labels: Index, width: int = WIDTH, full: bool = False) 
 
 def softened(poses: Poses, labels: Index, width: int = WIDTH, shrink: float = SHRINK) -> Decomposition:
     """Cut a mesh with joints that go on where parts bend by themselves."""
-    return decompose(poses.topology, labels, width, poses.points, Softening(poses.points, shrink))
+    return decompose(poses.topology, labels, width, poses.points, StretchTolerance(poses.points, shrink))
 
 
 METHODS: dict[str, Callable[[Poses, Index], Method]] = {

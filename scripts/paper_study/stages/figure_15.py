@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.arrays import Index
-from mixseq.segmentation.agreement import adjusted_rand_index
 from mixseq.segmentation.methods import METHODS, segment
+from mixseq.segmentation.scores import adjusted_rand_index
 from mixseq.topology import split_labels
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text

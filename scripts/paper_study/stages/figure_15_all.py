@@ -12,9 +12,9 @@ from typing import Any
 
 import mixseq
 from mixseq.segmentation import segment_by_labels
-from mixseq.segmentation.agreement import adjusted_rand_index
 from mixseq.segmentation.methods import METHODS as SEGMENTATIONS
 from mixseq.segmentation.methods import segment
+from mixseq.segmentation.scores import adjusted_rand_index
 from mixseq.topology import Topology
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.errors import errors, text

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from mixseq.arrays import Float
 from mixseq.geometry.quaternions import normalised, quaternions
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.settling import COTANGENTS, HOLD_SIDES, Sides
+from mixseq.spaces.mixed.settling import COTANGENTS, POSED_WEIGHT, Sides
 from tests.meshes import Mesh, grid, rotation, seeds, tube
 
 
@@ -48,14 +48,14 @@ def test_faces_at_free_vertices_are_known() -> None:
 @given(seed=seeds)
 def test_what_agrees_stays(seed: int) -> None:
     motions, x = wild(seed)
-    np.testing.assert_allclose(TUBE.settle(motions, TUBE.seen(motions, x), x), x, atol=1e-13)
+    np.testing.assert_allclose(TUBE.settle(motions, TUBE.local(motions, x), x), x, atol=1e-13)
 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_only_free_vertices_move(seed: int) -> None:
     motions, x = wild(seed)
-    sides = TUBE.seen(motions, x) + np.random.default_rng(seed).normal(
+    sides = TUBE.local(motions, x) + np.random.default_rng(seed).normal(
         scale=0.1, size=(len(TUBE.faces), 2, 3)
     )
     settled = TUBE.settle(motions, sides, x)
@@ -66,18 +66,18 @@ def test_only_free_vertices_move(seed: int) -> None:
 
 
 def test_one_free_vertex_goes_most_of_the_way() -> None:
-    """It was pulled away; sides that are those of the flat sheet take it back, against `HOLD_SIDES`."""
+    """It was pulled away; sides that are those of the flat sheet take it back, against `POSED_WEIGHT`."""
     mesh = grid(2, 2)
     sides = sides_of(mesh, [4])
     still = np.tile([1.0, 0, 0, 0, 0, 0, 0], (9, 1))
-    flat, pull = sides.seen(still, mesh[0]), np.array([0.1, -0.2, 0.3])
+    flat, pull = sides.local(still, mesh[0]), np.array([0.1, -0.2, 0.3])
     pulled = mesh[0].copy()
     pulled[4] += pull
     weight = sides.weights[(sides.faces == 4) | (np.roll(sides.faces, -1, axis=1) == 4)].sum()
     # Legs of right triangles have cotangents of one; hypotenuses have none, but `COTANGENTS` says at least .05.
     assert weight == pytest.approx(4 * 1.0 + 2 * 0.05)
     expected = mesh[0].copy()
-    expected[4] += pull * HOLD_SIDES / (HOLD_SIDES + weight)
+    expected[4] += pull * POSED_WEIGHT / (POSED_WEIGHT + weight)
     np.testing.assert_allclose(sides.settle(still, flat, pulled), expected, atol=1e-14)
 
 
@@ -90,7 +90,7 @@ def test_sides_are_seen_from_the_mean_of_the_corners_frames() -> None:
     motions = np.concatenate([turns, np.zeros((3, 3))], axis=1)
     mean = rotation(axis * 0.2)
     np.testing.assert_allclose(sides.frames(motions), quaternions(mean)[None], atol=1e-14)
-    np.testing.assert_allclose(sides.seen(motions, mesh[0] @ mean.T), [mesh[0][1:]], atol=1e-14)
+    np.testing.assert_allclose(sides.local(motions, mesh[0] @ mean.T), [mesh[0][1:]], atol=1e-14)
 
 
 @settings(max_examples=10, deadline=None)
@@ -99,14 +99,14 @@ def test_it_is_the_minimum(seed: int) -> None:
     """No free vertex that is moved a little makes the energy smaller."""
     motions, x = wild(seed)
     rng = np.random.default_rng(seed)
-    sides = TUBE.seen(STILL, MESH[0]) + rng.normal(scale=0.05, size=(len(TUBE.faces), 2, 3))
+    sides = TUBE.local(STILL, MESH[0]) + rng.normal(scale=0.05, size=(len(TUBE.faces), 2, 3))
     turned = kernels.turn_sides(TUBE.frames(motions), sides, False)
     wanted = np.stack([turned[:, 0], turned[:, 1] - turned[:, 0], -turned[:, 1]], axis=1)
 
     def energy(y: Float) -> float:
         corners = y[TUBE.faces]
         misfits = np.roll(corners, -1, axis=1) - corners - wanted
-        return float((TUBE.weights[:, :, None] * misfits**2).sum() + HOLD_SIDES * ((y - x) ** 2).sum())
+        return float((TUBE.weights[:, :, None] * misfits**2).sum() + POSED_WEIGHT * ((y - x) ** 2).sum())
 
     settled = TUBE.settle(motions, sides, x)
     least = energy(settled)
@@ -135,7 +135,7 @@ def test_velocities_are_difference_quotients(seed: int) -> None:
 
 def test_where_all_spins_about_a_point_velocities_are_of_that_turn() -> None:
     motions, x = wild(3)
-    sides = TUBE.seen(motions, x)
+    sides = TUBE.local(motions, x)
     spin = np.array([0.3, -1.0, 0.7])
     changes = np.concatenate([np.tile(spin, (len(x), 1)), np.cross(spin, motions[:, 4:])], axis=1)
     speeds = np.cross(spin, x)
@@ -146,7 +146,7 @@ def test_where_all_spins_about_a_point_velocities_are_of_that_turn() -> None:
 def test_without_free_vertices_nothing_is_solved() -> None:
     sides = sides_of(MESH, [])
     motions, x = wild(4)
-    assert sides.seen(motions, x).shape == (0, 2, 3)
+    assert sides.local(motions, x).shape == (0, 2, 3)
     np.testing.assert_array_equal(sides.settle(motions, np.zeros((0, 2, 3)), x), x)
 
 
@@ -162,6 +162,6 @@ def test_weights_are_positive_whatever_the_triangles_are() -> None:
 
 def test_sides_can_be_sent() -> None:
     motions, x = wild(5)
-    seen = TUBE.seen(motions, x) * 1.1
+    seen = TUBE.local(motions, x) * 1.1
     settled = TUBE.settle(motions, seen, x)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(TUBE)).settle(motions, seen, x), settled)

@@ -1,4 +1,4 @@
-"""The inner loops of segmentation by rigid motion, compiled."""
+"""The inner loops of all segmentations, compiled: clusters of rigid motion, flat faces, regions that grow."""
 
 from __future__ import annotations
 
@@ -129,3 +129,51 @@ def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Ma
         n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
         if math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) <= height * longest:
             flat[f] = True
+
+
+@compiled
+def kruskal(ends: Index, heights: Float, bottoms: Float, areas: Float) -> tuple[Index, Float, Float]:
+    """Join nodes by edges in the order in which these are given.
+
+    Parameters
+    ----------
+    ends : (m, 2) int64
+        Nodes of every edge.
+    heights : (m,) float64
+        Height of every edge, ascending.
+    bottoms, areas : (n,) float64
+        Height and area of every node; both are overwritten.
+
+    Returns
+    -------
+    tree : (k,) int64
+        Edges that joined two sets of nodes.
+    area : (k,) float64
+        Area of the smaller one.
+    depth : (k,) float64
+        Height of the edge above the bottom of the shallower one.
+    """
+    parent = np.arange(len(areas))
+    tree = np.empty(len(areas), dtype=np.int64)
+    area, depth = np.empty(len(areas)), np.empty(len(areas))
+    count = 0
+    for edge in range(len(ends)):
+        a, b = ends[edge]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        if a == b:
+            continue
+        tree[count] = edge
+        area[count] = min(areas[a], areas[b])
+        depth[count] = heights[edge] - max(bottoms[a], bottoms[b])
+        count += 1
+        if areas[a] < areas[b]:
+            a, b = b, a
+        parent[b] = a
+        areas[a] += areas[b]
+        bottoms[a] = min(bottoms[a], bottoms[b])
+    return tree[:count], area[:count], depth[:count]

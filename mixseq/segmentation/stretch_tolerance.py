@@ -33,28 +33,30 @@ ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Softening:
-    """How rigid parts have to be.
+class StretchTolerance:
+    """How far edges inside parts may be shortened by blending.
 
     Attributes
     ----------
     frames : (T, V, 3) float
         Some frames that stand for all.
-    shrink : float
+    tolerance : float
         Share of its length that an edge may lose by blending.
 
     Raises
     ------
     SettingsError
-        If `shrink` is not positive.
+        If the tolerance is not positive.
     """
 
     frames: FloatArray
-    shrink: float
+    tolerance: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.shrink) and self.shrink > 0):
-            raise SettingsError(f"shrink is {self.shrink}; a positive share of an edge's length is expected")
+        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise SettingsError(
+                f"stretch_tolerance is {self.tolerance}; a positive share of an edge's length is expected"
+            )
 
     def depth(self, topology: Topology, parts: list[Mask]) -> Index:
         """Return the depth ``(V,)`` of vertices in joints inside parts, which are given by their vertices ``(V,)``."""
@@ -65,9 +67,9 @@ class Softening:
                 continue
             vertices = np.unique(faces)
             corners = np.searchsorted(vertices, faces)
-            lost = _shortening(self.frames[:, vertices].astype(np.float64), corners)
-            of_face = lost[corners].max(axis=1)
-            soft[vertices] |= lost > self.shrink
+            loss = _shortening(self.frames[:, vertices].astype(np.float64), corners)
+            of_face = loss[corners].max(axis=1)
+            soft[vertices] |= loss > self.tolerance
             core[faces[of_face <= np.quantile(of_face, CORE)]] = True
         depth = spread(topology, np.where(soft & ~core, SOFT, 0))
         return np.where(core, np.minimum(depth, 1), depth)
@@ -80,9 +82,9 @@ def _shortening(points: Float, faces: Index) -> Float:
     direction = aligned[:, edges[:, 1]] - aligned[:, edges[:, 0]]
     direction = _unit(direction)
     cosines = np.einsum("tei,ei->te", direction, _unit(direction.mean(axis=0)))
-    lost = np.zeros(points.shape[1])
-    np.maximum.at(lost, edges, (1.0 - cosines.min(axis=0))[:, None])
-    return lost
+    loss = np.zeros(points.shape[1])
+    np.maximum.at(loss, edges, (1.0 - cosines.min(axis=0))[:, None])
+    return loss
 
 
 def _registered(points: Float) -> Float:

@@ -1,7 +1,8 @@
-r"""How far two segmentations of one mesh agree: the adjusted Rand index (Hubert and Arabie 1985).
+r"""Score segmentations: how near-rigid their parts are, and how far two of them agree.
 
-With :math:`n_{ij}` the weight that is in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`,
-:math:`b_j = \sum_i n_{ij}`, N their sum, and the sums of squares
+*Adjusted Rand index* (Hubert and Arabie 1985) of two segmentations of one mesh. With :math:`n_{ij}` the weight that is
+in part i of one and part j of the other, :math:`a_i = \sum_j n_{ij}`, :math:`b_j = \sum_i n_{ij}`, N their sum, and the
+sums of squares
 
 .. math:: S = \sum_{ij} n_{ij}^2, \quad A = \sum_i a_i^2, \quad B = \sum_j b_j^2, \quad Q = \sum_f w_f^2,
 
@@ -11,6 +12,14 @@ of which Q is what pairs of a face with itself contribute, the index is
           E = \frac{(A - Q)(B - Q)}{N^2 - Q} .
 
 For weights of one that is the usual index of counts, since :math:`n^2 - n = 2 \binom{n}{2}`.
+
+*Karni-Gotsman error* of one ("Compression of soft-body animation sequences", Computers & Graphics 2004). With B the
+vertices of A moved by the best rigid motion of their part in every frame (Kabsch), from the first frame on,
+
+.. math:: \mathrm{KG} = 100\, \frac{\|A - B\|_F}{\|A - \bar A\|_F},
+
+where :math:`\bar A` holds centroids of every frame: of the part for the error of a part, of all vertices for that of
+the whole. Vertices on a boundary count once in each of their parts.
 """
 
 from __future__ import annotations
@@ -18,7 +27,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.errors import SegmentationError
+from mixseq.segmentation.rigid_error import moments
 
 
 def adjusted_rand_index(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None) -> float:
@@ -73,3 +84,35 @@ def _pairs(group: NDArray[np.intp], weights: NDArray[np.float64]) -> float:
     """Weight of the pairs of different faces that are in one group; exactly 0 where every face is alone."""
     squared, own = np.bincount(group, weights) ** 2, np.bincount(group, weights**2)
     return float(np.sum(squared - own))
+
+
+def near_rigid_errors(points: FloatArray, faces: IntArray, part_of_face: IntArray) -> tuple[Float, float]:
+    """Measure how near-rigid parts are.
+
+    Parameters
+    ----------
+    points : (T, V, 3) float
+        The sequence, or some frames of it.
+    faces : (F, 3) int
+        Triangles.
+    part_of_face : (F,) int
+        Part of every triangle, numbered 0, 1, ...
+
+    Returns
+    -------
+    of_parts : (p,) float64
+        Error of every part, in percent of its own deviation; 0 where nothing moves off its centroid.
+    whole : float
+        Error of all parts together, in percent of the deviation of the whole mesh.
+    """
+    count = int(part_of_face.max(initial=-1)) + 1
+    centroids = points.mean(axis=1, dtype=np.float64)[None]  # (1, T, 3)
+    errors, own, whole = np.zeros(count), np.zeros(count), 0.0
+    for part in range(count):
+        vertices = np.unique(faces[part_of_face == part])
+        x = np.moveaxis(np.asarray(points[:, vertices], dtype=np.float64), 1, 0) - centroids
+        errors[part] = moments(x[:, 0], x, np.ones(len(vertices))).error()
+        own[part] = np.square(x - x.mean(axis=0)).sum()
+        whole += float(np.square(x).sum())
+    ratios = np.sqrt(np.divide(errors, own, out=np.zeros(count), where=own > 0))
+    return 100 * ratios, 100 * float(np.sqrt(errors.sum() / whole)) if whole > 0 else 0.0
