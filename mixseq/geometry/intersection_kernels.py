@@ -84,8 +84,20 @@ def crossing_pairs(
 ) -> int:
     """Count the pairs of crossing triangles without a place in common; write as many as fit, smaller first.
 
-    Corners, normals and places (numbers of the corners' positions) are in the order of the tree. Triangles without
-    area, whose normal is NaN, cross nothing.
+    Triangles without area, whose normal is NaN, cross nothing.
+
+    Parameters
+    ----------
+    corners, normals : (F, 3, 3), (F, 3) float64
+        Triangles and their unit normals, in the order of the tree.
+    places : (F, 3) int64
+        Numbers of the corners' positions, in the same order.
+    order, firsts, boxes : (F,) int64, (L + 1,) int64, (2L, 6) float64
+        The tree, see `BoxTree`.
+    least : float
+        Depths and lengths up to this are contact; in the unit of the corners.
+    pairs : (n, 2) int64
+        Written to.
     """
     leaves = len(firsts) - 1
     nodes = np.empty(64, dtype=np.int64)

@@ -47,10 +47,15 @@ def _orthogonalise(a: Float, v: Float) -> None:
 
 @compiled
 def nearest(matrices: Float, held: float) -> Float:
-    """Return the rotations nearest to matrices ``(N, 3, 3)``.
+    """Return the rotations ``(N, 3, 3)`` nearest to matrices.
 
-    Where the second singular value is at most `held` times the first, the rotation is free about an axis, and the one
-    near the identity is taken; negative `held` takes any.
+    Parameters
+    ----------
+    matrices : (N, 3, 3) float64
+        The matrices.
+    held : float
+        Where the second singular value is at most so much of the first, the rotation is free about an axis, and the one
+        near the identity is taken; negative takes any.
     """
     result = np.empty_like(matrices)
     a, v = np.empty((3, 3)), np.empty((3, 3))

@@ -19,8 +19,22 @@ def transfer(
 ) -> None:
     """Move elements between clusters: add what they weigh to the target's tallies, subtract it from the source's.
 
-    A vertex with the row y ``(D,)``, which ends with ``h = (rest position, 1)``, adds ``w h y^T`` ``(4, D)``. A source
-    of -1 is none, and so is a corner beyond all rows.
+    A vertex with the row y, which ends with ``h = (rest position, 1)``, adds ``w h y^T``.
+
+    Parameters
+    ----------
+    moved : (n,) int64
+        Elements that move.
+    source, target : (E,) int64
+        Cluster of every element before and after; a source of -1 is none.
+    corners : (E, 4) int32
+        Rows of their vertices; V stands for none.
+    weights : (E,) float64
+        Weight w of each vertex of an element, a share of its area in squared diagonals.
+    rows : (V, D) float64
+        Rows y of vertices, as in `Trajectories`.
+    tallies : (K, 4, D) float64
+        Changed in place.
     """
     size = rows.shape[1]
     for e in moved:
@@ -42,10 +56,16 @@ def transfer(
 
 @compiled
 def squared_distances(moved: Single, rest: Single, motions: Single, result: Single) -> None:
-    """Write mean squared distances ``(V, K)`` of trajectories from where motions put the vertices.
+    """Write mean squared distances of trajectories from where motions put the vertices.
 
-    Coordinates come first: trajectories are ``(3T, V)``, vertices at rest ``(3, V)``, and motions ``(K, 3T, 4)`` are
-    rotations and translations.
+    Parameters
+    ----------
+    moved, rest : (3T, V), (3, V) float32
+        Trajectories and vertices at rest, coordinates first, in diagonals.
+    motions : (K, 3T, 4) float32
+        Rotations and translations.
+    result : (V, K) float32
+        Written to.
     """
     chunk = 512  # of vertices, so that what the inner loops touch stays in cache
     sums = np.empty(chunk, dtype=np.float32)
@@ -72,9 +92,20 @@ def squared_distances(moved: Single, rest: Single, motions: Single, result: Sing
 
 @compiled
 def averages(values: Single, members: Table, factors: Single, result: Single) -> None:
-    """Write the mean ``(E, K)`` of the rows of values that are the members ``(E, m)``, m >= 4, of each element.
+    """Write the mean of the rows of values that are the members of each element.
 
-    Elements with fewer than m members repeat one whose row is zero; the factors are one over the true numbers.
+    Elements with fewer members repeat one whose row is zero.
+
+    Parameters
+    ----------
+    values : (n, K) float32
+        Rows.
+    members : (E, m) int32
+        Their numbers, m >= 4.
+    factors : (E,) float32
+        One over the true numbers of members.
+    result : (E, K) float32
+        Written to.
     """
     for e in range(len(members)):
         a, b = values[members[e, 0]], values[members[e, 1]]
@@ -90,7 +121,17 @@ def averages(values: Single, members: Table, factors: Single, result: Single) ->
 
 @compiled
 def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest: Single) -> None:
-    """Put fresh costs ``(E, n)`` into columns of the costs ``(E, K)``; write each row's lowest, and where it is."""
+    """Put fresh costs into columns of the costs; write each row's lowest, and where it is.
+
+    Parameters
+    ----------
+    fresh, columns : (E, n) float32, (n,) int64
+        Squared distances, and their columns.
+    costs : (E, K) float32
+        Changed in place.
+    labels, lowest : (E,) int64, (E,) float32
+        Written to.
+    """
     for e in range(len(costs)):
         row = costs[e]
         for i in range(len(columns)):
@@ -105,7 +146,15 @@ def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest
 
 @compiled
 def cells(starts: Table, neighbours: Table, owner: Table) -> int:
-    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return their number."""
+    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return their number.
+
+    Parameters
+    ----------
+    starts, neighbours : (V + 1,), (m,) int32
+        Neighbours of vertices, as rows of a sparse matrix.
+    owner : (V,) int32
+        Cell of every vertex, changed in place where it is negative.
+    """
     count = 0
     for v in range(len(owner)):
         if owner[v] < 0:
@@ -119,7 +168,17 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> int:
 
 @compiled
 def mark_flat(points: Float, faces: NDArray[np.integer], height: float, flat: Mask) -> None:
-    """Mark the faces that are lower than `height` times their longest side."""
+    """Mark the faces that are lower than `height` times their longest side.
+
+    Parameters
+    ----------
+    points, faces : (V, 3) float64, (F, 3) int
+        A mesh.
+    height : float
+        Height of a triangle over its longest side, at least.
+    flat : (F,) bool
+        Changed in place.
+    """
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]

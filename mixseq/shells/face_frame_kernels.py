@@ -93,7 +93,13 @@ def _quaternion(r: Float, q: Float) -> None:
 
 @compiled
 def transitions(first: Float, second: Float, bends: Float) -> Float:
-    """Return ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` of angles ``(h,)`` in radians."""
+    """Return the rotations ``R_z(first) R_x(bend) R_z(-second)`` ``(h, 4)`` across hinges.
+
+    Parameters
+    ----------
+    first, second, bends : (h,) float64
+        Directions of the hinge's edge in both faces, and dihedral angles, in radians.
+    """
     turns = np.empty((len(bends), 4))
     for k in range(len(bends)):
         c, s = math.cos(0.5 * bends[k]), math.sin(0.5 * bends[k])
@@ -107,10 +113,19 @@ def transitions(first: Float, second: Float, bends: Float) -> Float:
 def chained(
     pairs: Index, turns: Float, weights: Float, order: Index, starts: Index, links: Index, frames: Float
 ) -> None:
-    """Write frames ``(n, 4)`` one after the other, each the mean of what the links to earlier ones say of it.
+    """Write frames one after the other, each the mean of what the links to earlier ones say of it.
 
-    The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs, -1 - number where the frame
-    is the first of its pair.
+    Parameters
+    ----------
+    pairs, turns, weights : (h, 2) int64, (h, 4), (h,) float64
+        Pairs of frames, the rotations between them, and how much they count.
+    order : (k,) int64
+        Frames, in the order in which they are found.
+    starts, links : (k + 1,), (l,) int64
+        The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs, -1 - number where the frame
+        is the first of its pair.
+    frames : (n, 4) float64
+        Those that are not in the order are known, the others are written.
     """
     seen, total = np.empty(4), np.empty(4)
     for k in range(len(order)):
@@ -135,7 +150,15 @@ def chained(
 
 @compiled
 def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Float) -> None:
-    """Write the right-hand side ``(n, 3)`` of a step of averaging: weighted axes of misfits, as long as their sines."""
+    """Write the right-hand side of a step of averaging: weighted axes of misfits, as long as their sines.
+
+    Parameters
+    ----------
+    frames, pairs, turns, weights
+        As in `chained`.
+    right : (n, 3) float64
+        Written to.
+    """
     right[:] = 0.0
     expected, off = np.empty(4), np.empty(4)
     for k in range(len(pairs)):
@@ -150,7 +173,15 @@ def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, right: Fl
 
 @compiled
 def turned_on(frames: Float, steps: Float) -> None:
-    """Turn frames ``(n, 4)``, in place, by rotation vectors ``(n, 3)``."""
+    """Turn frames by rotation vectors.
+
+    Parameters
+    ----------
+    frames : (n, 4) float64
+        Changed in place.
+    steps : (n, 3) float64
+        Rotation vectors in radians, in the world's axes.
+    """
     turn, result = np.empty(4), np.empty(4)
     for v in range(len(frames)):
         angle = math.sqrt(steps[v, 0] ** 2 + steps[v, 1] ** 2 + steps[v, 2] ** 2)
@@ -164,7 +195,15 @@ def turned_on(frames: Float, steps: Float) -> None:
 
 @compiled
 def turned_sides(frames: Float, flat: Float) -> Float:
-    """Return the sides ``(F, 3, 3)`` of flat triangles ``(F, 3, 2)`` with frames ``(F, 4)``."""
+    """Return the sides 01, 12, 20 ``(F, 3, 3)`` of flat triangles with frames.
+
+    Parameters
+    ----------
+    frames : (F, 4) float64
+        How they are turned.
+    flat : (F, 3, 2) float64
+        Their corners in the plane, in diagonals.
+    """
     sides = np.empty((len(flat), 3, 3))
     for f in range(len(flat)):
         w, x, y, z = frames[f]

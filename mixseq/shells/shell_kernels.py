@@ -101,9 +101,20 @@ def _write_gradient(
 def angle_gradient(
     x: Float, a: int, b: int, c: int, d: int, scale: float, near: float, far: float, g: Float
 ) -> None:
-    """Write the gradient of the angle of the hinge abcd by its vertices, times a number, to g ``(4, 3)``.
+    """Write the gradient of the angle of the hinge abcd by its vertices, times a number.
 
-    Squares of its two normals are taken to be `near` and `far`, at least.
+    Parameters
+    ----------
+    x : (n, 3) float64
+        Vertices.
+    a, b, c, d : int
+        The hinge.
+    scale : float
+        The number.
+    near, far : float
+        Squares of its two normals are taken to be these, at least; to the fourth power of the unit of points.
+    g : (4, 3) float64
+        Written to, in radians per unit.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     _write_gradient(e, p, q, n, m, scale, near, far, g)
@@ -123,9 +134,14 @@ def misfit(
     far: float,
     g: Float,
 ) -> float:
-    """Return one less the cosine of how far the angle of the hinge abcd is off; its gradient is written to g.
+    """Return one less the cosine of how far the angle of the hinge abcd is off, and write its gradient.
 
-    What it should be is told by its cosine and sine. The gradient is as in `angle_gradient`, without an angle.
+    Parameters
+    ----------
+    x, a, b, c, d, scale, near, far, g
+        As in `angle_gradient`.
+    cosine, sine : float
+        Of the angle that it should have.
     """
     e, p, q, n, m = _sides_and_normals(x, a, b, c, d)
     along, across = _opening(e, n, m)
@@ -137,7 +153,15 @@ def misfit(
 
 @compiled
 def lengths_and_angles(x: Float, edges: Index, hinges: Index) -> tuple[Float, Float]:
-    """Return lengths ``(e,)`` and angles ``(h,)`` of edges ``(e, 2)`` and hinges ``(h, 4)``."""
+    """Return lengths ``(e,)`` in the unit of the points, and angles ``(h,)`` in radians.
+
+    Parameters
+    ----------
+    x : (n, 3) float64
+        Vertices.
+    edges, hinges : (e, 2), (h, 4) int64
+        Those that are asked for.
+    """
     lengths, angles = np.empty(len(edges)), np.empty(len(hinges))
     for k in range(len(edges)):
         lengths[k] = length(x, edges[k, 0], edges[k, 1])
@@ -160,8 +184,20 @@ def energy(
 ) -> float:
     """Return half the sum of squared residuals ``stretch (l - l*)`` and ``2 bend sin((theta - theta*) / 2)``.
 
-    Angles that are wanted are told by their cosines and sines, turns ``(H, 2)``. The gradient is written to ``gradient
-    (V, 3)``; where the square of a normal is less than ``smallest (H, 2)`` it is taken to be that.
+    Parameters
+    ----------
+    x : (V, 3) float64
+        Vertices, in diagonals.
+    edges, hinges : (E, 2), (H, 4) int64
+        All edges and hinges.
+    lengths, turns : (E,), (H, 2) float64
+        Lengths l* in diagonals, and cosines and sines of the angles theta*.
+    stretch, bend : (E,), (H,) float64
+        Weights, per diagonal and per radian; those of 0 do not count.
+    smallest : (H, 2) float64
+        Squares that normals have at least.
+    gradient : (V, 3) float64
+        Written to.
     """
     total = 0.0
     gradient[:] = 0.0
@@ -192,9 +228,12 @@ def energy(
 
 @compiled
 def nearness(x: Float, hinges: Index, turns: Float) -> Float:
-    """Return how little hinges are off, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn ``(H,)``.
+    """Return how little hinges are off ``(H,)``, ``cos^2`` of half of it: 1 where they are not, 0 by half a turn.
 
-    What they should have is told by cosines and sines ``(H, 2)``.
+    Parameters
+    ----------
+    x, hinges, turns
+        As in `energy`.
     """
     near, g = np.empty(len(hinges)), np.empty((4, 3))
     for k in range(len(hinges)):
@@ -205,7 +244,17 @@ def nearness(x: Float, hinges: Index, turns: Float) -> Float:
 
 @compiled
 def gathered(faces: Index, weights: Float, sides: Float, right: Float) -> None:
-    """Add the weighted ``(F, 3)`` sides 01, 12, 20 ``(F, 3, 3)`` of faces to the right-hand side ``(V, 3)``."""
+    """Add the weighted sides of faces to the right-hand side of a Poisson system.
+
+    Parameters
+    ----------
+    faces : (F, 3) int64
+        Triangles.
+    weights, sides : (F, 3), (F, 3, 3) float64
+        Weights of the sides 01, 12, 20, and these, in diagonals.
+    right : (V, 3) float64
+        Changed in place.
+    """
     for f in range(len(faces)):
         for k in range(3):
             a, b, w = faces[f, k], faces[f, (k + 1) % 3], weights[f, k]

@@ -13,7 +13,17 @@ from mixseq.geometry.rigid import aligning_rotations
 
 @compiled
 def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tuple[Float, Float, Float]:
-    """Return part vertices ``(N, 3)`` about their centres, these ``(p, 3)``, and products with shapes ``(p, 3, 3)``."""
+    """Return part vertices ``(N, 3)`` about their centres, these ``(p, 3)``, and products with shapes ``(p, 3, 3)``.
+
+    Parameters
+    ----------
+    x : (V, 3) float64
+        A frame, in diagonals.
+    vertices, ends : (N,), (p,) int64
+        Vertices of all parts, part by part, and where each part ends.
+    shapes : (N, 3) float64
+        Mean shapes, centred.
+    """
     moved = np.empty((len(vertices), 3))
     centres, covariances = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 3))
     start = 0
@@ -35,7 +45,15 @@ def centred_parts(x: Float, vertices: Index, ends: Index, shapes: Float) -> tupl
 
 @compiled
 def turned_back(moved: Float, ends: Index, rotations: Float) -> Float:
-    """Return part vertices ``(N, 3)``, each times the rotation ``(p, 3, 3)`` of its part: turned by its inverse."""
+    """Return part vertices ``(N, 3)``, turned by the inverse rotations of their parts.
+
+    Parameters
+    ----------
+    moved, ends : (N, 3) float64, (p,) int64
+        Vertices part by part, and where each part ends.
+    rotations : (p, 3, 3) float64
+        Rotation of every part.
+    """
     result = np.empty((len(moved), 3))
     start = 0
     for part in range(len(ends)):

@@ -37,9 +37,14 @@ def _vector_of_product(p: Float, q: Float) -> tuple[float, float, float]:
 
 @compiled
 def blend(starts: Index, parts: Index, shares: Float, duals: Float) -> Float:
-    """Blend dual quaternions ``(p, 8)`` of parts to motions ``(V, 7)`` of vertices.
+    """Blend dual quaternions of parts to motions ``(V, 7)`` of vertices.
 
-    ``starts (V + 1,)``, ``parts`` and ``shares`` are the rows of a sparse matrix.
+    Parameters
+    ----------
+    starts, parts, shares : (V + 1,) int64, (m,) int64, (m,) float64
+        Rows of a sparse matrix: parts that a vertex follows, and how much.
+    duals : (p, 8) float64
+        Real, then dual part of the motion of every part.
     """
     motions = np.empty((len(starts) - 1, 7))
     total = np.empty(8)
@@ -61,7 +66,15 @@ def blend(starts: Index, parts: Index, shares: Float, duals: Float) -> Float:
 def blend_moving(
     starts: Index, parts: Index, shares: Float, duals: Float, rates: Float
 ) -> tuple[Float, Float]:
-    """Blend as `blend` does, and return the rates ``(V, 6)`` of motions too, from those ``(p, 8)`` of duals."""
+    """Blend as `blend` does, and return the rates ``(V, 6)`` of motions too.
+
+    Parameters
+    ----------
+    starts, parts, shares, duals
+        As in `blend`.
+    rates : (p, 8) float64
+        Derivatives of the duals by time.
+    """
     motions, changes = np.empty((len(starts) - 1, 7)), np.empty((len(starts) - 1, 6))
     total, change = np.empty(8), np.empty(8)
     for v in range(len(motions)):
@@ -101,7 +114,15 @@ def pose(motions: Float, unposed: Float) -> Float:
 
 @compiled
 def pose_moving(motions: Float, changes: Float, x: Float, rates: Float) -> Float:
-    """Return the velocities ``(V, 3)`` of posed vertices x, from rates of motions ``(V, 6)`` and of the unposed."""
+    """Return the velocities ``(V, 3)`` of posed vertices.
+
+    Parameters
+    ----------
+    motions, changes : (V, 7), (V, 6) float64
+        Motions of the vertices, and their rates.
+    x, rates : (V, 3) float64
+        Posed vertices, and the rates of the unposed ones.
+    """
     speeds = np.empty_like(x)
     for v in range(len(x)):
         a, b, c = _turned(motions[v], rates[v, 0], rates[v, 1], rates[v, 2])
@@ -142,7 +163,13 @@ def face_frames(motions: Float, faces: Index) -> Float:
 
 @compiled
 def face_spins(motions: Float, changes: Float, faces: Index) -> Float:
-    """Return the spins ``(f, 3)`` of `face_frames`."""
+    """Return the spins ``(f, 3)`` of `face_frames`, in radians per second.
+
+    Parameters
+    ----------
+    motions, changes, faces : (V, 7) float64, (V, 6) float64, (f, 3) int64
+        Motions of the vertices, their rates, and the corners of faces.
+    """
     spins = np.empty((len(faces), 3))
     total, change = np.empty(4), np.empty(4)
     for f in range(len(faces)):
@@ -164,7 +191,15 @@ def face_spins(motions: Float, changes: Float, faces: Index) -> Float:
 
 @compiled
 def turn_sides(frames: Float, sides: Float, back: bool) -> Float:
-    """Turn sides ``(f, 2, 3)`` by the rotations ``(f, 4)`` of their faces, or back."""
+    """Turn sides ``(f, 2, 3)`` by the rotations of their faces, or back.
+
+    Parameters
+    ----------
+    frames, sides : (f, 4), (f, 2, 3) float64
+        Rotations, and the sides 01 and 02.
+    back : bool
+        Whether they are turned back.
+    """
     turned = np.empty_like(sides)
     q = np.empty(4)
     for f in range(len(sides)):
