@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
-from mixseq.geometry.box_tree import BoxTree
-from mixseq.geometry.triangles import corners_of, unit_normals
+from mixseq.geometry.box_tree import BoxTree, corners_of, unit_normals
 
 TOUCH = 1e-12
 """Depths and lengths up to this, in diagonals of the mesh's bounding box, are contact, not crossing; ours."""
@@ -43,7 +42,7 @@ def self_intersections(points: FloatArray, faces: IntArray) -> Index:
     >>> self_intersections(points, np.array([[0, 1, 2], [3, 4, 5]])).tolist()
     [[0, 1]]
     """
-    from mixseq.geometry.intersection_kernels import crossing_pairs
+    from mixseq.geometry.box_tree_kernels import crossing_pairs
 
     corners = corners_of(points, faces)
     tree = BoxTree.of(corners)

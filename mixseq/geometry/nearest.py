@@ -13,8 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.errors import SettingsError
-from mixseq.geometry.box_tree import BoxTree
-from mixseq.geometry.triangles import corners_of, unit_normals
+from mixseq.geometry.box_tree import BoxTree, corners_of, unit_normals
 
 ROUNDING = 1e-12  # of cosines, so that angles of 0 and 180 degrees count what they should
 
@@ -114,7 +113,7 @@ class Nearest:
         >>> mesh.query(np.array([[0.25, 0.25, 2.0]]), np.array([[0.0, 0, -1]])).faces.tolist()
         [-1]
         """
-        from mixseq.geometry.nearest_kernels import closest
+        from mixseq.geometry.box_tree_kernels import closest
 
         queries = _directions_or_points(queries, "queries")
         facing = np.empty((0, 3))

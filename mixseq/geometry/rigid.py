@@ -41,11 +41,6 @@ def _nearest(matrices: Float, held: float) -> Float:
     return np.asarray(nearest(flat, held)).reshape(matrices.shape)
 
 
-def turned(matrices: FloatArray, vectors: FloatArray) -> Float:
-    """Return vectors ``(..., 3)``, each multiplied by its matrix ``(..., 3, 3)``; leading dimensions broadcast."""
-    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))
-
-
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
     """Find the rigid motions ``x -> R x + t`` that best move a point set onto others (Kabsch 1976).
 

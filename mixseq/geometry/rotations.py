@@ -1,8 +1,13 @@
-"""Rotation vectors without jumps.
+r"""Rotations as unit quaternions, rotation vectors and matrices, without jumps along a sequence.
 
-A rotation by the angle t about the unit axis u is stored as the rotation vector ``t u``. The logarithm has
-many branches, ``(t + 2 pi k) u``; along a sequence we take, frame by frame, the branch closest to the frame
-before, so that a body that turns twice has a vector of length 4 pi and linear operations make sense.
+A *quaternion* :math:`q = (w, x, y, z)` with :math:`|q| = 1` is the rotation by the angle :math:`2 \arccos w` about
+:math:`(x, y, z)`, and so is :math:`-q`. Along a sequence we take the sign nearest to the frame before. Then sums of
+quaternions, normalised, are rotations in between, however often a body turns: there is no branch to choose, as there is
+for rotation vectors, and no place where they are singular.
+
+A *rotation vector* :math:`t u` is the rotation by the angle t about the unit axis u. The logarithm has many branches,
+:math:`(t + 2 \pi k) u`; along a sequence we take, frame by frame, the branch closest to the frame before, so that a
+body that turns twice has a vector of length :math:`4 \pi` and linear operations make sense.
 """
 
 from __future__ import annotations
@@ -11,6 +16,119 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mixseq.arrays import Float, FloatArray
+
+
+def quaternions(rotations: FloatArray) -> Float:
+    """Return the unit quaternions ``(..., 4)``, w >= 0, of rotation matrices ``(..., 3, 3)``.
+
+    Examples
+    --------
+    >>> quaternions(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])).round(3).tolist()
+    [0.707, 0.0, 0.0, 0.707]
+    """
+    flat = Rotation.from_matrix(np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)).as_quat()
+    signed = np.roll(flat, 1, axis=1) * np.where(flat[:, 3:] < 0, -1.0, 1.0)
+    return np.asarray(signed.reshape(*rotations.shape[:-2], 4))
+
+
+def rotations_of(quaternions: FloatArray) -> Float:
+    """Return the rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)``, which are normalised first."""
+    w, x, y, z = np.moveaxis(normalised(quaternions), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def normalised(quaternions: FloatArray) -> Float:
+    """Return quaternions ``(..., 4)`` of length one; zero, which is no rotation, stays."""
+    norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    return np.asarray(quaternions / np.where(norms > 0, norms, 1.0), dtype=np.float64)
+
+
+def product(first: FloatArray, second: FloatArray) -> Float:
+    """Return the quaternions ``(..., 4)`` of rotations that follow each other, the second one first."""
+    w, x, y, z = np.moveaxis(np.asarray(first, dtype=np.float64), -1, 0)
+    a, b, c, d = np.moveaxis(np.asarray(second, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ],
+        axis=-1,
+    )
+
+
+def inverse(quaternions: FloatArray) -> Float:
+    """Return the quaternions ``(..., 4)`` of the inverse rotations, of unit quaternions."""
+    return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def powers(quaternions: FloatArray, exponents: FloatArray) -> Float:
+    """Return unit quaternions ``(..., 4)`` with their angles, of at most half a turn, times exponents ``(...)``.
+
+    Examples
+    --------
+    >>> quarter = np.array([0.0, -1.0, 0.0, 0.0])  # half a turn about x
+    >>> (powers(quarter, np.array(0.5)).round(3) + 0.0).tolist()
+    [0.707, 0.707, 0.0, 0.0]
+    """
+    q = np.asarray(quaternions, dtype=np.float64)
+    q = np.where(q[..., :1] <= 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1)
+    half = np.arctan2(sine, q[..., 0])
+    # sin(c h) / sin h, which is c for small angles h.
+    ratio = np.where(sine > 1e-12, np.sin(exponents * half) / np.where(sine > 1e-12, sine, 1.0), exponents)
+    return np.concatenate([np.cos(exponents * half)[..., None], ratio[..., None] * q[..., 1:]], axis=-1)
+
+
+def exponentials(vectors: FloatArray) -> Float:
+    """Return the quaternions ``(..., 4)`` of rotation vectors ``(..., 3)``: a whole turn more changes the sign.
+
+    Examples
+    --------
+    >>> exponentials(np.array([[np.pi / 2, 0, 0], [2 * np.pi, 0, 0]])).round(3).tolist()
+    [[0.707, 0.707, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]]
+    """
+    half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
+    return np.concatenate([np.cos(half), np.sinc(half / np.pi) / 2 * vectors], axis=-1)
+
+
+def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
+    """Return the quaternions ``(T, ..., 4)`` of a sequence with signs that do not jump.
+
+    Parameters
+    ----------
+    quaternions : (T, ..., 4) float
+        Frame by frame, of any sign.
+    reference : (..., 4) float, optional
+        What the first frame stays near to; by default it keeps its sign.
+    """
+    q = np.array(quaternions, dtype=np.float64)
+    before = q[:1] if reference is None else np.asarray(reference)[None]
+    cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([before, q[:-1]]))
+    return q * np.cumprod(np.where(cosines < 0, -1.0, 1.0), axis=0)[..., None]
+
+
+def spins(quaternions: FloatArray, rates: FloatArray) -> Float:
+    r"""Return the angular velocities ``(..., 3)``, in the world's axes, of quaternions that change.
+
+    .. math:: \omega = 2\, \mathrm{Im}(\dot q\, \bar q) / |q|^2
+
+    Parameters
+    ----------
+    quaternions, rates : (..., 4) float
+        Quaternions of any length, and their derivatives by time.
+    """
+    squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
+    return np.asarray(
+        2.0 * product(rates, inverse(quaternions))[..., 1:] / np.where(squares > 0, squares, 1.0)
+    )
+
 
 _TURN = 2.0 * np.pi
 
@@ -65,3 +183,8 @@ def _nearest_branch(vector: Float, previous: FloatArray) -> Float:
     axis = np.where(angle > 1e-12, vector / np.where(angle > 0, angle, 1.0), fallback)
     along = np.sum(previous * axis, axis=-1, keepdims=True)
     return np.asarray(vector + _TURN * np.round((along - angle) / _TURN) * axis, dtype=np.float64)
+
+
+def turned(matrices: FloatArray, vectors: FloatArray) -> Float:
+    """Return vectors ``(..., 3)``, each multiplied by its matrix ``(..., 3, 3)``; leading dimensions broadcast."""
+    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))

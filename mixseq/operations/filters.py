@@ -23,8 +23,7 @@ from scipy.interpolate import make_smoothing_spline
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
-from mixseq.geometry.rotations import vectors
+from mixseq.geometry.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
 from mixseq.operations.splines import between, sites_of
 from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve

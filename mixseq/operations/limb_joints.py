@@ -22,9 +22,15 @@ from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Mask
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
-from mixseq.geometry.rigid import turned
-from mixseq.geometry.rotations import continuous_vectors
+from mixseq.geometry.rotations import (
+    continuous_vectors,
+    exponentials,
+    inverse,
+    normalised,
+    product,
+    rotations_of,
+    turned,
+)
 from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model

@@ -14,9 +14,15 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.quaternions import exponentials, inverse, normalised, product, rotations_of
-from mixseq.geometry.rigid import turned
-from mixseq.geometry.rotations import continuous_vectors
+from mixseq.geometry.rotations import (
+    continuous_vectors,
+    exponentials,
+    inverse,
+    normalised,
+    product,
+    rotations_of,
+    turned,
+)
 from mixseq.prediction.poses import Poses
 from mixseq.signals.curve import Curve
 from mixseq.spaces.base import ShapeSpace

@@ -30,7 +30,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float, Index, Mask
-from mixseq.geometry.quaternions import (
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import (
     continued,
     inverse,
     normalised,
@@ -38,8 +39,8 @@ from mixseq.geometry.quaternions import (
     product,
     quaternions,
     rotations_of,
+    turned,
 )
-from mixseq.geometry.rigid import nearest_rotations, turned
 from mixseq.prediction.operator import Operator, Rows
 
 TOGETHER = 0.3

@@ -16,7 +16,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import turned
 
 
 @dataclass(frozen=True, eq=False)

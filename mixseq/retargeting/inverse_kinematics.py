@@ -44,8 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.geometry.rigid import turned
-from mixseq.geometry.rotations import matrices
+from mixseq.geometry.rotations import matrices, turned
 from mixseq.retargeting.articulated_body import ArticulatedBody, Contact
 
 STRAIGHT = 0.02

@@ -27,7 +27,8 @@ from scipy import sparse
 
 from mixseq.arrays import Float, Index
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.geometry.rigid import nearest_rotations, turned
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import turned
 from mixseq.retargeting.gradient_transfer import GradientTransfer, combined, normalised
 from mixseq.retargeting.solved_joints import SolvedJoints
 from mixseq.topology import Topology

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import kabsch, turned
+from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import turned
 from mixseq.retargeting.solved_joints import HarmonicSkin, SolvedJoints
 from mixseq.segmentation.joints import Decomposition, Joint
 from mixseq.shells.fitting import UNCONSTRAINED, ShellReport, ShellSettings, SoftConstraint

@@ -12,7 +12,7 @@ from mixseq.arrays import Float, FloatArray, Index
 from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
 from mixseq.frame_store import blocks_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import turned
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.retargeting.articulated_body import Contact, leg_ratio

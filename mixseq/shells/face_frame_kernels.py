@@ -122,8 +122,8 @@ def chained(
     order : (k,) int64
         Frames, in the order in which they are found.
     starts, links : (k + 1,), (l,) int64
-        The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs, -1 - number where the frame
-        is the first of its pair.
+        The links of ``order[k]`` are ``links[starts[k] : starts[k + 1]]``: numbers of pairs, -1 - number where the
+        frame is the first of its pair.
     frames : (n, 4) float64
         Those that are not in the order are known, the others are written.
     """

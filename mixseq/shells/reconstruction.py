@@ -16,8 +16,8 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, sound_lengths
-from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import rotations_of
 from mixseq.shells.face_frames import flat_triangles, frames_of
 from mixseq.shells.fitting import (
     UNCONSTRAINED,

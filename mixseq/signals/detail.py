@@ -14,7 +14,7 @@ from mixseq.choices import PoseForm
 from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, blocks_of
-from mixseq.geometry.quaternions import continued
+from mixseq.geometry.rotations import continued
 from mixseq.mapping import Executor, serially
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.prediction.poses import Poses

@@ -15,7 +15,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import continued, quaternions, rotations_of
+from mixseq.geometry.rotations import continued, quaternions, rotations_of
 from mixseq.progress import Progress, silent
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.pieces import Pieces

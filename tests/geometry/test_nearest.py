@@ -10,8 +10,8 @@ from trimesh.proximity import closest_point_naive
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.geometry.box_tree import unit_normals
 from mixseq.geometry.nearest import Found, Nearest
-from mixseq.geometry.triangles import unit_normals
 from tests.meshes import Mesh, grid, joined, rotation, tetrahedron, torus, tube
 
 RIGHT: Mesh = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from mixseq.arrays import Float
-from mixseq.geometry.quaternions import (
+from mixseq.geometry.rotations import (
     continued,
     exponentials,
     inverse,

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float
-from mixseq.geometry.rigid import bend, kabsch, mean_shape, nearest_rotations, transform, turned
+from mixseq.geometry.rigid import bend, kabsch, mean_shape, nearest_rotations, transform
+from mixseq.geometry.rotations import turned
 from tests.meshes import rigid_motions, rotation, seeds
 
 CLOUD = np.random.default_rng(3).normal(size=(12, 3))

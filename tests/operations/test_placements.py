@@ -7,8 +7,7 @@ import pytest
 
 from mixseq.arrays import Float
 from mixseq.choices import SpaceName
-from mixseq.geometry.quaternions import rotations_of
-from mixseq.geometry.rotations import matrices, vectors
+from mixseq.geometry.rotations import matrices, rotations_of, vectors
 from mixseq.operations.limb_joints import limb_of
 from mixseq.operations.placements import mean, mean_placements
 from mixseq.signals import Curve

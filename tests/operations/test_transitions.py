@@ -12,7 +12,7 @@ import pytest
 from mixseq.arrays import Float
 from mixseq.choices import SpaceName
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.geometry.quaternions import rotations_of
+from mixseq.geometry.rotations import rotations_of
 from mixseq.operations import blend, concatenate, cut, into, repeat, reverse, shift, transition
 from mixseq.operations.common_space import together
 from mixseq.operations.placements import mean_placements

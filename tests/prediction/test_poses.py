@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.quaternions import continued, normalised, product, quaternions, rotations_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import continued, normalised, product, quaternions, rotations_of, turned
 from mixseq.prediction.operator import LENGTHS, Operator, chosen, with_middles
 from mixseq.prediction.poses import Neighbours, Poses, blended, chained, predicted, predicted_alone
 from tests.meshes import rigid_motions, rotation, seeds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.geometry.quaternions import inverse, normalised, product
+from mixseq.geometry.rotations import inverse, normalised, product
 from mixseq.shells.face_frames import FrameGraph, connected
 from tests.meshes import topology_of, torus
 

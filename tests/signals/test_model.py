@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
-from mixseq.geometry.quaternions import rotations_of
+from mixseq.geometry.rotations import rotations_of
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit

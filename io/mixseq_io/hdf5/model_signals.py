@@ -9,8 +9,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
-from mixseq.geometry.quaternions import continued, quaternions
-from mixseq.geometry.rotations import matrices
+from mixseq.geometry.rotations import continued, matrices, quaternions
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model

@@ -25,7 +25,7 @@ from scipy import sparse
 
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
-from mixseq.geometry.quaternions import quaternions
+from mixseq.geometry.rotations import quaternions
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Neighbours, blended, predicted
 from mixseq.progress import Progress, silent

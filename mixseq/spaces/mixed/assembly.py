@@ -21,8 +21,8 @@ import numpy as np
 
 from mixseq.arrays import Float, Index, IntArray, Mask
 from mixseq.geometry.lengths_angles import edge_lengths, sound_lengths
-from mixseq.geometry.quaternions import inverse, normalised, product, rotations_of
 from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import inverse, normalised, product, rotations_of
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.face_frame_kernels import turned_sides

@@ -18,8 +18,8 @@ from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
-from mixseq.geometry.quaternions import quaternions
 from mixseq.geometry.rigid import mean_shape
+from mixseq.geometry.rotations import quaternions
 from mixseq.mapping import Executor, serially
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition

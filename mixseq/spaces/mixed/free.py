@@ -16,8 +16,8 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.lengths_angles import unwrap_angles, wrap
-from mixseq.geometry.quaternions import continued, quaternions
 from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import continued, quaternions
 from mixseq.progress import Progress, silent
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces.mixed.assembly import Assembly, FreeFrame

@@ -19,7 +19,7 @@ from scipy import sparse
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.compiled import compiled
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import turned
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.registered import registered

@@ -23,8 +23,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.quaternions import inverse, normalised, product, quaternions, rotations_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import inverse, normalised, product, quaternions, rotations_of, turned
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.poses import Neighbours, Poses
 from mixseq.segmentation.boundaries import Boundaries

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import transform
+from mixseq.geometry.rotations import rotations_of
 from mixseq.spaces.mixed import FreeSpace
 from mixseq.spaces.mixed.assembly import FreeFrame
 from scripts.paper_study.common.registration import Overlaps, register

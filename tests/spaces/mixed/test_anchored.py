@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float
-from mixseq.geometry.quaternions import inverse, product, rotations_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import inverse, product, rotations_of, turned
 from mixseq.prediction.operator import Operator, with_middles
 from mixseq.prediction.poses import predicted_alone
 from mixseq.segmentation import decompose

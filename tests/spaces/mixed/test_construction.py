@@ -13,7 +13,7 @@ from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
-from mixseq.geometry.quaternions import product, quaternions, rotations_of
+from mixseq.geometry.rotations import product, quaternions, rotations_of
 from mixseq.mapping import on_threads
 from mixseq.segmentation import decompose, segment_by_labels
 from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, mixed_space

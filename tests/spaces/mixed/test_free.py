@@ -9,8 +9,8 @@ import pytest
 
 from mixseq.arrays import Float
 from mixseq.errors import ReconstructionError
-from mixseq.geometry.quaternions import rotations_of
 from mixseq.geometry.rigid import kabsch
+from mixseq.geometry.rotations import rotations_of
 from mixseq.segmentation import decompose
 from mixseq.shells.shell import Relaxation
 from mixseq.spaces import mixed_space

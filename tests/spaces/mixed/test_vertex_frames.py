@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from scipy import sparse
 
 from mixseq.arrays import Float
-from mixseq.geometry.quaternions import normalised, product, quaternions, rotations_of
-from mixseq.geometry.rigid import turned
+from mixseq.geometry.rotations import normalised, product, quaternions, rotations_of, turned
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation import decompose
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
