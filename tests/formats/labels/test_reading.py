@@ -158,8 +158,8 @@ def test_a_character_has_the_same_labels_in_two_formats(data: Path) -> None:
     ],
 )
 def test_skeletons_agree_with_motion(name: str, options: dict[str, Any], least: float, data: Path) -> None:
-    from mixseq.segmentation.agreement import adjusted_rand_index
     from mixseq.segmentation.methods import segment
+    from mixseq.segmentation.scores import adjusted_rand_index
 
     whole = read(data / name, **options)
     topology = Topology(whole.faces, whole.vertex_count)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.geometry.quaternions import rotations_of
+from mixseq.geometry.rotations import rotations_of
 from mixseq.signals import Curve, Model
 from mixseq.spaces import (
     AnchoredSpace,
