@@ -12,7 +12,7 @@ from mixseq.arrays import FloatArray
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.creature.gait import DUTY, LEGS, STEP, paw_path, pose
 from mixseq.creature.skeleton import BONES, HEADS, NAMES, PARENTS, TAILS, body_distance, bone_distances
-from mixseq.creature.surface import polygonise
+from mixseq.creature.surface_nets import polygonise
 from mixseq.sequence import MeshSequence
 
 

@@ -46,8 +46,8 @@ from mixseq.operations.interpolation import Blend
 from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
 from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
-from mixseq.plots.layout import Sheet, matplotlib_module
 from mixseq.plots.shading import area_normals
+from mixseq.plots.sheet_layout import Sheet, matplotlib_module
 from mixseq.plots.transfers import transfer_sheet
 from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.retargeting.transfer import Transfer, plan

@@ -191,7 +191,7 @@ def _picture_beside(target: Path) -> Path:
 
 def _check_picture(picture: Path) -> None:
     """Refuse what is no picture, and say before the work if what draws them is not installed."""
-    from mixseq.plots.layout import matplotlib_module
+    from mixseq.plots.sheet_layout import matplotlib_module
 
     if picture.suffix.lower() != ".png":
         raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, Index
 from mixseq.creature.gait import pose
 from mixseq.creature.skeleton import HEADS, NAMES, body_distance, bone_distances
-from mixseq.creature.surface import neighbour_mean, polygonise
+from mixseq.creature.surface_nets import neighbour_mean, polygonise
 from mixseq.sequence import MeshSequence
 
 __all__ = ["part_of_vertex", "walk_cycle"]

@@ -6,13 +6,18 @@ panels of a sheet share one camera and one set of limits, so that they can be co
 
 from mixseq.plots.charts import picture_format
 from mixseq.plots.drawing import draw_mesh
-from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
-from mixseq.plots.heat import add_error_bar, draw_vertex_errors
-from mixseq.plots.layout import DPI, Target
+from mixseq.plots.error_pictures import (
+    VertexErrors,
+    add_error_bar,
+    draw_frame_errors,
+    draw_vertex_errors,
+    vertex_errors,
+)
+from mixseq.plots.model_charts import draw_coefficients, draw_layout, draw_singular_values, singular_values
+from mixseq.plots.model_parts import draw_parts, draw_parts_legend
 from mixseq.plots.models import KINDS, Kind, check_settings, plot_model
-from mixseq.plots.parts import draw_parts, draw_parts_legend
+from mixseq.plots.sheet_layout import DPI, Target
 from mixseq.plots.sheets import contact_sheet
-from mixseq.plots.signals import draw_coefficients, draw_layout, draw_singular_values, singular_values
 from mixseq.plots.two_sides import draw_segmentation
 from mixseq.scene.camera import Limits, View, broadside, shared_limits
 from mixseq.scene.palettes import CLAY, INK, JOINT_RED, part_colours, segmentation_colours

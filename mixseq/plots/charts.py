@@ -13,7 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import OutputError
-from mixseq.plots.layout import DPI, Target, matplotlib_module
+from mixseq.plots.sheet_layout import DPI, Target, matplotlib_module
 from mixseq.scene.palettes import INK
 
 if TYPE_CHECKING:

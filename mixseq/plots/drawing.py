@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
-from mixseq.plots.layout import matplotlib_module
-from mixseq.plots.shading import area_normals, shade, smooth_normals
-from mixseq.plots.shadow import ground_shadow
+from mixseq.plots.shading import area_normals, ground_shadow, shade, smooth_normals
+from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.scene.camera import Limits, View, broadside, shared_limits, y_up
 from mixseq.scene.palettes import CLAY
 from mixseq.topology import Topology

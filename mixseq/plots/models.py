@@ -10,22 +10,34 @@ import numpy as np
 from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
 from mixseq.plots.charts import Format, chart_style, new_page, picture_format, save_page
-from mixseq.plots.errors import VertexErrors, draw_frame_errors, vertex_errors
-from mixseq.plots.heat import add_error_bar, draw_vertex_errors, drawn_frames
-from mixseq.plots.layout import Target
-from mixseq.plots.parts import draw_parts, draw_parts_legend, legend_rows
-from mixseq.plots.sections import Section, beside, stacked
-from mixseq.plots.signals import (
+from mixseq.plots.error_pictures import (
+    VertexErrors,
+    add_error_bar,
+    draw_frame_errors,
+    draw_vertex_errors,
+    drawn_frames,
+    vertex_errors,
+)
+from mixseq.plots.model_charts import (
     draw_coefficients,
     draw_layout,
     draw_singular_values,
     existing_frames,
     layout_limits,
 )
+from mixseq.plots.model_parts import draw_parts, draw_parts_legend, legend_rows
+from mixseq.plots.sheet_layout import Target
 from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
+
+if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
@@ -223,3 +235,46 @@ def _vertex_errors(
 def _picture_height(poses: FloatArray, up_axis: str, width: float) -> float:
     """Height of a picture of a mesh that is so wide; a tall one is drawn smaller."""
     return width * float(np.clip(height_per_width(two_sides(poses, up_axis)), 0.3, 0.9))
+
+
+@dataclass(frozen=True)
+class Section:
+    """A piece of a page.
+
+    Attributes
+    ----------
+    width, height : float
+        How large it wants to be, in inches.
+    draw : callable
+        Draws it on a matplotlib Figure or SubFigure.
+    """
+
+    width: float
+    height: float
+    draw: Callable[[FigureBase], None]
+
+
+def stacked(*sections: Section) -> Section:
+    """Put sections one below the other, all as wide as the widest."""
+
+    def draw(page: FigureBase) -> None:
+        heights = [section.height for section in sections]
+        rows = page.subfigures(len(sections), 1, squeeze=False, height_ratios=heights)[:, 0]
+        for section, row in zip(sections, rows, strict=True):
+            section.draw(row)
+
+    width = max(section.width for section in sections)
+    return Section(width, sum(section.height for section in sections), draw)
+
+
+def beside(*sections: Section) -> Section:
+    """Put sections side by side, all as high as the highest."""
+
+    def draw(page: FigureBase) -> None:
+        widths = [section.width for section in sections]
+        columns = page.subfigures(1, len(sections), squeeze=False, width_ratios=widths)[0]
+        for section, column in zip(sections, columns, strict=True):
+            section.draw(column)
+
+    height = max(section.height for section in sections)
+    return Section(sum(section.width for section in sections), height, draw)

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float, IntArray
-from mixseq.plots.shading import area_normals, shade, vertex_normals
-from mixseq.plots.shadow import ground_shadow
+from mixseq.plots.shading import area_normals, ground_shadow, shade, vertex_normals
 from mixseq.scene.camera import Limits, View
 from mixseq.scene.palettes import CLAY
 

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
 from mixseq.plots.drawing import draw_mesh
-from mixseq.plots.frames import common_frames, frames_between
-from mixseq.plots.layout import Sheet, Target, matplotlib_module
+from mixseq.plots.sheet_layout import Sheet, Target, matplotlib_module
 from mixseq.scene.camera import broadside, shared_limits, y_up
 from mixseq.scene.palettes import CLAY, INK, segmentation_colours
-from mixseq.sequence import MeshSequence
+from mixseq.sequence import MeshSequence, SequenceHeader
 
 
 def contact_sheet(
@@ -134,3 +133,43 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
             if row.show_times:
                 ax.set_title(f"{row.sequence.times[frame]:.3f} s", fontsize=9, color=INK, pad=2)
     return sheet
+
+
+def common_frames(
+    original: SequenceHeader, decoded: SequenceHeader, count: int
+) -> tuple[list[int], list[int]]:
+    """Pick up to ``count`` evenly spread frames of the original, and the decoded ones at the same times.
+
+    Raises
+    ------
+    SettingsError
+        If the sequences have no time in common.
+    """
+    nearest = np.abs(decoded.times[None] - original.times[:, None]).argmin(axis=1)
+    gap = np.abs(decoded.times[nearest] - original.times)
+    common = np.flatnonzero(gap < 1e-3 / max(original.fps, decoded.fps))
+    if not common.size:
+        raise SettingsError(
+            "original and decoded have no frame at the same time; decode at the original's times"
+        )
+    count = min(count, len(common))
+    chosen = common[np.arange(count) * len(common) // count]  # as of a loop: without the last one
+    return chosen.tolist(), nearest[chosen].tolist()
+
+
+def frames_between(original: SequenceHeader, decoded: SequenceHeader, frames: list[int]) -> dict[int, int]:
+    """Find the decoded frames about half-way from original frames to the next ones.
+
+    Returns
+    -------
+    dict
+        Decoded frame by position in `frames`; only where there is one.
+    """
+    result = {}
+    for position, frame in enumerate(frames):
+        start, *later = original.times[frame : frame + 2]
+        for end in later:
+            away = np.abs(decoded.times - (start + end) / 2)
+            if away.min() < 0.3 * (end - start):
+                result[position] = int(away.argmin())
+    return result

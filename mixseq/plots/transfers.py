@@ -10,7 +10,7 @@ import numpy as np
 from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.plots.drawing import draw_mesh
-from mixseq.plots.layout import Sheet, Target
+from mixseq.plots.sheet_layout import Sheet, Target
 from mixseq.scene.camera import View, broadside, of_aspect, shared_limits, y_up
 from mixseq.scene.palettes import INK, part_colours
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.plots.drawing import draw_mesh
-from mixseq.plots.layout import Sheet, Target
+from mixseq.plots.sheet_layout import Sheet, Target
 from mixseq.scene.camera import Limits, View, broadside, shared_limits
 from mixseq.scene.palettes import segmentation_colours
 

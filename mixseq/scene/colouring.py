@@ -4,7 +4,7 @@
 - **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
   its faces is, else of the part of most of its faces.
 - **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis; what they are tells
-  `mixseq.scene.measures`. Strain and curvature are against the pose at rest.
+  `mixseq.scene.vertex_measures`. Strain and curvature are against the pose at rest.
 
 A pose has one byte at every vertex, so a page needs a palette once and V bytes for each pose, or once where nothing
 changes. What paints whole faces, as films do, takes `Colouring.of_faces` where nothing changes: a face is of one part.
@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.errors import SettingsError
-from mixseq.scene.measures import MEASURES, SHARE, distances, two_digits
 from mixseq.scene.palettes import CLAY, JOINT_RED, part_colours, segmentation_colours, viridis
+from mixseq.scene.vertex_measures import MEASURES, SHARE, distances, two_digits
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import SequenceHeader, bounding_diagonal
 

@@ -16,7 +16,7 @@ from mixseq.scene import Colouring, SceneColours, SceneItem
 from mixseq.scene.camera import View, broadside, y_up
 from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.budget import Budget
-from mixseq.viewing.signals import signals_of
+from mixseq.viewing.chart_data import signals_of
 
 TOGETHER = 2.0
 """Meshes with the same triangles are compared at one scale, unless the box around them is more than so many times as
@@ -34,7 +34,7 @@ class PageItem:
     colourings : mapping of str to Colouring
         What colours may show, the first one first.
     signals : mapping, optional
-        The signals of a model, for its charts (`mixseq.viewing.signals.signals_of`).
+        The signals of a model, for its charts (`mixseq.viewing.chart_data.signals_of`).
     """
 
     mesh: SceneItem

@@ -17,7 +17,7 @@ from mixseq.arrays import Single
 from mixseq.errors import MixseqError
 from mixseq.scene.items import Scene
 from mixseq.viewing.clock import Clock
-from mixseq.viewing.frames import MEMORY, Frames
+from mixseq.viewing.frame_cache import MEMORY, FrameCache
 
 PATIENCE = 0.25
 """Seconds after which a frame counts as drawn, though nobody said so."""
@@ -91,7 +91,7 @@ class Playback:
         self._sent = 0.0
         self._closed = False
         self._changed = Condition()
-        self._frames = Frames(self.drawn, threads, memory)
+        self._frames = FrameCache(self.drawn, threads, memory)
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 

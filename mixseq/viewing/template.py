@@ -1,16 +1,39 @@
-"""The files of ``page/`` as one: a page that needs nothing but itself."""
+"""Scripts and styles of the pages, which come with the package, and all of them as one page that needs nothing else."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from html import escape
+from importlib.resources import files
 from typing import Any
 
-from mixseq.viewing.assets import script
 from mixseq.viewing.packing import Packer
+
+CHART_SCRIPTS = (
+    "chart_pane.js",
+    "chart_axes.js",
+    "chart_marks.js",
+    "chart_layout.js",
+    "chart_coefficients.js",
+    "chart_retiming.js",
+    "charts.js",
+)
+"""What charts are made of, in the order in which a page loads it."""
+
+
+@cache
+def script(name: str) -> str:
+    """Return the text of a file of the folder ``page``, such as ``"charts.js"``."""
+    return files("mixseq.viewing").joinpath("page", name).read_text(encoding="utf-8")
+
+
+def chart_scripts() -> str:
+    """Return all of `CHART_SCRIPTS` as one text, for one script element of a page."""
+    return "\n".join(script(name) for name in CHART_SCRIPTS)
+
 
 _STYLE = re.compile(r'<link rel="stylesheet" href="([\w.-]+)" ?/?>')
 _SCRIPT = re.compile(r'<script src="([\w.-]+)"></script>')

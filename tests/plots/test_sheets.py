@@ -16,6 +16,7 @@ import pytest
 from mixseq.arrays import Index
 from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.plots import contact_sheet, draw_segmentation
+from mixseq.plots.sheets import common_frames, frames_between
 from mixseq.sequence import MeshSequence
 
 pytest.importorskip("matplotlib")
@@ -87,3 +88,29 @@ def test_without_matplotlib_the_message_names_the_cure(
 def test_importing_plots_does_not_import_matplotlib() -> None:
     code = "import sys, mixseq.plots; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def halved(gem: MeshSequence, frames: int = 9) -> MeshSequence:
+    """Put a frame between every two of the first few."""
+    times = np.linspace(gem.times[0], gem.times[frames - 1], 2 * frames - 1)
+    return MeshSequence.from_arrays(gem.points[np.arange(len(times)) // 2], gem.faces, times=times)
+
+
+def test_frames_are_matched_by_time(gem: MeshSequence) -> None:
+    assert common_frames(gem, halved(gem), 4) == ([0, 2, 4, 6], [0, 4, 8, 12])
+
+
+def test_all_frames_if_there_are_few(gem: MeshSequence) -> None:
+    assert common_frames(gem, halved(gem, frames=2), 6) == ([0, 1], [0, 2])
+
+
+def test_times_must_meet(gem: MeshSequence) -> None:
+    later = MeshSequence.from_arrays(gem.points, gem.faces, times=gem.times + 0.01)
+    with pytest.raises(SettingsError, match="no frame at the same time"):
+        common_frames(gem, later, 4)
+
+
+def test_frames_between(gem: MeshSequence) -> None:
+    assert frames_between(gem, gem, [0, 4, 8]) == {}
+    assert frames_between(gem, halved(gem), [0, 4, 8]) == {0: 1, 1: 9}
+    assert frames_between(gem, halved(gem, frames=3), [0, 4, 8]) == {0: 1}

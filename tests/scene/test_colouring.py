@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mixseq.errors import SettingsError
 from mixseq.plots import CLAY, JOINT_RED, part_colours
 from mixseq.scene.colouring import JOINT, LEAST, Colouring, colourings_of
-from mixseq.scene.measures import SHARE, Curvature, Strain
+from mixseq.scene.vertex_measures import SHARE, Curvature, Strain
 from mixseq.segmentation.joints import Decomposition, decompose
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology

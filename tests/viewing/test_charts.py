@@ -12,8 +12,8 @@ from scipy.interpolate import PchipInterpolator
 from mixseq.operations.dragging import drag
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.viewing.assets import CHART_SCRIPTS, chart_scripts
-from mixseq.viewing.signals import signals_of
+from mixseq.viewing.chart_data import signals_of
+from mixseq.viewing.template import CHART_SCRIPTS, chart_scripts
 from tests.meshes import bar
 from tests.viewing.conftest import Keep, NewPage, Watched
 

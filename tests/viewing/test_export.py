@@ -30,11 +30,11 @@ from mixseq.scene.camera import View, broadside, shared_limits, y_up
 from mixseq.scene.colouring import Colouring, colourings_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
-from mixseq.viewing.assets import CHART_SCRIPTS
+from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
 from mixseq.viewing.gathering import PageItem, extent_of
 from mixseq.viewing.packing import Packer, unpacked
-from mixseq.viewing.signals import signals_of
+from mixseq.viewing.template import CHART_SCRIPTS
 from tests.meshes import SEQUENCES, bar
 
 Rows = NDArray[np.unsignedinteger[Any]]
@@ -298,7 +298,7 @@ def test_pages_ask_for_nothing_else(tmp_path: Path) -> None:
 
 
 def test_the_page_has_all_scripts_of_the_charts_in_their_order() -> None:
-    from mixseq.viewing.assets import script
+    from mixseq.viewing.template import script
 
     named = re.findall(r'<script src="([\w.]+)">', script("player.html"))
     assert tuple(named[: len(CHART_SCRIPTS)]) == CHART_SCRIPTS

@@ -18,9 +18,9 @@ from mixseq.scene.camera import y_up
 from mixseq.scene.colouring import colourings_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
+from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
 from mixseq.viewing.gathering import PageItem
-from mixseq.viewing.signals import signals_of
 from mixseq.viewing.streaming import integers
 from tests.meshes import bar
 from tests.viewing.conftest import SCREENSHOTS, Keep, NewPage, Watched

@@ -10,11 +10,11 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.raster import Picture, blank
+from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.video.encoding import pillow_module
-from mixseq.scene.measures import two_digits
 from mixseq.scene.palettes import INK
+from mixseq.scene.vertex_measures import two_digits
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw

@@ -13,15 +13,15 @@ from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor, on_threads
-from mixseq.plots.layout import matplotlib_module
 from mixseq.plots.raster import Picture
+from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.video.backdrop import backdrop_of, panels_of
 from mixseq.plots.video.encoding import check_film, encode_film, film_format
 from mixseq.plots.video.panels import Layout, Panel, cameras_of, draw_moment, moments
 from mixseq.progress import Progress, silent
 from mixseq.scene.colouring import COLOURS, Colour, Colouring, colouring_of
+from mixseq.scene.frame_times import nearest_frames
 from mixseq.scene.items import DecodedItem, Scene, SceneItem, check_starts, same_mesh
-from mixseq.scene.timeline import nearest_frames
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import Frames, SequenceHeader
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from html import escape
 from typing import Any
 
-from mixseq.viewing.assets import chart_scripts, script
 from mixseq.viewing.messages import Message, message_of
+from mixseq.viewing.template import chart_scripts, script
 
 
 def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:

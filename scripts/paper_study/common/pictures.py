@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.arrays import Float, Index
 from mixseq.plots import CLAY, broadside, draw_mesh, segmentation_colours, shared_limits
 from mixseq.plots.charts import LINES, chart_style, new_page
-from mixseq.plots.layout import Sheet
+from mixseq.plots.sheet_layout import Sheet
 from mixseq.scene.camera import Limits, View, y_up
 from mixseq.segmentation.joints import Decomposition
 from scripts.paper_study.common.poses import Poses

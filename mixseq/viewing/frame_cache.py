@@ -30,7 +30,7 @@ class _Wish:
     ahead: bool
 
 
-class Frames:
+class FrameCache:
     """Frames of scenes, decoded in the background.
 
     Parameters

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import dihedral_angles, wrap
-from mixseq.scene.measures import MEASURES, Curvature, Strain, distances
+from mixseq.scene.vertex_measures import MEASURES, Curvature, Strain, distances
 from mixseq.topology import Topology
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, tetrahedron, torus, tube
 
@@ -169,5 +169,5 @@ def test_distances_are_in_diagonals() -> None:
 
 
 def test_they_need_no_matplotlib() -> None:
-    code = "import mixseq.scene.measures, mixseq.scene.palettes, sys; assert 'matplotlib' not in sys.modules"
+    code = "import mixseq.scene.vertex_measures, mixseq.scene.palettes, sys; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.plots.labels import DISTANCE, POINTS, free_places
+from mixseq.plots.label_places import DISTANCE, POINTS, free_places
 
 ANGLES = np.linspace(0, 2 * np.pi, 400)
 CIRCLE = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)

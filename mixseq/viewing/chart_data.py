@@ -8,7 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float, evenly
 from mixseq.operations.dragging import default_reach
-from mixseq.plots.signals import dense_times, largest_coordinates
+from mixseq.plots.model_charts import dense_times, largest_coordinates
 from mixseq.signals import Model
 from mixseq.signals.layout import Plane
 

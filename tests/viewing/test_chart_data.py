@@ -10,7 +10,7 @@ import pytest
 
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
-from mixseq.viewing.signals import FRAMES, HANDLES, POINTS, signals_of
+from mixseq.viewing.chart_data import FRAMES, HANDLES, POINTS, signals_of
 
 
 @pytest.fixture(scope="module")

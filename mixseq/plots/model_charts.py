@@ -16,8 +16,8 @@ import numpy as np
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
 from mixseq.plots.charts import FAINT, LINES, log_axis, round_frames, time_axis
-from mixseq.plots.labels import free_places
-from mixseq.plots.layout import matplotlib_module
+from mixseq.plots.label_places import free_places
+from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.scene.camera import Limits
 from mixseq.scene.palettes import INK
 from mixseq.signals import Model

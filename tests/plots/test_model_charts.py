@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.plots.signals import (
+from mixseq.plots.model_charts import (
     draw_coefficients,
     draw_layout,
     draw_singular_values,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.plots.parts import LISTED, _number_places, draw_parts, draw_parts_legend, legend_rows
+from mixseq.plots.model_parts import LISTED, _number_places, draw_parts, draw_parts_legend, legend_rows
 from mixseq.scene.palettes import JOINT_RED, part_colours
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit

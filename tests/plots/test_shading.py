@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.plots.shadow import ground_shadow
+from mixseq.plots.shading import ground_shadow
 from mixseq.scene.camera import View
 
 LIMITS = (-2.0, 2.0, -1.0, 1.0)

@@ -45,7 +45,8 @@ def test_no_part_looks_like_a_joint_in_any_light() -> None:
         assert np.linalg.norm(lights[:, None] - reds, axis=2).min() > 0.1
 
 
-def test_segmentation_colours(parts: NDArray[np.int64], joints: NDArray[np.int64]) -> None:
+def test_segmentation_colours() -> None:
+    parts, joints = np.array([0, 0, 1, 1, 0, 0, 1, 1]), np.array([0, -1, -1, 0, -1, -1, -1, -1])
     colours = segmentation_colours(parts, joints)
     assert np.allclose(colours[joints >= 0], JOINT_RED)
     assert np.allclose(colours[1], part_colours(2)[0])

@@ -14,22 +14,24 @@ import pytest
 from mixseq.arrays import Single
 from mixseq.errors import ReconstructionError
 from mixseq.scene.items import Scene
-from mixseq.viewing.frames import Frames
+from mixseq.viewing.frame_cache import FrameCache
 from tests.viewing.staged import PATIENCE, Watched, eventually, scene_of, watched
 
 POSE = 48
 """Bytes of a pose of `watched`."""
 
-Make = Callable[..., Frames]
+Make = Callable[..., FrameCache]
 
 
 @pytest.fixture
 def make() -> Iterator[Make]:
     """Makes frames, and closes them."""
-    made: list[Frames] = []
+    made: list[FrameCache] = []
 
-    def make_it(threads: int = 1, memory: int = 1 << 20, ready: Callable[[], None] = lambda: None) -> Frames:
-        made.append(Frames(ready, threads, memory))
+    def make_it(
+        threads: int = 1, memory: int = 1 << 20, ready: Callable[[], None] = lambda: None
+    ) -> FrameCache:
+        made.append(FrameCache(ready, threads, memory))
         return made[-1]
 
     yield make_it
@@ -37,7 +39,7 @@ def make() -> Iterator[Make]:
         frames.close()
 
 
-def wait_for(frames: Frames, scene: Scene, frame: int, ahead: bool = False) -> tuple[Single, ...]:
+def wait_for(frames: FrameCache, scene: Scene, frame: int, ahead: bool = False) -> tuple[Single, ...]:
     found: list[tuple[Single, ...]] = []
 
     def came() -> bool:
@@ -187,14 +189,14 @@ def test_an_error_ahead_is_raised_where_it_is_seen(make: Make) -> None:
 def test_no_thread_is_left() -> None:
     before = set(all_threads())
     item = watched()
-    with Frames(lambda: None, threads=3) as frames:
+    with FrameCache(lambda: None, threads=3) as frames:
         assert len(set(all_threads()) - before) == 3
         frames.want(scene_of(item), 0)
     assert not set(all_threads()) - before
 
 
 def test_closing_waits_for_frames_at_hand_only() -> None:
-    frames, item = Frames(lambda: None, threads=1), watched()
+    frames, item = FrameCache(lambda: None, threads=1), watched()
     item.held[0] = Event()
     frames.want(scene_of(item), 0)
     eventually(lambda: item.decoded == [0])

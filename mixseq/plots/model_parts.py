@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.plots.drawing import draw_mesh
-from mixseq.plots.layout import matplotlib_module
+from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
 from mixseq.scene.camera import Limits, y_up
 from mixseq.scene.palettes import JOINT_RED, part_colours, segmentation_colours

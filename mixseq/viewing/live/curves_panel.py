@@ -10,11 +10,11 @@ from mixseq.errors import SettingsError
 from mixseq.operations import drag, sketch
 from mixseq.signals import Model
 from mixseq.signals.layout import Plane
+from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.live.bridge import in_script
 from mixseq.viewing.messages import Drag, Message, Retime, Seek, Sketch
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Session
-from mixseq.viewing.signals import signals_of
 
 
 class Charts:
