@@ -139,7 +139,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
         len(edges)
         for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
     )
-    squares = spread = diagonal = 0.0
+    squares = variation = diagonal = 0.0
     largest: list[Float] = []
     volumes: list[Float] = []
     for x, y in paired_blocks(a, b, max(1, _BLOCK // header.vertex_count)):
@@ -147,7 +147,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
             diagonal = bounding_diagonal(x[0])
         distances = np.einsum("tvi,tvi->tv", x - y, x - y)
         squares += float(distances.sum())
-        spread += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+        variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
         largest.append(np.sqrt(distances.max(axis=1)))
         _gather_strains(strains, topology, x, y)
         _gather_angles(angles, topology, x, y)
@@ -161,7 +161,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
         frames=header.frame_count,
         vertices=header.vertex_count,
         diagonal=diagonal,
-        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(spread)),
+        kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
         rms_error=_ratio(np.sqrt(squares / count), diagonal),
         max_error=_ratio(per_frame[worst], diagonal),
         worst_frame=worst,

@@ -52,7 +52,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     ):
         _warn_of_axes(reference, a.header, other, b.header)
         shared = at_times_of(a, b)
-        result = mixseq.compare(_Told(a, progress), shared)
+        result = mixseq.compare(_Counted(a, progress), shared)
     if as_json:
         left_out = b.header.frame_count - result.frames
         print_json(
@@ -98,7 +98,7 @@ class _Some:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Counted:
     """A sequence that tells how many of its frames were asked for."""
 
     frames: Frames

@@ -81,7 +81,7 @@ def plot_model(
     tolerance : float, optional
         Where to draw a line among the errors of the frames, in diagonals.
     file_format : {"png", "svg"}, optional
-        By default told by the extension of the target; PNG for files without a name.
+        By default that of the extension of the target; PNG for files without a name.
     progress : callable, optional
         Told about every decoded frame.
 
@@ -239,7 +239,7 @@ def _picture_height(poses: FloatArray, up_axis: str, width: float) -> float:
 
 @dataclass(frozen=True)
 class Section:
-    """A piece of a page.
+    """A section of a page.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up in zip(scene.items, up_axes, strict=True):
-        poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.spread(SAMPLES)]
+        poses = [y_up(item.pose(scene.elapsed(frame)), up) for frame in scene.samples(SAMPLES)]
         boxes.append(
             (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
         )

@@ -53,7 +53,7 @@ class SceneColours:
         """Return all colours that a mesh can have."""
         if index not in self._found:
             item = self.scene.items[index]
-            moments = (self.scene.elapsed(frame) for frame in self.scene.spread(SAMPLES))
+            moments = (self.scene.elapsed(frame) for frame in self.scene.samples(SAMPLES))
             poses = ((elapsed, item.pose(elapsed)) for elapsed in moments)
             original = self._original_of(item)
             self._found[index] = colourings_of(

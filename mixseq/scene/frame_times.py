@@ -1,4 +1,4 @@
-r"""When the frames of a scene are: its meshes start together, and start again when the longest of them has ended.
+r"""Times of the frames of a scene: its meshes start together, and start again when the longest of them has ended.
 
 Frame k is shown at :math:`k / f`, with f frames per second. The meshes are shown from their first times on, and once
 more after the *period*, that of the longest of them: the time from its first frame to its last, and one frame. Shorter

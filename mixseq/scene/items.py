@@ -194,7 +194,7 @@ class Scene:
         items[index] = replace(items[index], motion=motion)
         return replace(self, items=tuple(items))
 
-    def spread(self, most: int) -> Sequence[int]:
+    def samples(self, most: int) -> Sequence[int]:
         """Return at most so many frames, evenly spaced, the first one among them."""
         return [int(frame) for frame in evenly(self.count, most)]
 

@@ -1,4 +1,4 @@
-"""How large a page becomes, and how far the work on it is."""
+"""The size limit of a page: its bytes are counted as they come, and so is the progress of the work."""
 
 from __future__ import annotations
 

@@ -57,8 +57,8 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     """
     start, end = model.start, model.end
     moves = end > start and model.time.dim > 0
-    times = _spread(dense_times(model), POINTS) if end > start else np.array([start])
-    frames = _spread(model.times, FRAMES)
+    times = _evenly_chosen(dense_times(model), POINTS) if end > start else np.array([start])
+    frames = _evenly_chosen(model.times, FRAMES)
     handles = np.linspace(start, end, HANDLES) if moves else np.zeros(0)
     chosen, units = largest_coordinates(model)
     lines = model.time(times)[:, chosen] * units
@@ -85,7 +85,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     }
 
 
-def _spread(values: Float, most: int) -> Float:
+def _evenly_chosen(values: Float, most: int) -> Float:
     """Choose `most` of the values, evenly, the first and the last among them; all if there are no more."""
     return values[evenly(len(values), most)]
 

@@ -1,4 +1,4 @@
-"""Where playing is: a clock that runs over a period again and again, at any speed."""
+"""The clock of playback: which frame is due, in a period that runs again and again, at any speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was done to a model, to be undone and done again."""
+"""Undo and redo: the steps that made a model, and which of them is seen."""
 
 from __future__ import annotations
 

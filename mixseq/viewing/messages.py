@@ -1,4 +1,4 @@
-"""What the page says to Python: JSON from a browser, believed only after it was checked."""
+"""Messages from the page to Python: JSON from a browser, checked before it is used."""
 
 from __future__ import annotations
 

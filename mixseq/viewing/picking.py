@@ -1,4 +1,4 @@
-r"""What is under the pointer: the first triangle that a ray meets (Möller & Trumbore 1997).
+r"""Picking: the first triangle that a ray from the pointer meets (Möller & Trumbore 1997).
 
 A point of the ray is :math:`o + t\,d`, one of the triangle :math:`a + u\,(b - a) + v\,(c - a)`; they meet where
 :math:`t > 0`, :math:`u, v \ge 0` and :math:`u + v \le 1`.

@@ -1,4 +1,4 @@
-"""Showing the frame that is due: a thread between the clock, the decoded frames, and a stage that draws them.
+"""Play a scene: a thread that gives the frame that is due to a stage, which draws it.
 
 Frames that are not decoded in time are left out, and no frame is sent before the stage has drawn the one before: the
 time that is seen is right, however slow the machine or the line.

@@ -1,4 +1,4 @@
-"""A session of editing: which model is edited, what was done to it, and the thread that does it.
+"""Edit the models of a scene: which one is edited, its history, and the thread that does the edits.
 
 Edits are done one after the other. Of previews, which follow the mouse, only the newest is done, and not before the one
 before was seen.
@@ -42,8 +42,8 @@ PATIENCE = 1.0
 """Seconds after which the next preview is made, though the last one was not seen."""
 
 
-class Told(Protocol):
-    """Who is told what happens, on another thread."""
+class SessionListener(Protocol):
+    """What is called when something happens, on another thread."""
 
     def edited(self, session: Session) -> None:
         """The model that is edited is another one."""
@@ -73,15 +73,15 @@ class Session:
     ----------
     playback : Playback
         Shows them.
-    told : Told
-        Who is told what happens.
+    listener : SessionListener
+        Called when something happens.
     save : Save
         Writes models to files.
     """
 
-    def __init__(self, playback: Playback, told: Told, save: Save) -> None:
+    def __init__(self, playback: Playback, listener: SessionListener, save: Save) -> None:
         self._playback = playback
-        self._told = told
+        self._listener = listener
         self._save = save
         self._histories = {
             index: History.of(item.motion)
@@ -145,7 +145,7 @@ class Session:
         """Edit another item."""
         if index in self._histories:
             self._index = index
-            self._told.chosen(self)
+            self._listener.chosen(self)
 
     def edit(self, name: str, edit: Edit) -> None:
         """Do something to the model, on another thread; it can be undone."""
@@ -206,7 +206,7 @@ class Session:
             self._fail("save", error)
         else:
             self._saved[index] = model
-            self._told.saved(what)
+            self._listener.saved(what)
 
     def _add(self, job: _Job) -> None:
         with self._changed:
@@ -228,7 +228,7 @@ class Session:
             except Exception as error:
                 model = self._histories[job.index].model
                 self._playback.change(self._playback.scene.with_item(job.index, model))
-                if not job.preview:  # the mouse goes on, and the last word is told
+                if not job.preview:  # the mouse goes on, and what comes of the last one is reported
                     self._fail(job.name, error)
             else:
                 self._see(job, history, scene)
@@ -241,7 +241,7 @@ class Session:
         self._histories[job.index] = history
         self._playback.change(scene)
         try:
-            self._told.edited(self)
+            self._listener.edited(self)
         except Exception as error:
             self._fail("drawing charts", error)
 
@@ -249,7 +249,7 @@ class Session:
         if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the session goes on
             print_exception(error)
         try:
-            self._told.failed(what, error)
+            self._listener.failed(what, error)
         except Exception as again:
             print_exception(again)
 

@@ -64,7 +64,7 @@ class Packed:
     streams : list of Packer
         Triangles, positions, and each of the colourings.
     report : PageItemReport
-        What is told of it.
+        How exact it is, and how large.
     """
 
     description: dict[str, Any]

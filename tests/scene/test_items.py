@@ -63,4 +63,4 @@ def test_another_motion_of_one_of_the_meshes(sequence: MeshSequence, bar_model: 
 
 @pytest.mark.parametrize(("most", "frames"), [(1, [0]), (2, [0, 4]), (3, [0, 2, 4]), (99, [0, 1, 2, 3, 4])])
 def test_frames_spread_over_a_shot(sequence: MeshSequence, most: int, frames: list[int]) -> None:
-    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).spread(most)) == frames
+    assert list(Scene((SceneItem("bar", frame_store(sequence)),)).samples(most)) == frames

@@ -1,4 +1,4 @@
-"""What stands still in a film: where its panels are, their names, and the colour bar."""
+"""The backdrop of a film, which stands still: where its panels are, their names, and the colour bar."""
 
 from __future__ import annotations
 

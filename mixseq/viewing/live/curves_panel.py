@@ -1,4 +1,4 @@
-"""The panel on the left: charts of the model that is edited, and what is done with the mouse in them."""
+"""The panel on the left: charts of the edited model, in which the mouse drags, draws and retimes."""
 
 from __future__ import annotations
 

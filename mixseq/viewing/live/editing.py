@@ -1,4 +1,4 @@
-"""What there is where something can be edited: charts on the left, buttons and saving on the right."""
+"""The controls that edit a model: charts on the left, buttons and saving on the right."""
 
 from __future__ import annotations
 

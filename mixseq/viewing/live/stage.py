@@ -37,8 +37,8 @@ class LiveStage:
         How light falls on meshes; the second is quick without a graphics card.
     overlaid : bool
         Whether meshes stand in one place at first, rather than side by side.
-    told : callable
-        Told about every moment that is shown, while it is.
+    report : callable
+        Called with every moment that is shown, while it is.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class LiveStage:
         colours: SceneColours,
         material: str,
         overlaid: bool,
-        told: Callable[[Moment], None],
+        report: Callable[[Moment], None],
     ) -> None:
         self._server = server
         self._scene_colours = colours
-        self._told = told
+        self._report = report
         self.overlaid = overlaid
         self._lock = Lock()
         self._drawing = False
@@ -125,7 +125,7 @@ class LiveStage:
                 if not colours.constant or self._painted[index] is not colours:
                     self._clouds[index].colors = linear(colours.palette)[colours.indices(points, elapsed)]
                     self._painted[index] = colours
-            self._told(moment)
+            self._report(moment)
 
     def colour(self, name: str) -> None:
         """Choose what colours show; the next moment does."""
@@ -151,8 +151,8 @@ class LiveStage:
         for mesh in self._meshes:
             mesh.wireframe = on
 
-    def on_click(self, told: Callable[[int, Picked], None]) -> None:
-        """Tell what is clicked: which mesh, and where it was hit."""
+    def on_click(self, report: Callable[[int, Picked], None]) -> None:
+        """Report what is clicked: which mesh, and where it was hit."""
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -170,7 +170,7 @@ class LiveStage:
                         self._marked = index, found.vertex
                         self._mark.position = points[found.vertex]
                         self._mark.visible = True
-                    told(index, found)
+                    report(index, found)
 
     def _furnish(self) -> None:
         """Set up the light, the ground and the camera."""
