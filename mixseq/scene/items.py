@@ -14,7 +14,7 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, block_size, frame_store
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
-from mixseq.scene.frame_times import film_times, model_times, nearest_frames
+from mixseq.scene.scene_times import film_times, model_times, nearest_frames
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq.signals import Model

@@ -1,7 +1,7 @@
 """Meshes as one page that plays by itself: no network, no server, no other file.
 
 The page plays poses at the times that they are given at, counted from each mesh's first one, and starts again after the
-period, as films do (`mixseq.scene.frame_times`).
+period, as films do (`mixseq.scene.scene_times`).
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ from mixseq.plots.video.mp4 import read_track
 from mixseq.plots.video.panels import cameras_of
 from mixseq.scene import SceneItem
 from mixseq.scene.colouring import colouring_of
-from mixseq.scene.frame_times import film_times, nearest_frames
 from mixseq.scene.items import DecodedItem
+from mixseq.scene.scene_times import film_times, nearest_frames
 from mixseq.scene.vertex_measures import MEASURES
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit

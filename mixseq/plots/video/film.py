@@ -20,8 +20,8 @@ from mixseq.plots.video.encoding import check_film, encode_film, film_format
 from mixseq.plots.video.panels import Layout, Panel, cameras_of, draw_moment, moments
 from mixseq.progress import Progress, silent
 from mixseq.scene.colouring import COLOURS, Colour, Colouring, colouring_of
-from mixseq.scene.frame_times import nearest_frames
 from mixseq.scene.items import DecodedItem, Scene, SceneItem, check_starts, same_mesh
+from mixseq.scene.scene_times import nearest_frames
 from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence import Frames, SequenceHeader
 
