@@ -80,7 +80,7 @@ def check_formats(out: Path, picture: Path | None, save_map: Path | None) -> Non
     if save_map is not None and save_map.suffix.lower() != ".npz":
         raise OutputError(f"{save_map}: maps are written as npz files; end the name in .npz")
     if picture is not None:
-        from mixseq.plots.layout import matplotlib_module
+        from mixseq.plots.sheet_layout import matplotlib_module
 
         if picture.suffix.lower() != ".png":
             raise OutputError(f"{picture}: the picture is a PNG file; end the name in .png")
