@@ -11,8 +11,8 @@ from mixseq.arrays import Float
 from mixseq.spaces.basis import BasisSpace
 from tests.meshes import tube
 
-FIELDS = np.random.default_rng(1).normal(size=(4, 30)) * np.array([[1.0], [1e-3], [10], [1e4]])
-SPACE = BasisSpace(FIELDS, 2.5)
+VECTORS = np.random.default_rng(1).normal(size=(4, 30)) * np.array([[1.0], [1e-3], [10], [1e4]])
+SPACE = BasisSpace(VECTORS, 2.5)
 
 
 def some_vectors(count: int, seed: int = 0) -> Float:
@@ -22,7 +22,7 @@ def some_vectors(count: int, seed: int = 0) -> Float:
 
 def test_frames_are_combinations_of_a_basis() -> None:
     vectors = some_vectors(3)
-    expected = 2.5 * np.einsum("kv,tki->tvi", FIELDS, vectors.reshape(3, 4, 3))
+    expected = 2.5 * np.einsum("kv,tki->tvi", VECTORS, vectors.reshape(3, 4, 3))
     np.testing.assert_allclose(SPACE.decode(vectors), expected, atol=1e-12)
 
 
@@ -36,7 +36,7 @@ def test_frames_of_the_span_come_back() -> None:
 
 def test_other_frames_become_the_nearest_of_the_span() -> None:
     points = np.random.default_rng(2).normal(size=(2, 30, 3))
-    nearest = np.stack([FIELDS.T @ np.linalg.lstsq(FIELDS.T, frame, rcond=1e-14)[0] for frame in points])
+    nearest = np.stack([VECTORS.T @ np.linalg.lstsq(VECTORS.T, frame, rcond=1e-14)[0] for frame in points])
     np.testing.assert_allclose(SPACE.decode(SPACE.encode(points)), nearest, atol=1e-10)
 
 
@@ -83,7 +83,7 @@ def test_skinning_is_of_this_space() -> None:
 
 
 def test_vectors_that_depend_on_each_other_are_no_harm() -> None:
-    space = BasisSpace(np.concatenate([FIELDS, FIELDS[:1] + FIELDS[2:3]]), 1.0)
+    space = BasisSpace(np.concatenate([VECTORS, VECTORS[:1] + VECTORS[2:3]]), 1.0)
     points = SPACE.decode(some_vectors(2))
     np.testing.assert_allclose(space.decode(space.encode(points)), points, atol=1e-7)
 
@@ -96,3 +96,11 @@ def test_it_is_a_space() -> None:
     assert not SPACE.basis.flags.writeable
     copy = pickle.loads(pickle.dumps(SPACE))
     np.testing.assert_array_equal(copy.decode(some_vectors(1)), SPACE.decode(some_vectors(1)))
+
+
+def test_the_old_name_of_the_basis_works_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="fields is now basis"):
+        np.testing.assert_array_equal(SPACE.fields, SPACE.basis)  # type: ignore[attr-defined]
+    with pytest.warns(DeprecationWarning, match="fields is now basis"):
+        again = BasisSpace(fields=VECTORS, scale=2.5)  # type: ignore[call-arg]
+    np.testing.assert_array_equal(again.basis, SPACE.basis)
