@@ -22,7 +22,8 @@ from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
 from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
-from mixseq.signals.model import FRAMES, Model
+from mixseq.signals.decoding import FRAMES
+from mixseq.signals.model import Model
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.model_files import decoded
 from mixseq_io.hdf5.salvage import explain_damage

@@ -1,8 +1,8 @@
 r"""Drag: a place on the curve that a motion is in the plane is moved, and the motion next to it follows.
 
-The layout of a model (`Model.layout`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Of all changes of a
-point that move it by :math:`\Delta y` in the plane, the one that changes the shape least in the shape space is along
-the two principal directions P of the plane (`mixseq.signals.layout`),
+The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Of all changes
+of a point that move it by :math:`\Delta y` in the plane, the one that changes the shape least in the shape space is
+along the two principal directions P of the plane (`mixseq.signals.mds_embedding`),
 
 .. math:: \delta = P\, (A^T P)^+ \Delta y = G^+ A\, (A^T G^+ A)^+ \Delta y,
 
@@ -28,7 +28,7 @@ from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import between, breakpoints, sites_of
 from mixseq.signals.curve import Curve
-from mixseq.signals.layout import Plane
+from mixseq.signals.mds_embedding import Plane
 from mixseq.signals.model import Model
 
 REACH = 1 / 8
@@ -41,7 +41,7 @@ FRAMES = 2
 def drag(
     model: Model, time: float, to: ArrayLike, reach: float | None = None, plane: Plane | None = None
 ) -> Model:
-    """Return the model with its curve in the layout pulled to a place.
+    """Return the model with its curve in the embedding pulled to a place.
 
     Shapes change, by as little as possible; where parts are does not. The residual layer is kept.
 
@@ -52,25 +52,25 @@ def drag(
     time : float
         Time of the point that is pulled, in seconds.
     to : (2,) array_like
-        Where to, in the coordinates of `Model.layout`, in diagonals. A layout that is a line stays one: the point goes
-        as near as it can.
+        Where to, in the coordinates of `Model.embedding`, in diagonals. If the embedding is a line, the point goes as
+        near as it can.
     reach : float, optional
         Over how many seconds the change fades on both sides; by default an eighth of the motion, at least two frames.
     plane : Plane, optional
-        The layout that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that of
-        `model`. The result has another one of its own: give the plane of the first model if you drag again and again
+        The embedding that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that
+        of `model`. The result has another one of its own: give the plane of the first model if you drag again and again
         and look at one picture.
 
     Returns
     -------
     Model
-        ``result.layout([time], plane)`` is `to`, with the plane that was meant.
+        ``result.embedding([time], plane)`` is `to`, with the plane that was meant.
 
     Raises
     ------
     SettingsError
         If the time is outside the model, `to` is no place, the reach is too short, the plane is of another model, or
-        the layout is one point: the shape does not change, so there is nowhere to go.
+        the embedding is one point: the shape does not change, so there is nowhere to go.
     """
     place = _place(to)
     time = snapped(model, time)
@@ -78,10 +78,10 @@ def drag(
     plane = model.plane if plane is None else model.known(plane)
     if not plane.directions.any():
         raise SettingsError(
-            "the layout of the model is one point, as its shape does not change; there is nothing to drag"
+            "the embedding of the model is one point, as its shape does not change; there is nothing to drag"
         )
     along = (model.pose.rates(plane.directions.T) @ plane.axes).T  # A^T P: 1, but for rounding and for lines
-    move = np.linalg.pinv(along, rcond=1e-6) @ (place - model.layout([time], plane)[0])
+    move = np.linalg.pinv(along, rcond=1e-6) @ (place - model.embedding([time], plane)[0])
     change = plane.directions @ move
 
     ends = np.array([model.time.start, model.time.end])
@@ -100,7 +100,7 @@ def default_reach(model: Model) -> float:
 def _place(to: ArrayLike) -> Float:
     place = np.asarray(to, dtype=np.float64)
     if place.shape != (2,):
-        raise SettingsError(f"to has shape {place.shape}; a place in the layout, (2,), is expected")
+        raise SettingsError(f"to has shape {place.shape}; a place in the embedding, (2,), is expected")
     if not np.isfinite(place).all():
         raise SettingsError(f"to is ({place[0]}, {place[1]}); two finite numbers are expected")
     return place

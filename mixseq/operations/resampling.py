@@ -21,7 +21,8 @@ from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, collect
 from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
-from mixseq.signals.model import FRAMES, Model
+from mixseq.signals.decoding import FRAMES
+from mixseq.signals.model import Model
 
 SLACK = 1e-3
 """Fraction of a frame by which ends may miss a frame: times are typed and printed with a few digits."""

@@ -34,7 +34,8 @@ from mixseq.operations.splines import (
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve, Measure
-from mixseq.signals.model import Model, ResidualLayer
+from mixseq.signals.decoding import ResidualLayer
+from mixseq.signals.model import Model
 
 ACCURACY = 2e-6
 """Largest error, in diagonals, of the splines between sites: in joints vertices may be off by many times more. Ours."""

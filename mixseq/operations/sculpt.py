@@ -146,7 +146,7 @@ def _window(model: Model, time: float, start: float | None, end: float | None) -
 
 
 def _similar(model: Model, time: float, radius: float) -> Curve:
-    length = shape_measure(model, model.space.layout_weights)
+    length = shape_measure(model, model.space.embedding_weights)
     here = model.time([time])
     sites = _sites(model, np.concatenate([breakpoints(model.time), model.times, [time]]))
     scale = radius * float(length(model.time(refined(sites, 4)) - here).max(initial=0.0))

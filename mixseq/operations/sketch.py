@@ -1,7 +1,8 @@
-r"""Sketch: a curve drawn in the layout of a model becomes a new sequence.
+r"""Sketch: a curve drawn in the embedding of a model becomes a new sequence.
 
-Every frame j of the model has a place :math:`y_j` in the plane (`Model.layout`). Scattered-data interpolation carries
-from there to any other place of the plane what a frame is, its point of pose space :math:`c_j` and its placement:
+Every frame j of the model has a place :math:`y_j` in the plane (`Model.embedding`). Scattered-data interpolation
+carries from there to any other place of the plane what a frame is, its point of pose space :math:`c_j` and
+its placement:
 
 .. math:: c(y) = \sum_j w_j(y)\, c_j, \qquad w_j(y_i) = \delta_{ij}, \qquad \sum_j w_j(y) = 1
 
@@ -11,8 +12,8 @@ The weights are the cardinal functions of interpolation by a constant and radial
 
 with the distance :math:`d_j` from frame j to the nearest other one: multiquadrics, which are cones but for a small
 rounding of their tips. Cones (:math:`\varepsilon = 0`) blend neighbouring frames with weights that are hardly negative,
-but have a kink at every frame. Rounder functions, thin plates and the like are a little more accurate where the layout
-tells all of the motion, and overshoot badly where it does not: where paths cross, or frames nearly meet. As
+but have a kink at every frame. Rounder functions, thin plates and the like are a little more accurate where the
+embedding tells all of the motion, and overshoot badly where it does not: where paths cross, or frames nearly meet. As
 :math:`\sum b_j = 0`, weights stay bounded however far away y is.
 """
 
@@ -30,24 +31,24 @@ from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.operations.splines import placement_measure, sampled, shape_measure
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve
-from mixseq.signals.layout import Plane
+from mixseq.signals.mds_embedding import Plane
 from mixseq.signals.model import Model
 
 ROUNDING = 0.25
 """Radius of a rounded tip, as a fraction of the distance to the nearest frame."""
 
 SAME = 1e-6
-"""Frames closer than this fraction of the layout's size have one place."""
+"""Frames closer than this fraction of the embedding's size have one place."""
 
 FAR = 0.5
-"""A curve is far from all frames if it is farther than this fraction of the layout's size."""
+"""A curve is far from all frames if it is farther than this fraction of the embedding's size."""
 
 ACCURACY = 1e-4
 """Largest error, in diagonals, of the splines between sites."""
 
 
 def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None = None) -> Model:
-    """Return the motion that a curve in the layout of a model tells.
+    """Return the motion that a curve in the embedding of a model tells.
 
     The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame
     shows this frame. The residual layer is left out.
@@ -55,15 +56,15 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
     Parameters
     ----------
     model : Model
-        The motion that tells what shapes there are. The more its layout tells, the more of it can be drawn.
+        The motion that tells what shapes there are. The more its embedding tells, the more of it can be drawn.
     curve : (N, 2) array_like
-        Points of the curve in the coordinates of `Model.layout`, in diagonals: it is the spline through them. One
+        Points of the curve in the coordinates of `Model.embedding`, in diagonals: it is the spline through them. One
         point is a pose that is held.
     duration : float
         How long the motion lasts, in seconds. It has the frame rate of the model.
     plane : Plane, optional
-        The layout that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that of
-        `model`.
+        The embedding that is meant, the `Model.plane` of a model with the same pose and shape signals; by default that
+        of `model`.
 
     Returns
     -------
@@ -85,7 +86,7 @@ def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None 
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
     header = model.header.with_times(frame_times(0.0, float(duration), model.header.fps))
     drawn = _drawn(curve, float(duration))
-    places = model.layout(model.times, plane)
+    places = model.embedding(model.times, plane)
     frames = _frames_apart(model, places)
     times, places = model.times[frames], places[frames]
     _warn_if_far(drawn, places)
@@ -164,7 +165,7 @@ def _frames_apart(model: Model, places: Float) -> Index:
     lost = _apart(model, stands_for) > ACCURACY
     if lost.any():
         warnings.warn(
-            f"{np.count_nonzero(lost)} frames share their place in the layout with an earlier frame that differs; "
+            f"{np.count_nonzero(lost)} frames share their place in the embedding with an earlier frame that differs; "
             "a sketch shows the earlier one",
             MixseqWarning,
             stacklevel=3,

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 Scale = tuple[Callable[[Any], Any], Callable[[Any], Any]]
 
 MARKED = 10
-"""So many frames have their numbers in the layout, if none are chosen."""
+"""So many frames have their numbers in the embedding, if none are chosen."""
 
 SHOWN = 5
 """So many coordinates are drawn over time, the largest ones."""
 
 _INCHES = 4.5
-"""About how long the longer side of the layout is."""
+"""About how long the longer side of the embedding is."""
 
 NEGLIGIBLE = 1e-13
 """Singular values below this fraction of the largest are rounding errors."""
@@ -48,7 +48,7 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
     ax : matplotlib Axes
         Where to draw; gets a colour bar.
     model : Model
-        The curve is `Model.layout`, dots are its frames.
+        The curve is `Model.embedding`, dots are its frames.
     frames : sequence of int, optional
         Frames to number; by default some.
 
@@ -59,7 +59,7 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
     """
     count = len(model.times)
     marked = round_frames(count, MARKED) if frames is None else existing_frames(frames, count)
-    curve, dots = model.layout(dense_times(model)), model.layout(model.times)
+    curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
     ax.plot(*curve.T, color=FAINT, linewidth=1.2, zorder=2)
     shown = ax.scatter(
@@ -90,7 +90,7 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
 
 def layout_limits(model: Model) -> Limits:
     """Return the rectangle that `draw_layout` shows: the curve with space for labels, never too slender."""
-    points = np.concatenate([model.layout(dense_times(model)), model.layout(model.times)])
+    points = np.concatenate([model.embedding(dense_times(model)), model.embedding(model.times)])
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
     longer = half.max() or 1.0

@@ -11,49 +11,31 @@ Where the parts of the shape are in the world is no matter of shape: the **place
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.mapping import Executor, on_threads, serially
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.polygons import frozen
-from mixseq.progress import Progress, silent
 from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.joints import Decomposition
-from mixseq.sequence import MeshSequence
-from mixseq.sequence_header import SequenceHeader, frame_times
+from mixseq.sequence_header import SequenceHeader
 from mixseq.signals.curve import Curve
-from mixseq.signals.layout import Plane, plane
+from mixseq.signals.decoding import Decodable, ResidualLayer
+from mixseq.signals.mds_embedding import Plane, plane_of
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces import MixedSpace, ShapeSpace
 from mixseq.threads import one_blas_thread
 
-Decoded = TypeVar("Decoded")
-
-FRAMES = 4
-"""Frames decoded at once; each thread has as many in hand."""
-
-
-class ResidualLayer(Protocol):
-    """Displacements of vertices over time that are added to decoded frames, in the units of the sequence."""
-
-    def at(self, times: Float) -> Float:
-        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
-
-    def rates(self, times: Float) -> Float:
-        """Return their derivatives ``(N, V, 3)`` by time, per second."""
-
 
 @renamed_attributes(corrections="residual_layer")
 @dataclass(frozen=True, eq=False)
-class Model(PickledWithoutCaches):
+class Model(Decodable, PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
 
     Attributes
@@ -132,12 +114,6 @@ class Model(PickledWithoutCaches):
         )
 
     @property
-    def times(self) -> Float:
-        """Times ``(T,)`` of the frames in seconds."""
-        times: Float = self.header.times
-        return times
-
-    @property
     def start(self) -> float:
         """First time of the model in seconds."""
         return max(self.time.start, self.placement.start)
@@ -176,17 +152,6 @@ class Model(PickledWithoutCaches):
             f"{len(self.time.times)} + {len(self.placement.times)} knots)"
         )
 
-    def __call__(self, time: float) -> Float:
-        """Return the vertex positions ``(V, 3)`` at a time in seconds.
-
-        Raises
-        ------
-        SettingsError
-            If the time is outside the sequence: models do not extrapolate.
-        """
-        frame: Float = next(self.blocks([time]))[0]
-        return frame
-
     def curve(self, times: ArrayLike) -> Float:
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
         inside = self.inside(times)
@@ -212,114 +177,6 @@ class Model(PickledWithoutCaches):
         """The vectors ``(T, D)`` of the frames."""
         return self.curve(self.times)
 
-    def velocity(self, time: float) -> Float:
-        """Return the velocities ``(V, 3)`` of the vertices in units per second: the analytic derivative."""
-        frame: Float = next(self.moving_blocks([time]))[1][0]
-        return frame
-
-    def sample(
-        self,
-        times: ArrayLike | None = None,
-        fps: float | None = None,
-        progress: Progress = silent,
-        *,
-        frames: Iterable[int] | None = None,
-        velocities: bool = False,
-    ) -> MeshSequence:
-        """Decode frames.
-
-        Parameters
-        ----------
-        times : (N,) array_like, optional
-            Times in seconds, increasing; by default those of the sequence.
-        fps : float, optional
-            Frames per second: without `times` the whole sequence is sampled at this rate, from its first time
-            on. With `times` it only says which time line they are on.
-        progress : callable, optional
-            Told about every frame.
-        frames : iterable of int, optional
-            Numbers of the sequence's own frames, increasing, instead of times: ``range(10, 20)``.
-        velocities : bool
-            Also find `MeshSequence.velocities`, for motion blur.
-
-        Returns
-        -------
-        MeshSequence
-            float64 points in the units of the original.
-
-        Raises
-        ------
-        SettingsError
-            If a time is outside the sequence, there is no such frame, or fps is not positive.
-        """
-        header = self.header_at(times if frames is None else self._times_of(frames, times), fps)
-        if velocities:
-            moving = list(self.moving_blocks(header.times, progress=progress))
-            points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
-            return MeshSequence.from_header(header, points, speeds)
-        points = np.concatenate(list(self.blocks(header.times, progress=progress)))
-        return MeshSequence.from_header(header, points)
-
-    def _times_of(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
-        numbers = np.fromiter(frames, dtype=np.int64)
-        if times is not None:
-            raise SettingsError("give either times or frames")
-        outside = (numbers < 0) | (numbers >= len(self.times))
-        if outside.any() or not numbers.size:
-            which = f"there is no frame {numbers[outside][0]}" if numbers.size else "no frame is asked for"
-            raise SettingsError(f"{which}; the sequence has frames 0 to {len(self.times) - 1}")
-        return np.asarray(self.times[numbers])
-
-    def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
-        """Return the header of what `sample` returns, without decoding anything."""
-        if fps is not None and not (np.isfinite(fps) and fps > 0):
-            raise SettingsError(f"fps is {fps}; a positive number is expected")
-        if times is None and fps is not None:
-            times = frame_times(self.times[0], self.times[-1], fps)
-        return self.header.with_times(self.times if times is None else self.inside(times), fps)
-
-    def blocks(
-        self,
-        times: ArrayLike,
-        size: int = FRAMES,
-        progress: Progress = silent,
-        workers: Executor | None = None,
-    ) -> Iterator[Float]:
-        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order.
-
-        `workers` say who decodes the blocks, by default as many threads as there are cores. A frame is the same, to
-        the last bit, whoever decodes it and whatever frames are asked for with it.
-        """
-        return self._decoded(_points, times, size, progress, workers)
-
-    def moving_blocks(
-        self,
-        times: ArrayLike,
-        size: int = FRAMES,
-        progress: Progress = silent,
-        workers: Executor | None = None,
-    ) -> Iterator[tuple[Float, Float]]:
-        """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
-        return self._decoded(_moving_points, times, size, progress, workers)
-
-    def _decoded(
-        self,
-        decode: Callable[[Model, Float], Decoded],
-        times: ArrayLike,
-        size: int,
-        progress: Progress,
-        workers: Executor | None,
-    ) -> Iterator[Decoded]:
-        inside = self.inside(times)
-        some = (inside[start : start + size] for start in range(0, len(inside), size))
-        work = workers or (on_threads() if len(inside) > size else serially)
-        self.space.prepared()
-        done = 0
-        for block in work(decode, self, some):
-            yield block
-            done = min(done + size, len(inside))
-            progress(done, len(inside), "decoding frames")
-
     @property
     def key_frames(self) -> NDArray[np.int64]:
         """Frames ``(K,)`` that are a key shape and nothing else, -1 for key shapes that are no frame."""
@@ -331,7 +188,7 @@ class Model(PickledWithoutCaches):
                 frames[key] = apart.argmin()
         return frames
 
-    def layout(self, times: ArrayLike, plane: Plane | None = None) -> Float:
+    def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:
         """Return where the model is ``(N, 2)`` in the plane that shows most of its motion, in diagonals.
 
         The plane of the first two principal components of the frames (classical multidimensional scaling of
@@ -354,54 +211,16 @@ class Model(PickledWithoutCaches):
         weights = self.pose.weights(self.time(self.inside(times)))
         return np.asarray((weights - origin) @ axes)
 
-    @cached_property
-    def plane(self) -> Plane:
-        """The plane of `layout`."""
-        return plane(self.time(self.times), self.pose, self.shapes, self.space.layout_weights)
+    def layout(self, times: ArrayLike, plane: Plane | None = None) -> Float:
+        """Do what `embedding` does: its old name, which works for one more version."""
+        warnings.warn("Model: layout is now embedding", DeprecationWarning, stacklevel=2)
+        return self.embedding(times, plane)
 
     def known(self, plane: Plane) -> Plane:
-        """Return a plane as it is, if it can be one of this model.
+        """Return a plane as it is, if it can be one of this model; raises what `Plane.checked` does."""
+        return plane.checked(len(self.shapes), self.time.dim)
 
-        Raises
-        ------
-        SettingsError
-            If it is of other key shapes.
-        """
-        if (len(plane.origin), len(plane.directions)) != (len(self.shapes), self.time.dim):
-            raise SettingsError(
-                f"the plane is of {len(plane.origin)} key shapes and {len(plane.directions)} coordinates of pose "
-                f"space, the model has {len(self.shapes)} and {self.time.dim}; give the plane of a model with the "
-                "same pose and shape signals"
-            )
-        return plane
-
-    def inside(self, times: ArrayLike) -> Float:
-        """Return times ``(N,)`` as they are, but for rounding at the ends.
-
-        Raises
-        ------
-        SettingsError
-            If a time is outside the model.
-        """
-        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        first, last = self.start, self.end
-        slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
-        outside = ~((wanted >= first - slack) & (wanted <= last + slack))
-        if outside.any():
-            raise SettingsError(
-                f"time {wanted[outside][0]:g} s is outside the sequence, {first:g} to {last:g} s; "
-                "models do not extrapolate"
-            )
-        return np.clip(wanted, first, last)
-
-
-def _points(model: Model, times: Float) -> Float:
-    points = model.space.decode(model.curve(times))
-    return points if model.residual_layer is None else points + model.residual_layer.at(times)
-
-
-def _moving_points(model: Model, times: Float) -> tuple[Float, Float]:
-    points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
-    if model.residual_layer is None:
-        return points, speeds
-    return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)
+    @cached_property
+    def plane(self) -> Plane:
+        """The plane of `embedding`."""
+        return plane_of(self.time(self.times), self.pose, self.shapes, self.space.embedding_weights)

@@ -75,9 +75,15 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return self.weights[: self.shape_dim]
 
     @property
-    def layout_weights(self) -> Float:
-        """Weights ``(S,)`` of the same where poses are to be told apart: in layouts, and where shapes are similar."""
+    def embedding_weights(self) -> Float:
+        """Weights ``(S,)`` of the same where poses are to be told apart: embeddings, and what is similar."""
         return self.shape_weights
+
+    @property
+    def layout_weights(self) -> Float:
+        """The same by its old name, which works for one more version."""
+        warnings.warn("layout_weights is now embedding_weights", DeprecationWarning, stacklevel=2)
+        return self.embedding_weights
 
     @property
     def rotation_count(self) -> int:

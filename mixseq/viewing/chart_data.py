@@ -10,7 +10,7 @@ from mixseq.arrays import Float, evenly
 from mixseq.operations.dragging import default_reach
 from mixseq.plots.model_charts import dense_times, largest_coordinates
 from mixseq.signals import Model
-from mixseq.signals.layout import Plane
+from mixseq.signals.mds_embedding import Plane
 
 POINTS = 800
 """So many points make lines that look like curves; ours, about two for every pixel of a chart."""
@@ -36,14 +36,14 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     model : Model
         Any. Without modes, or of one frame, it has no handles; of one frame, no keys either.
     plane : Plane, optional
-        The layout that is drawn, see `Model.layout`; by default the model's own.
+        The embedding that is drawn, see `Model.embedding`; by default the model's own.
 
     Returns
     -------
     dict
         In diagonals and seconds:
 
-        - ``start``, ``end``; ``times`` (n,) and the ``path`` (n, 2), `Model.layout` at them;
+        - ``start``, ``end``; ``times`` (n,) and the ``path`` (n, 2), `Model.embedding` at them;
         - ``frames`` (f, 2) and ``frameTimes`` (f,), frames on the path;
         - ``handles``, each a ``time`` and where the path is ``at`` that time; ``reach``, how far a drag of one goes to
           both sides (`mixseq.operations.drag`);
@@ -63,18 +63,20 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     chosen, units = largest_coordinates(model)
     lines = model.time(times)[:, chosen] * units
     keys = np.linspace(start, end, KEYS).tolist() if end > start else []
-    path = model.layout(times, plane)
+    path = model.embedding(times, plane)
     step = float(np.abs(path).max(initial=0.0))
     return {
         "start": start,
         "end": end,
         "times": _rounded(times, end - start),
         "path": _rounded(path, step),
-        "frames": _rounded(model.layout(frames, plane), step),
+        "frames": _rounded(model.embedding(frames, plane), step),
         "frameTimes": _rounded(frames, end - start),
         "handles": [
             {"time": time, "at": at}
-            for time, at in zip(handles.tolist(), _rounded(model.layout(handles, plane), step), strict=True)
+            for time, at in zip(
+                handles.tolist(), _rounded(model.embedding(handles, plane), step), strict=True
+            )
         ],
         "reach": default_reach(model),
         "coefficients": [

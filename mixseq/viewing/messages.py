@@ -32,7 +32,7 @@ class Seek:
 
 @dataclass(frozen=True, eq=False)
 class Drag:
-    """The time curve was taken at a time to a place ``(2,)`` of the layout; `done` when it is let go."""
+    """The time curve was taken at a time to a place ``(2,)`` of the embedding; `done` when it is let go."""
 
     time: float
     to: Float
@@ -41,7 +41,7 @@ class Drag:
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """A curve ``(N, 2)`` was drawn in the layout."""
+    """A curve ``(N, 2)`` was drawn in the embedding."""
 
     points: Float
 

@@ -19,7 +19,7 @@ from mixseq.operations import drag, exaggerate, sculpt, transition
 from mixseq.operations.joining import snapped
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
-from mixseq.signals.layout import Plane
+from mixseq.signals.mds_embedding import Plane
 from tests.meshes import rotation, seeds, tube
 from tests.operations.motions import bar_motion, jumps
 
@@ -28,7 +28,7 @@ CIRCLE = 2 * np.pi * np.arange(17) / 17
 
 @cache
 def circling(noise: float = 0.0, along: float = 1.0) -> Model:
-    """A tube that gets wider and longer in turn: a circle in the layout, or with `along` 0 a line."""
+    """A tube that gets wider and longer in turn: a circle in the embedding, or with `along` 0 a line."""
     points, faces = tube(6, 5)
     wide, long = (points - points.mean(axis=0)) * [1, 1, 0], (points - points.mean(axis=0)) * [0, 0, 1]
     wide, long = wide / np.linalg.norm(wide), long / np.linalg.norm(long)
@@ -39,7 +39,7 @@ def circling(noise: float = 0.0, along: float = 1.0) -> Model:
 
 
 def place_of(model: Model, time: float, plane: Plane | None = None) -> Float:
-    return np.asarray(model.layout([time], plane)[0])
+    return np.asarray(model.embedding([time], plane)[0])
 
 
 @given(seed=seeds, time=st.floats(0, 0.8), reach=st.one_of(st.none(), st.floats(0.01, 3)))
@@ -67,7 +67,7 @@ def test_no_smaller_change_gets_there() -> None:
         time = float(model.times[4])
         pulled = drag(model, time, place_of(model, time) + move)
         step = (pulled.time([time]) - model.time([time])) @ model.pose.matrix @ model.shapes
-        assert np.linalg.norm(step * model.space.layout_weights) == pytest.approx(
+        assert np.linalg.norm(step * model.space.embedding_weights) == pytest.approx(
             np.linalg.norm(move), rel=1e-9
         )
 
@@ -87,7 +87,7 @@ def test_the_change_is_smooth_and_fades_by_the_weight() -> None:
     to = place_of(model, 0.4) + np.array([0.1, 0.2])
     pulled = drag(model, 0.4, to, reach=0.3)
     assert (jumps(pulled.time) < 1e-9).all()
-    moved = pulled.layout([0.1, 0.2, 0.25, 0.3, 0.55, 0.7], model.plane) - model.layout(
+    moved = pulled.embedding([0.1, 0.2, 0.25, 0.3, 0.55, 0.7], model.plane) - model.embedding(
         [0.1, 0.2, 0.25, 0.3, 0.55, 0.7]
     )
     # Three cubics: 1/6 of the way after a third, 1/2 after a half, 5/6 after two thirds.
@@ -98,7 +98,7 @@ def test_by_default_it_reaches_an_eighth_of_the_motion_or_two_frames() -> None:
     for model, reach in ((bar_motion(), 0.2), (circling(), 0.125)):
         time = model.end / 2
         pulled = drag(model, time, place_of(model, time) + 0.1)
-        moved = pulled.layout([time - 0.9 * reach, time - reach], model.plane) - model.layout(
+        moved = pulled.embedding([time - 0.9 * reach, time - reach], model.plane) - model.embedding(
             [time - 0.9 * reach, time - reach]
         )
         assert np.abs(moved[0]).min() > 1e-5
@@ -171,7 +171,7 @@ class Still:
     ("time", "to", "reach", "message"),
     [
         (0.9, [0.0, 0.0], None, "time is 0.9 s; the model is from 0 to 0.8 s"),
-        (0.4, [0.0], None, r"to has shape \(1,\); a place in the layout, \(2,\), is expected"),
+        (0.4, [0.0], None, r"to has shape \(1,\); a place in the embedding, \(2,\), is expected"),
         (0.4, [0.0, np.nan], None, r"to is \(0.0, nan\); two finite numbers are expected"),
         (0.4, [0.0, 0.0], 0.0, r"reach is 0 s; a number of seconds is expected, at least 0.0001"),
         (0.4, [0.0, 0.0], -1.0, r"reach is -1 s"),
@@ -190,7 +190,7 @@ def test_a_plane_of_another_model() -> None:
     ):
         drag(circling(), 0.5, [0.0, 0.0], plane=bar_motion().plane)
     with pytest.raises(SettingsError, match="give the plane of a model with the same pose and shape signals"):
-        circling().layout([0.5], bar_motion().plane)
+        circling().embedding([0.5], bar_motion().plane)
 
 
 def test_motions_that_do_not_change_shape() -> None:
@@ -199,7 +199,7 @@ def test_motions_that_do_not_change_shape() -> None:
     rigid = fit(MeshSequence.from_arrays(turned, faces, fps=10), exact=True)
     frozen = exaggerate(bar_motion(), 0.0)
     for model in (rigid, frozen, bar_motion(frames=1)):
-        with pytest.raises(SettingsError, match="the layout of the model is one point"):
+        with pytest.raises(SettingsError, match="the embedding of the model is one point"):
             drag(model, 0.0, [0.1, 0.0])
 
 
@@ -218,7 +218,7 @@ def test_knots_need_not_be_frames() -> None:
 def test_real_motions_are_pulled(data: Path, name: str) -> None:
     sequence = mixseq.read(data / "npz" / f"{name}.npz")
     for model in (fit(sequence, exact=True), fit(sequence)):
-        size = np.ptp(model.layout(model.times), axis=0).max()
+        size = np.ptp(model.embedding(model.times), axis=0).max()
         time = float(model.times[9]) + 0.01
         to = place_of(model, time) + 0.2 * size * np.array([0.6, 0.8])
         with warnings.catch_warnings():

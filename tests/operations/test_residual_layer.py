@@ -65,9 +65,9 @@ EDITS: dict[str, Callable[[Model], Model]] = {
     "hold": lambda model: operations.hold(model, hanging(model), 0.2, 0.3, 0.4),
     "smooth": lambda model: operations.smooth(model, 0.1),
     "sculpt": lambda model: operations.sculpt(model, 0.3, moved(model, 0.3)),
-    "drag": lambda model: operations.drag(model, 0.3, model.layout([0.3])[0] + 0.01),
+    "drag": lambda model: operations.drag(model, 0.3, model.embedding([0.3])[0] + 0.01),
     "swap_key": lambda model: operations.swap_key(model, 0, moved(model, model.times[model.key_frames[0]])),
-    "sketch": lambda model: operations.sketch(model, model.layout(model.times[:4]), 0.5),
+    "sketch": lambda model: operations.sketch(model, model.embedding(model.times[:4]), 0.5),
 }
 
 

@@ -157,7 +157,7 @@ def test_similar_shapes_are_sculpted_more() -> None:
     times = model.times
     weight = wide.time(times)[:, -1]
     shapes = (model.time(times) - model.time([0.3])) @ model.pose.matrix @ model.shapes
-    distance = np.linalg.norm(shapes * model.space.layout_weights, axis=1)
+    distance = np.linalg.norm(shapes * model.space.embedding_weights, axis=1)
     expected = np.exp(-0.5 * (distance / (0.5 * distance.max())) ** 2)
     np.testing.assert_allclose(
         weight, expected, atol=2e-3

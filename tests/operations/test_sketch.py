@@ -24,7 +24,7 @@ KINDS = ["anchored", "free", "vertex"]
 
 @cache
 def model_of(kind: str = "anchored", frames: int = 12) -> Model:
-    """A bar that bends back and forth while it swells and shrinks: a loop in the layout."""
+    """A bar that bends back and forth while it swells and shrinks: a loop in the embedding."""
     points, faces = tube(6, 21)
     shapes = []
     for phase in np.linspace(0, 2 * np.pi, frames, endpoint=False):
@@ -42,7 +42,7 @@ def model_of(kind: str = "anchored", frames: int = 12) -> Model:
 def test_through_the_place_of_a_frame_it_is_that_frame(kind: str) -> None:
     model = model_of(kind)
     frames = [3, 7, 8, 1]
-    places = model.layout(model.times[frames])
+    places = model.embedding(model.times[frames])
     sketched = sketch(model, places, 1.5)
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     for frame, time in zip(frames, 1.5 * lengths / lengths[-1], strict=True):
@@ -52,7 +52,7 @@ def test_through_the_place_of_a_frame_it_is_that_frame(kind: str) -> None:
 def test_along_the_layout_it_is_nearly_the_motion() -> None:
     model = model_of()
     dense = np.linspace(model.start, model.end, 101)
-    places = model.layout(dense)
+    places = model.embedding(dense)
     sketched = sketch(model, places, 2.0)
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     apart = sketched.time(2.0 * lengths / lengths[-1]) - model.time(dense)
@@ -64,16 +64,16 @@ def test_the_layout_of_a_sketch_is_the_curve() -> None:
     """Weights reproduce constants, and cardinal interpolation of places nearly the places."""
     model = model_of()
     angle = np.linspace(0.3, 3.0, 9)
-    centre, size = model.layout(model.times).mean(axis=0), np.ptp(model.layout(model.times), axis=0)
+    centre, size = model.embedding(model.times).mean(axis=0), np.ptp(model.embedding(model.times), axis=0)
     curve = centre + 0.3 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     sketched = sketch(model, curve, 1.0)
-    drawn = sketched.layout(np.linspace(0, 1, 9), model.plane)
+    drawn = sketched.embedding(np.linspace(0, 1, 9), model.plane)
     assert np.abs(drawn[[0, -1]] - curve[[0, -1]]).max() < 0.05 * size.max()
 
 
 def test_one_point_is_a_pose_that_is_held() -> None:
     model = model_of()
-    sketched = sketch(model, model.layout(model.times[[4]]), 0.5)
+    sketched = sketch(model, model.embedding(model.times[[4]]), 0.5)
     assert sketched.times.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
     for time in (0.0, 0.22, 0.5):
         np.testing.assert_allclose(sketched(time), model(model.times[4]), atol=1e-9)
@@ -81,13 +81,13 @@ def test_one_point_is_a_pose_that_is_held() -> None:
 
 def test_points_that_are_drawn_twice_are_one() -> None:
     model = model_of()
-    places = model.layout(model.times[:5])
+    places = model.embedding(model.times[:5])
     once, twice = sketch(model, places, 1.0), sketch(model, np.repeat(places, 2, axis=0), 1.0)
     np.testing.assert_array_equal(once.time.values, twice.time.values)
 
 
 def test_frames_are_at_the_rate_of_the_model() -> None:
-    sketched = sketch(model_of(), model_of().layout(model_of().times), 0.95)
+    sketched = sketch(model_of(), model_of().embedding(model_of().times), 0.95)
     np.testing.assert_allclose(sketched.times, np.arange(10) / 10)
     assert (sketched.start, sketched.end) == (0.0, 0.95)
 
@@ -104,23 +104,25 @@ def test_a_cycle_that_is_stored_twice_needs_no_warning() -> None:
     model = model_of()
     points = np.concatenate([model.sample().points] * 2)
     twice = fit(MeshSequence.from_arrays(points, model.header.polygons, fps=10), exact=True, parts=2)
-    sketched = sketch(twice, twice.layout(twice.times[:5]), 1.0)
+    sketched = sketch(twice, twice.embedding(twice.times[:5]), 1.0)
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)
 
 
 def test_frames_that_share_a_place_but_differ_are_told() -> None:
-    """The same shapes elsewhere: the layout shows shapes only."""
+    """The same shapes elsewhere: the embedding shows shapes only."""
     model = model_of()
     points = np.concatenate([model.sample().points, model.sample().points + 5.0])
     twice = fit(MeshSequence.from_arrays(points, model.header.polygons, fps=10), exact=True, parts=2)
-    with pytest.warns(MixseqWarning, match="12 frames share their place in the layout with an earlier frame"):
-        sketched = sketch(twice, twice.layout(twice.times[:5]), 1.0)
+    with pytest.warns(
+        MixseqWarning, match="12 frames share their place in the embedding with an earlier frame"
+    ):
+        sketched = sketch(twice, twice.embedding(twice.times[:5]), 1.0)
     np.testing.assert_allclose(sketched(0.0), points[0], atol=1e-9)
 
 
 def test_a_curve_far_away_is_told() -> None:
     model = model_of()
-    places = model.layout(model.times)
+    places = model.embedding(model.times)
     size = np.linalg.norm(np.ptp(places, axis=0))
     near, far = (np.array([places[0], places[0] + [0.0, reach * size]]) for reach in (0.4, 3.0))
     with warnings.catch_warnings():
@@ -150,7 +152,7 @@ def test_a_gallop_drawn_through_its_frames(data: Path) -> None:
     """Between the frames it is nearer to the motion than frames blended two by two."""
     gallop = mixseq.read(data / "npz" / "q_wolf_gallop.npz")
     model = fit(gallop, exact=True)
-    places = model.layout(model.times)
+    places = model.embedding(model.times)
     sketched = sketch(model, places, model.end)
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     arrival = model.end * lengths / lengths[-1]

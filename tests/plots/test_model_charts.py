@@ -89,7 +89,7 @@ def test_layout_shows_curve_and_frames(model: Model, ax: Any) -> None:
     draw_layout(ax, model)
     curve, start, end = (line.get_xydata() for line in ax.get_lines())
     frames = np.asarray(ax.collections[0].get_offsets())
-    np.testing.assert_allclose(frames, model.layout(model.times))
+    np.testing.assert_allclose(frames, model.embedding(model.times))
     np.testing.assert_allclose([start[0], end[0]], frames[[0, -1]])
     for frame in frames:
         assert np.linalg.norm(curve - frame, axis=1).min() < 0.02

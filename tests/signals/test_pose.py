@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.signals.layout import plane
+from mixseq.signals.mds_embedding import plane_of
 from mixseq.signals.pose import PoseMap, choose_keys, key_map, principal_modes
 
 
@@ -94,12 +94,12 @@ def test_unsound_maps_are_refused(offset: list[float], matrix: Float, message: s
 def test_the_layout_is_the_plane_of_the_first_two_components() -> None:
     given_ = vectors(count=7, rank=4)
     modes = principal_modes(given_, METRIC)
-    origin, axes, directions = plane(np.eye(7)[:, 1:], PoseMap.of_weights(7), given_, METRIC)
+    origin, axes, directions = plane_of(np.eye(7)[:, 1:], PoseMap.of_weights(7), given_, METRIC)
     drawn = (np.eye(7) - origin) @ axes
     np.testing.assert_allclose(np.abs(drawn), np.abs(modes.scores[:, :2]), atol=1e-9)
     steps = directions.T @ (given_[1:] - given_[0]) * METRIC
     np.testing.assert_allclose(steps @ steps.T, np.eye(2), atol=1e-9)  # as long as in the plane
     np.testing.assert_allclose(directions.T @ PoseMap.of_weights(7).matrix @ axes, np.eye(2), atol=1e-9)
-    flat = plane(np.eye(3)[:, 1:], PoseMap.of_weights(3), np.ones((3, 40)), METRIC)
+    flat = plane_of(np.eye(3)[:, 1:], PoseMap.of_weights(3), np.ones((3, 40)), METRIC)
     assert not flat.axes.any()
     assert not flat.directions.any()

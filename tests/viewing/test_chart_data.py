@@ -46,7 +46,7 @@ def test_handles_are_on_the_path(line: MeshSequence) -> None:
     handles = signals_of(model)["handles"]
     times = [handle["time"] for handle in handles]
     np.testing.assert_allclose(times, np.linspace(1, 2.5, HANDLES))
-    np.testing.assert_allclose([handle["at"] for handle in handles], model.layout(times), atol=1e-5)
+    np.testing.assert_allclose([handle["at"] for handle in handles], model.embedding(times), atol=1e-5)
 
 
 def test_coefficients_are_in_diagonals(line: MeshSequence) -> None:

@@ -160,7 +160,7 @@ def test_the_point_is_where_the_model_is(charts: Charts, model: Model) -> None:
     time = 0.3
     charts.page.evaluate("(time) => charts.at(time)", time)
     charts.settle()
-    assert apart(charts.ask("pointPixel()"), charts.pixel(model.layout([time])[0])) < 1
+    assert apart(charts.ask("pointPixel()"), charts.pixel(model.embedding([time])[0])) < 1
 
 
 def test_dragging_a_handle(charts: Charts, signals: dict[str, Any]) -> None:
@@ -215,7 +215,7 @@ def test_what_a_drag_will_make_is_shown_at_once(
     charts.grab(start)
     charts.move((start[0] + 30, start[1] - 60))
     to = charts.told("drag")[-1]["to"]
-    made = drag(model, time, to).layout(signals["times"], model.plane)
+    made = drag(model, time, to).embedding(signals["times"], model.plane)
     changed = np.abs(made - signals["path"]).max(axis=1) > 1e-3
     shown = np.array(charts.ask("bentPixels()"))
     made_there = np.array([charts.pixel(point) for point in made[changed]])
@@ -284,7 +284,7 @@ def test_late_news_does_not_fight_the_hand_either(charts: Charts) -> None:
 def test_seeking_on_the_curve(charts: Charts, model: Model, signals: dict[str, Any]) -> None:
     before, after = signals["handles"][7:9]
     time = (before["time"] + after["time"]) / 2
-    x, y = charts.pixel(model.layout([time])[0])
+    x, y = charts.pixel(model.embedding([time])[0])
     charts.drag((x, y), (x, y))
     assert charts.told("seek")[0] == pytest.approx(time, abs=0.002)
     assert apart(charts.ask("pointPixel()"), (x, y)) < 1.5

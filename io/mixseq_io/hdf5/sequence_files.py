@@ -85,7 +85,7 @@ class _ModelReader(SequenceReader):
     """Decodes the frames of a model as they are asked for."""
 
     def __init__(self, path: Path) -> None:
-        from mixseq.signals.model import FRAMES
+        from mixseq.signals.decoding import FRAMES
         from mixseq_io.hdf5.model_files import load  # models build on formats, not formats on models
 
         self._model = load(path)

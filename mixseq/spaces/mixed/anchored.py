@@ -39,8 +39,8 @@ from mixseq.threads import one_blas_thread
 JOINT = 0.001
 """What lengths and angles weigh in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
 
-LAYOUT = 2.0
-"""What lengths and angles weigh in layouts; ours."""
+EMBEDDING = 2.0
+"""What lengths and angles weigh in embeddings; ours."""
 
 SIDE = 0.1
 """What sides weigh in the metric."""
@@ -173,10 +173,10 @@ class AnchoredSpace(MixedSpace):
         )
 
     @property
-    def layout_weights(self) -> Float:
-        """Implement `ShapeSpace.layout_weights`: unposed vertices hardly tell a pose, joints do."""
+    def embedding_weights(self) -> Float:
+        """Implement `ShapeSpace.embedding_weights`: unposed vertices hardly tell a pose, joints do."""
         edges, hinges, *_ = self.sizes
-        joints = np.concatenate([np.full(edges, LAYOUT), LAYOUT * self.angle_weights])
+        joints = np.concatenate([np.full(edges, EMBEDDING), EMBEDDING * self.angle_weights])
         return np.concatenate([joints, self.shape_weights[edges + hinges :]])
 
     def split(self, vectors: Float) -> AnchoredBlocks:

@@ -9,7 +9,7 @@ from typing import Any
 from mixseq.errors import SettingsError
 from mixseq.operations import drag, sketch
 from mixseq.signals import Model
-from mixseq.signals.layout import Plane
+from mixseq.signals.mds_embedding import Plane
 from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.live.bridge import in_script
 from mixseq.viewing.messages import Drag, Message, Retime, Seek, Sketch
@@ -106,7 +106,7 @@ class Charts:
 
     @property
     def _plane(self) -> Plane:
-        """The layout that is drawn: what is dragged should not turn the picture that it is dragged in."""
+        """The embedding that is drawn: what is dragged should not turn the picture that it is dragged in."""
         model, index = self._session.model, self._session.index
         if index not in self._planes or not _fits(model, self._planes[index]):
             self._planes[index] = model.plane

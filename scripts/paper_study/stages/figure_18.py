@@ -108,7 +108,7 @@ def draw(
     frame: int,
     vertex: int,
 ) -> None:
-    """Draw a row for every space: the layout, a close-up of it, the frame in between and a close-up of that."""
+    """Draw a row for every space: the embedding, a close-up of it, the frame in between and a close-up of that."""
     sequence = poses.sequence
     view = broadside(truth, sequence.up_axis)
     whole = shared_limits(np.stack([truth, *shapes.values()]), sequence.up_axis, view)
@@ -124,7 +124,7 @@ def draw(
         for axes, (name, model) in zip(panels, models.items(), strict=False):
             for ax in axes[:2]:
                 draw_layout(ax, model)
-                ax.plot(*model.layout([time]).T, "D", color="#d9331f", ms=7, zorder=5)
+                ax.plot(*model.embedding([time]).T, "D", color="#d9331f", ms=7, zorder=5)
             axes[0].set_title(name, fontsize=11)
             close_up(axes[1], model, time)
         for axes, (name, points) in zip(panels, [*shapes.items(), ("the original", truth)], strict=True):
@@ -140,7 +140,7 @@ def close_up(ax: Any, model: Any, time: float) -> None:
     """Show what is between the two frames around a time."""
     times = model.times
     after = int(np.searchsorted(times, time))
-    ends = model.layout([times[after - 1], time, times[after]])
+    ends = model.embedding([times[after - 1], time, times[after]])
     middle, half = ends.mean(axis=0), 0.8 * np.ptp(ends, axis=0).max()
     ax.set(
         xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), title="close-up"

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.errors import SettingsError
 from mixseq.signals.pose import PoseMap
 
 NEGLIGIBLE = 1e-12
@@ -46,8 +47,24 @@ class Plane(NamedTuple):
     axes: Float
     directions: Float
 
+    def checked(self, shapes: int, coordinates: int) -> Plane:
+        """Return the plane, if it can be one of a model with so many key shapes and coordinates of pose space.
 
-def plane(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
+        Raises
+        ------
+        SettingsError
+            If it is of other key shapes.
+        """
+        if (len(self.origin), len(self.directions)) != (shapes, coordinates):
+            raise SettingsError(
+                f"the plane is of {len(self.origin)} key shapes and {len(self.directions)} coordinates of pose "
+                f"space, the model has {shapes} and {coordinates}; give the plane of a model with the "
+                "same pose and shape signals"
+            )
+        return self
+
+
+def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plane:
     """Find the plane of the first two principal components of blended shapes.
 
     Parameters

@@ -1,0 +1,234 @@
+"""Decoding motions at any time: frames, velocities, blocks of them on any executor."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mixseq.arrays import Float
+from mixseq.errors import SettingsError
+from mixseq.mapping import Executor, on_threads, serially
+from mixseq.progress import Progress, silent
+from mixseq.sequence import MeshSequence
+from mixseq.sequence_header import SequenceHeader, frame_times
+from mixseq.spaces.base import ShapeSpace
+
+Decoded = TypeVar("Decoded")
+
+FRAMES = 4
+"""Frames decoded at once; each thread has as many in hand."""
+
+
+class ResidualLayer(Protocol):
+    """Displacements of vertices over time that are added to decoded frames, in the units of the sequence."""
+
+    def at(self, times: Float) -> Float:
+        """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
+
+    def rates(self, times: Float) -> Float:
+        """Return their derivatives ``(N, V, 3)`` by time, per second."""
+
+
+class Decodable(ABC):
+    """A motion that can be decoded at any time: vectors of a shape space over time, and what is added to frames."""
+
+    header: SequenceHeader
+    space: ShapeSpace
+    residual_layer: ResidualLayer | None
+
+    @property
+    def times(self) -> Float:
+        """Times ``(T,)`` of the frames in seconds."""
+        times: Float = self.header.times
+        return times
+
+    @property
+    @abstractmethod
+    def start(self) -> float:
+        """First time in seconds."""
+
+    @property
+    @abstractmethod
+    def end(self) -> float:
+        """Last time in seconds."""
+
+    @abstractmethod
+    def curve(self, times: ArrayLike) -> Float:
+        """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds."""
+
+    @abstractmethod
+    def rates(self, times: ArrayLike) -> Float:
+        """Return their derivatives ``(N, D)`` by time, per second."""
+
+    def __call__(self, time: float) -> Float:
+        """Return the vertex positions ``(V, 3)`` at a time in seconds.
+
+        Raises
+        ------
+        SettingsError
+            If the time is outside the sequence: models do not extrapolate.
+        """
+        frame: Float = next(self.blocks([time]))[0]
+        return frame
+
+    def velocity(self, time: float) -> Float:
+        """Return the velocities ``(V, 3)`` of the vertices in units per second: the analytic derivative."""
+        frame: Float = next(self.moving_blocks([time]))[1][0]
+        return frame
+
+    def sample(
+        self,
+        times: ArrayLike | None = None,
+        fps: float | None = None,
+        progress: Progress = silent,
+        *,
+        frames: Iterable[int] | None = None,
+        velocities: bool = False,
+    ) -> MeshSequence:
+        """Decode frames.
+
+        Parameters
+        ----------
+        times : (N,) array_like, optional
+            Times in seconds, increasing; by default those of the sequence.
+        fps : float, optional
+            Frames per second: without `times` the whole sequence is sampled at this rate, from its first time
+            on. With `times` it only says which time line they are on.
+        progress : callable, optional
+            Told about every frame.
+        frames : iterable of int, optional
+            Numbers of the sequence's own frames, increasing, instead of times: ``range(10, 20)``.
+        velocities : bool
+            Also find `MeshSequence.velocities`, for motion blur.
+
+        Returns
+        -------
+        MeshSequence
+            float64 points in the units of the original.
+
+        Raises
+        ------
+        SettingsError
+            If a time is outside the sequence, there is no such frame, or fps is not positive.
+        """
+        header = self.header_at(times if frames is None else self._times_of(frames, times), fps)
+        if velocities:
+            moving = list(self.moving_blocks(header.times, progress=progress))
+            points, speeds = (np.concatenate(arrays) for arrays in zip(*moving, strict=True))
+            return MeshSequence.from_header(header, points, speeds)
+        points = np.concatenate(list(self.blocks(header.times, progress=progress)))
+        return MeshSequence.from_header(header, points)
+
+    def _times_of(self, frames: Iterable[int], times: ArrayLike | None) -> Float:
+        numbers = np.fromiter(frames, dtype=np.int64)
+        if times is not None:
+            raise SettingsError("give either times or frames")
+        outside = (numbers < 0) | (numbers >= len(self.times))
+        if outside.any() or not numbers.size:
+            which = f"there is no frame {numbers[outside][0]}" if numbers.size else "no frame is asked for"
+            raise SettingsError(f"{which}; the sequence has frames 0 to {len(self.times) - 1}")
+        return np.asarray(self.times[numbers])
+
+    def header_at(self, times: ArrayLike | None = None, fps: float | None = None) -> SequenceHeader:
+        """Return the header of what `sample` returns, without decoding anything."""
+        if fps is not None and not (np.isfinite(fps) and fps > 0):
+            raise SettingsError(f"fps is {fps}; a positive number is expected")
+        if times is None and fps is not None:
+            times = frame_times(self.times[0], self.times[-1], fps)
+        return self.header.with_times(self.times if times is None else self.inside(times), fps)
+
+    def blocks(
+        self,
+        times: ArrayLike,
+        size: int = FRAMES,
+        progress: Progress = silent,
+        workers: Executor | None = None,
+    ) -> Iterator[Float]:
+        """Decode frames block by block: yields points ``(B, V, 3)`` with ``B <= size``, for `times` in order.
+
+        `workers` say who decodes the blocks, by default as many threads as there are cores. A frame is the same, to
+        the last bit, whoever decodes it and whatever frames are asked for with it.
+        """
+        return _decoded(_points, self, self.inside(times), size, progress, workers)
+
+    def moving_blocks(
+        self,
+        times: ArrayLike,
+        size: int = FRAMES,
+        progress: Progress = silent,
+        workers: Executor | None = None,
+    ) -> Iterator[tuple[Float, Float]]:
+        """Decode frames block by block with velocities: yields points and units per second, ``(B, V, 3)`` each."""
+        return _decoded(_moving_points, self, self.inside(times), size, progress, workers)
+
+    def inside(self, times: ArrayLike) -> Float:
+        """Return times ``(N,)`` as they are, but for rounding at the ends.
+
+        Raises
+        ------
+        SettingsError
+            If a time is outside the model.
+        """
+        wanted = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        first, last = self.start, self.end
+        slack = 1e-3 / self.header.fps  # times are typed and printed with a few digits
+        outside = ~((wanted >= first - slack) & (wanted <= last + slack))
+        if outside.any():
+            raise SettingsError(
+                f"time {wanted[outside][0]:g} s is outside the sequence, {first:g} to {last:g} s; "
+                "models do not extrapolate"
+            )
+        return np.clip(wanted, first, last)
+
+
+def _decoded(
+    decode: Callable[[Decodable, Float], Decoded],
+    model: Decodable,
+    times: Float,
+    size: int,
+    progress: Progress,
+    workers: Executor | None,
+) -> Iterator[Decoded]:
+    """Yield what is decoded of a model at times ``(N,)``, in blocks of so many, in order.
+
+    Parameters
+    ----------
+    decode : callable
+        `_points` or `_moving_points`.
+    model : Decodable
+        The motion.
+    times : (N,) float64
+        Times in seconds, within the model.
+    size : int
+        Frames in a block.
+    progress : callable
+        Told about every block.
+    workers : Executor, optional
+        Who decodes the blocks, by default as many threads as there are cores.
+    """
+    some = (times[start : start + size] for start in range(0, len(times), size))
+    work = workers or (on_threads() if len(times) > size else serially)
+    model.space.prepared()
+    done = 0
+    for block in work(decode, model, some):
+        yield block
+        done = min(done + size, len(times))
+        progress(done, len(times), "decoding frames")
+
+
+def _points(model: Decodable, times: Float) -> Float:
+    """Return the points ``(N, V, 3)`` at times ``(N,)``."""
+    points = model.space.decode(model.curve(times))
+    return points if model.residual_layer is None else points + model.residual_layer.at(times)
+
+
+def _moving_points(model: Decodable, times: Float) -> tuple[Float, Float]:
+    """Return the points and their velocities ``(N, V, 3)`` at times ``(N,)``."""
+    points, speeds = model.space.decode_moving(model.curve(times), model.rates(times))
+    if model.residual_layer is None:
+        return points, speeds
+    return points + model.residual_layer.at(times), speeds + model.residual_layer.rates(times)
