@@ -42,7 +42,7 @@ from mixseq.operations import (
     swap_key,
     transition,
 )
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
 from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
@@ -148,7 +148,7 @@ def softening(path: Path) -> None:
     walk = walk_cycle()
     columns: dict[str, tuple[Index, Index]] = {}
     for title, tolerance in (("at boundaries only", None), ("stretch_tolerance=0.01", 0.01)):
-        space = Blend.of(walk, among=[0, 12], stretch_tolerance=tolerance).space
+        space = PoseInterpolator.of(walk, among=[0, 12], stretch_tolerance=tolerance).space
         assert isinstance(space, MixedSpace)
         columns[title] = space.decomposition.part_of_face, space.decomposition.joint_of_face
     from_two_sides(path, walk, columns)

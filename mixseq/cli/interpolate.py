@@ -113,7 +113,7 @@ def command(
     """
     _check(poses, steps)
     check_target(target, source)
-    from mixseq.operations.interpolation import Blend
+    from mixseq.operations.interpolation import PoseInterpolator
 
     with (
         workers as work,
@@ -125,7 +125,7 @@ def command(
             parts = parts_given(reader, making.get("parts"), labels, label_source, reading)
             making = making | {"parts": parts}
         used = _used(weights)
-        blend = Blend.of(reader, **making, among=used, progress=progress, workers=work)
+        blend = PoseInterpolator.of(reader, **making, among=used, progress=progress, workers=work)
         header = blend.header.with_times([step / blend.header.fps for step in range(len(weights))])
         frames = (points[None] for points in blend.along(weights[:, used], progress, work))
         write_sequence(target, header, frames, None, writing)

@@ -217,7 +217,7 @@ def _check_settings(
     map_file: Path | None,
     reverse: bool,
     method: str,
-    told: Mapping[str, object],
+    of_parts: Mapping[str, object],
     picture: Path | None,
     no_picture: bool,
 ) -> None:
@@ -229,6 +229,6 @@ def _check_settings(
     if picture is not None and no_picture:
         raise SettingsError("--picture and --no-picture exclude each other")
     if method == "gradients":
-        for name, value in told.items():
+        for name, value in of_parts.items():
             if value is not None:
                 raise SettingsError(f"the method gradients knows no parts; leave out --{name}, or --method")

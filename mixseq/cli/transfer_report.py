@@ -26,9 +26,9 @@ COLUMNS = 5
 def facts(made: Transfer, method: str, report: TransferReport) -> dict[str, Any]:
     """Plain values for JSON."""
     quality = made.quality
-    told = {"method": method, "frames": made.header.frame_count, "vertices": made.header.vertex_count}
+    reported = {"method": method, "frames": made.header.frame_count, "vertices": made.header.vertex_count}
     return (
-        told
+        reported
         | _part_counts(made)
         | {"correspondence": None if quality is None else _quality_facts(quality)}
         | report.as_dict()

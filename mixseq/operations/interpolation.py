@@ -14,9 +14,10 @@ none.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,8 +49,8 @@ SUM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Blend(PickledWithoutCaches):
-    """Poses of a mesh as vectors of a shape space, to be blended with any weights. Make it with `Blend.of`.
+class PoseInterpolator(PickledWithoutCaches):
+    """Poses of a mesh as vectors of a shape space, to be blended with any weights. Make it with `PoseInterpolator.of`.
 
     Attributes
     ----------
@@ -79,7 +80,7 @@ class Blend(PickledWithoutCaches):
         progress: Progress = silent,
         workers: Executor | None = None,
         **settings: Unpack[SpaceOptions],
-    ) -> Blend:
+    ) -> PoseInterpolator:
         """Make a space of poses, and encode them; parameters as of `interpolate`, and one more.
 
         Parameters
@@ -142,7 +143,7 @@ class Blend(PickledWithoutCaches):
         rows = [checked_weights(row, len(self.vectors)) for row in np.atleast_1d(table)]
         self.space.prepared()
         work = workers or on_threads()
-        for done, points in enumerate(work(Blend.at, self, rows), start=1):
+        for done, points in enumerate(work(PoseInterpolator.at, self, rows), start=1):
             yield points
             progress(done, len(rows), "blending poses")
 
@@ -168,7 +169,7 @@ def interpolate(
 ) -> Float:
     """Blend any number of poses of a mesh in a shape space.
 
-    For several blends of the same poses make a `Blend` once.
+    For several blends of the same poses make a `PoseInterpolator` once.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def interpolate(
     check_frames(poses)
     weights = checked_weights(weights, poses.header.frame_count)  # before the work
     used = np.flatnonzero(weights)
-    blend = Blend.of(
+    blend = PoseInterpolator.of(
         poses,
         space,
         among=used,
@@ -263,3 +264,11 @@ def checked_weights(weights: ArrayLike, count: int) -> Float:
             else "weights add up to 0 and must add up to 1; raise one of them"
         )
     return np.asarray(numbers / total)
+
+
+def __getattr__(name: str) -> Any:
+    """Give old names, which work for one more version."""
+    if name != "Blend":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn("Blend is now PoseInterpolator", DeprecationWarning, stacklevel=2)
+    return PoseInterpolator

@@ -162,10 +162,10 @@ def _frames_apart(model: Model, places: Float) -> Index:
         stands_for[frame] = frame if first is None else first
         if first is None:
             chosen.append(frame)
-    lost = _apart(model, stands_for) > ACCURACY
-    if lost.any():
+    hidden = _apart(model, stands_for) > ACCURACY
+    if hidden.any():
         warnings.warn(
-            f"{np.count_nonzero(lost)} frames share their place in the embedding with an earlier frame that differs; "
+            f"{np.count_nonzero(hidden)} frames share their place in the embedding with an earlier frame that differs; "
             "a sketch shows the earlier one",
             MixseqWarning,
             stacklevel=3,

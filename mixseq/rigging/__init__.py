@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from mixseq.rigging.fit import fit_morph, fit_skin
+from mixseq.rigging.rig_fitting import fit_morph, fit_skin
 from mixseq.rigging.rigs import Morph, Skin
 
 __all__ = ["Morph", "Skin", "fit_morph", "fit_skin"]

@@ -73,7 +73,7 @@ def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) 
     free_rest : bool
         Whether rest positions are fitted too.
     """
-    from mixseq.rigging.kernels import fit_vertices
+    from mixseq.rigging.weight_kernels import fit_vertices
 
     bones, frames = len(motions), motions.shape[2] // 3
     flat = motions.reshape(4 * bones, -1)

@@ -133,10 +133,10 @@ def encode(
     some = evenly(sequence.header.vertex_count, SAMPLED)
     samples = np.empty((count, 3 * len(some)))
     previous, done = None, 0
-    for apart, seen in workers(_encoded, (space, some), blocks_of(sequence.points)):
+    for apart, sampled in workers(_encoded, (space, some), blocks_of(sequence.points)):
         vectors = space.unwrap(apart, previous)
         rows = slice(done, done + len(vectors))
-        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], seen
+        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], sampled
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
     turns, centres = space.poses(placement)

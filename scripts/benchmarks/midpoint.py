@@ -15,7 +15,7 @@ import numpy as np
 
 import mixseq
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 
 PAIRS = (
     ("lion_poses", 2, 5),
@@ -65,7 +65,7 @@ def measure(path: Path, first: int, second: int) -> None:
         ("interpolate, edge, DSO", {"space": "edge", "projection": "dso"}),
     )
     for method, told in spaces:
-        blend = Blend.of(sequence, among=[first, second], **told)
+        blend = PoseInterpolator.of(sequence, among=[first, second], **told)
         blend.space.prepared()
         start = time.perf_counter()
         point, report = blend.at_with_reports([0.5, 0.5])

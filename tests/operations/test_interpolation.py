@@ -13,7 +13,7 @@ from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS, SPACES, PlacementName, SpaceName
 from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence import MeshSequence
 from mixseq.spaces.mixed import AnchoredSpace
 from tests.meshes import SEQUENCES, bar, bent, rotation, tube
@@ -35,7 +35,7 @@ def lengths(points: Float, faces: Any) -> Float:
 
 @pytest.mark.parametrize(("space", "settings"), KINDS, ids=str)
 def test_a_pose_alone_comes_back(space: SpaceName, settings: dict[str, Any]) -> None:
-    blend = Blend.of(POSES, space, **settings)
+    blend = PoseInterpolator.of(POSES, space, **settings)
     assert blend.dim == blend.space.dim == blend.vectors.shape[1]
     for pose, points in zip(POSES.points, blend.along(np.eye(4)), strict=True):
         np.testing.assert_allclose(points, pose, atol=1e-9)
@@ -115,30 +115,30 @@ def test_poses_may_have_any_order() -> None:
 
 
 def test_settings_are_used() -> None:
-    blend = Blend.of(POSES, parts=2, joint_width=1)
+    blend = PoseInterpolator.of(POSES, parts=2, joint_width=1)
     assert isinstance(blend.space, mixseq.spaces.MixedSpace)
     assert len(blend.space.decomposition.parts) == 2
     assert blend.space.placement == "anchored"
-    free = Blend.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free").space
+    free = PoseInterpolator.of(POSES, parts=np.arange(len(POSES.faces)) % 2 * 0, placement="free").space
     assert isinstance(free, mixseq.spaces.MixedSpace)
     assert (free.placement, len(free.decomposition.parts)) == ("free", 1)
 
 
 def test_lengths_and_angles_are_made_to_agree_between_poses_that_are_apart() -> None:
     """In an animation of the same frames there is no need to."""
-    space = Blend.of(POSES, among=[0, 3]).space
+    space = PoseInterpolator.of(POSES, among=[0, 3]).space
     assert isinstance(space, AnchoredSpace) and space.relaxation.steps > 0 and space.known.any()
     near = MeshSequence.from_arrays(POSES.points[[0, 0]] + np.array([0.0, 1.0])[:, None, None], POSES.faces)
-    for other in (mixseq.fit(POSES).space, Blend.of(near).space):
+    for other in (mixseq.fit(POSES).space, PoseInterpolator.of(near).space):
         assert isinstance(other, AnchoredSpace) and not (other.relaxation.steps or other.known.any())
 
 
 def test_fits_are_reported() -> None:
-    points, reports = Blend.of(POSES, "edge", among=[0, 1]).at_with_reports([0.5, 0.5])
+    points, reports = PoseInterpolator.of(POSES, "edge", among=[0, 1]).at_with_reports([0.5, 0.5])
     np.testing.assert_array_equal(points, mixseq.interpolate(POSES, [0.5, 0.5, 0, 0], "edge"))
     assert reports
     assert all(report.converged for report in reports)
-    assert not Blend.of(POSES, "vertex").at_with_reports([1, 0, 0, 0])[1]
+    assert not PoseInterpolator.of(POSES, "vertex").at_with_reports([1, 0, 0, 0])[1]
 
 
 def test_blends_do_not_depend_on_who_works() -> None:
@@ -146,7 +146,9 @@ def test_blends_do_not_depend_on_who_works() -> None:
     results = []
     for workers in (serially, on_threads(3)):
         told: list[tuple[int, int, str]] = []
-        blend = Blend.of(POSES, workers=workers, progress=lambda *step, told=told: told.append(step))
+        blend = PoseInterpolator.of(
+            POSES, workers=workers, progress=lambda *step, told=told: told.append(step)
+        )
         results.append(np.stack(list(blend.along(weights, workers=workers))))
         assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
         assert told[-1][0] == told[-1][1]
@@ -189,13 +191,13 @@ def test_weights_in_single_precision_will_do() -> None:
 @pytest.mark.parametrize("rows", [[[0.5, 0.5, 0, 0], [1.0]], [["all", 0, 0, 0]]])
 def test_rows_of_weights_are_checked(rows: Any) -> None:
     with pytest.raises(SettingsError, match="not a table of numbers, with a row for every blend"):
-        next(Blend.of(POSES, "vertex").along(rows))
+        next(PoseInterpolator.of(POSES, "vertex").along(rows))
 
 
 def test_poses_to_blend_are_checked() -> None:
     for pose in (-1, 4):
         with pytest.raises(SettingsError, match=f"there is no pose {pose}; poses are 0 to 3"):
-            Blend.of(POSES, "vertex", among=[0, pose])
+            PoseInterpolator.of(POSES, "vertex", among=[0, pose])
 
 
 @pytest.mark.parametrize(
@@ -218,7 +220,7 @@ def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
 def test_lions_come_back(data: Path, space: SpaceName) -> None:
     lions = mixseq.read(data / "npz" / "lion_poses.npz")
     poses = MeshSequence.from_arrays(lions.points[[0, 2, 5]], lions.polygons)
-    for pose, points in zip(poses.points, Blend.of(poses, space).along(np.eye(3)), strict=True):
+    for pose, points in zip(poses.points, PoseInterpolator.of(poses, space).along(np.eye(3)), strict=True):
         assert np.linalg.norm(points - pose, axis=1).max() < 1e-6 * poses.diagonal
 
 
@@ -230,3 +232,9 @@ def test_a_fox_comes_back_from_its_file(data: Path, space: SpaceName, tmp_path: 
     mixseq.save(tmp_path / "fox.h5", mixseq.fit(some, exact=True, space=space))
     decoded = mixseq.load(tmp_path / "fox.h5").sample()
     assert np.linalg.norm(decoded.points - some.points, axis=2).max() < 1e-6 * some.diagonal
+
+
+def test_the_old_name_works() -> None:
+    with pytest.warns(DeprecationWarning, match="Blend is now PoseInterpolator"):
+        from mixseq.operations.interpolation import Blend
+    assert Blend is PoseInterpolator

@@ -10,7 +10,7 @@ import numpy as np
 
 import mixseq
 from mixseq.errors import MissingExtraError
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.shells.fitting import ShellReport, ShellSettings
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.envelope import envelope
@@ -94,10 +94,10 @@ def _measure_pair(
     topology = mixseq.Topology(sequence.faces, sequence.vertex_count)
     solved: list[tuple[str, Timing, list[ShellReport], Any, int]] = []
 
-    blends: dict[str, Blend] = {}
+    blends: dict[str, PoseInterpolator] = {}
     for method, told in SPACES.items():
         say(f"{pair}: {method}")
-        blends[method] = Blend.of(sequence, among=[first, second], **told)
+        blends[method] = PoseInterpolator.of(sequence, among=[first, second], **told)
         blends[method].space.prepared()
         timing, points = repeated(partial(blends[method].at, [0.5, 0.5]), 7, 20.0, warm=True)
         solved.append((method, timing, [], points / sequence.diagonal, 1))

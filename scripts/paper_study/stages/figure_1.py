@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mixseq.arrays import Float
 from mixseq.choices import SpaceName
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 from scripts.paper_study.common.errors import error_table, errors
 from scripts.paper_study.common.methods import METHODS
 from scripts.paper_study.common.pictures import Panel, gallery
@@ -26,7 +26,7 @@ def measure(poses: Poses, folder: Path, say: Callable[[str], None]) -> Json:
     weights = between(0.5)
     blends: dict[str, Float] = {}
     for name, space in SPACES.items():
-        blends[name] = Blend.of(poses.sequence, space, among=poses.frames).at(weights)
+        blends[name] = PoseInterpolator.of(poses.sequence, space, among=poses.frames).at(weights)
     labels = poses.segmented()
     for name in ("DSO", "MixIT"):
         method = METHODS[name](poses, labels)

@@ -7,7 +7,7 @@ import pytest
 
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.operations.interpolation import Blend
+from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 from mixseq.spaces.mixed import AnchoredSpace
@@ -32,8 +32,8 @@ def curled() -> MeshSequence:
 CURLED = curled()
 
 
-def blend_of(*among: int) -> Blend:
-    blend = Blend.of(CURLED, among=among, parts=3)
+def blend_of(*among: int) -> PoseInterpolator:
+    blend = PoseInterpolator.of(CURLED, among=among, parts=3)
     assert isinstance(blend.space, AnchoredSpace) and blend.space.relaxation.steps
     return blend
 
@@ -67,7 +67,7 @@ def test_nothing_jumps_between_poses() -> None:
 
 
 def test_the_farther_poses_are_apart_the_more_steps_are_taken() -> None:
-    spaces = [Blend.of(CURLED, among=among, parts=3).space for among in ((0, 0), (0, 1), (0, 2))]
+    spaces = [PoseInterpolator.of(CURLED, among=among, parts=3).space for among in ((0, 0), (0, 1), (0, 2))]
     steps = [space.relaxation.steps for space in spaces if isinstance(space, AnchoredSpace)]
     assert steps[0] == 0 and 6 <= steps[1] < steps[2] <= 20
 
@@ -96,7 +96,7 @@ def test_no_vertex_shakes_between_poses() -> None:
 def test_any_mesh_can_settle(name: str) -> None:
     """Where there are triangles without area, too, and vertices that no triangle uses."""
     sequence = SEQUENCES[name]()
-    blend = Blend.of(sequence)
+    blend = PoseInterpolator.of(sequence)
     count = len(sequence.points)
     for pose in (0, count - 1):
         np.testing.assert_allclose(blend.at(np.eye(count)[pose]), sequence.points[pose], atol=1e-8)
