@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
     from mixseq.mapping import Executor
+    from mixseq.scene import SceneItem
     from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
+    from mixseq_io.reader import SequenceReader
 
 MODEL_EXTENSIONS = (".h5", ".hdf5")
 
@@ -135,6 +137,38 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
     known = {"up_axis", "metres_per_unit"} | {name for form in forms for name in form.read_options}
     return {name: value for name, value in reading.items() if name in known}
+
+
+def scene_items(
+    files: Sequence[Path],
+    names: Sequence[str],
+    against: Path | None,
+    reading: Mapping[str, Any],
+    stack: ExitStack,
+) -> tuple[list[SceneItem], SequenceReader | None]:
+    """Open models and sequences that are shown together, and the original that errors are measured against.
+
+    Frames of sequences are not read yet; the stack closes them.
+
+    Raises
+    ------
+    SettingsError
+        If none of the files is read with one of the options.
+    """
+    from mixseq.scene import SceneItem
+
+    every = [*files, *([against] if against else [])]
+    for name in reading.keys() - set().union(*(options_of(file, reading) for file in every)):
+        raise SettingsError(f"none of the files is read with an option {name!r}")
+
+    def opened(file: Path) -> SequenceReader:
+        return stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading)))
+
+    items = [
+        SceneItem(name, mixseq.load(file) if is_model(file) else opened(file))
+        for name, file in zip(names, files, strict=True)
+    ]
+    return items, None if against is None else opened(against)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-import mixseq
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import check_target, is_model, options_of
+from mixseq.cli.files import check_target, scene_items
 from mixseq.cli.options import FILE
 from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
@@ -136,7 +135,6 @@ def make_film(
 ) -> None:
     """Make the film of `files` that the options ask for."""
     from mixseq.plots.video import FilmSettings, check_film, film, film_format
-    from mixseq.scene import SceneItem
     from mixseq_io.atomic import replacing
 
     form = film_format(target)
@@ -150,22 +148,8 @@ def make_film(
     for file in (*files, *([against] if against else [])):
         check_target(target, file)
     names = _names(files, options.names)
-    known = [options_of(file, reading) for file in (*files, *([against] if against else []))]
-    for name in reading.keys() - set().union(*known):
-        raise SettingsError(f"none of the files is read with an option {name!r}")
     with ExitStack() as stack, progress_bar(quiet) as progress:
-        shown = [
-            SceneItem(
-                name,
-                mixseq.load(file)
-                if is_model(file)
-                else stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading))),
-            )
-            for name, file in zip(names, files, strict=True)
-        ]
-        original = None
-        if against is not None:
-            original = stack.enter_context(mixseq.open_sequence(against, **options_of(against, reading)))
+        shown, original = scene_items(files, names, against, reading, stack)
         with replacing(target) as temporary:
             film(temporary, shown, settings, original, progress)
     announce(target)

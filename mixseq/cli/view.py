@@ -8,6 +8,7 @@ import threading
 import warnings
 import webbrowser
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, needed, progress_bar
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, options_of, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
@@ -143,23 +144,12 @@ def _opened(
 ) -> tuple[Scene, FrameStore | None]:
     """Open models, and read sequences."""
     from mixseq.frame_store import frame_store
-    from mixseq.scene.items import Scene, SceneItem
+    from mixseq.scene import Scene
 
-    every = [*files, *([against] if against else [])]
-    known = [options_of(file, reading) for file in every]
-    for name in reading.keys() - set().union(*known):
-        raise SettingsError(f"none of the files is read with an option {name!r}")
-
-    def read(file: Path) -> FrameStore:
-        with mixseq.open_sequence(file, **options_of(file, reading)) as reader:
-            return frame_store(reader, progress)
-
-    items = tuple(
-        SceneItem(name, mixseq.load(file) if is_model(file) else read(file))
-        for name, file in zip(_names(files), files, strict=True)
-    )
-    scene = Scene(items, fps).checked()
-    return scene, None if against is None else read(against)
+    with ExitStack() as stack:
+        items, original = scene_items(files, _names(files), against, reading, stack)
+        scene = Scene(tuple(item.stored(progress) for item in items), fps).checked()
+        return scene, None if original is None else frame_store(original, progress)
 
 
 def _names(files: Sequence[Path]) -> list[str]:

@@ -16,6 +16,7 @@ from mixseq.errors import SettingsError
 from mixseq.plots.charts import LINES, log_axis, time_axis
 from mixseq.progress import Progress, silent
 from mixseq.scene.palettes import INK
+from mixseq.scene.vertex_measures import distances
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 
@@ -98,7 +99,7 @@ def vertex_errors(
     worst = first = 0
     for block in model.blocks(original.times, _BLOCK, progress):
         for frame, points in enumerate(block, first):
-            apart = np.linalg.norm(points - original.points[frame], axis=1) / unit
+            apart = distances(points, original.points[frame], unit)
             largest[frame], rms[frame] = apart.max(), np.sqrt(np.mean(np.square(apart)))
             by_vertex = np.maximum(by_vertex, apart)
             if frame in frames:

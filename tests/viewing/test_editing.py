@@ -10,9 +10,9 @@ import pytest
 from mixseq.errors import SettingsError
 from mixseq.operations import sketch, speed
 from mixseq.signals import Model
-from mixseq.viewing.live.bridge import in_script
 from mixseq.viewing.live.editing import SHORTEST, duration, pause, reach_of
 from mixseq.viewing.live.stage import linear
+from mixseq.viewing.template import script_json
 
 NEAR = 4e-4
 """A ten thousandth of the bar's length: curves that were retimed are no nearer, see `mixseq.operations.retiming`."""
@@ -86,10 +86,10 @@ def test_light_grows_with_the_colour() -> None:
 
 @pytest.mark.parametrize("value", ["</script><script>alert(1)</script>", "<!--", {"a": [1, 2.5, None, "<"]}])
 def test_nothing_ends_the_script_that_it_is_in(value: object) -> None:
-    assert "<" not in in_script(value)
-    assert json.loads(in_script(value)) == value
+    assert "<" not in script_json(value)
+    assert json.loads(script_json(value)) == value
 
 
 def test_no_numbers_that_json_does_not_know() -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
-        in_script([float("nan")])
+        script_json([float("nan")])

@@ -6,13 +6,12 @@ To Python they talk through a text input that nobody sees: its callback runs on 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from html import escape
 from typing import Any
 
 from mixseq.viewing.messages import Message, message_of
-from mixseq.viewing.template import chart_scripts, script
+from mixseq.viewing.template import chart_scripts, script, script_json
 
 
 def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
@@ -40,17 +39,12 @@ def _frame(line: str) -> str:
     """Return an element that brings our scripts into the page that it is in."""
     source = f"{chart_scripts()}\n{script('live.js')}"
     start = f"""<script>
-const text = {in_script(source)};
+const text = {script_json(source)};
 if (!parent.mixseqLive) {{
   const script = parent.document.createElement("script");
   script.textContent = text;
   parent.document.head.append(script);
 }}
-parent.mixseqLive.connect({in_script(line)});
+parent.mixseqLive.connect({script_json(line)});
 </script>"""
     return f'<iframe style="display: none" title="mixseq" srcdoc="{escape(start, quote=True)}"></iframe>'
-
-
-def in_script(value: object) -> str:
-    """Return JSON that may stand in a script element: nothing in it ends the element."""
-    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")

@@ -11,10 +11,10 @@ from mixseq.operations import drag, sketch
 from mixseq.signals import Model
 from mixseq.signals.mds_embedding import Plane
 from mixseq.viewing.chart_data import signals_of
-from mixseq.viewing.live.bridge import in_script
 from mixseq.viewing.messages import Drag, Message, Retime, Seek, Sketch
 from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Session
+from mixseq.viewing.template import script_json
 
 
 class Charts:
@@ -62,7 +62,7 @@ class Charts:
                 signals |= {"keys": keys, "source": [before.start, before.end]}
             self._signals.content = (
                 f'<script type="application/json" id="mixseq-signals" data-version="{self._version}">'
-                f"{in_script(signals)}</script>"
+                f"{script_json(signals)}</script>"
             )
 
     def show(self, moment: Moment) -> None:
