@@ -14,6 +14,7 @@ from mixseq.signals import Model, fit
 from tests.meshes import bar
 
 settings.register_profile("untimed", deadline=None)  # how long an example takes depends on what else runs
+settings.register_profile("few", deadline=None, max_examples=10)
 settings.load_profile("untimed")
 
 

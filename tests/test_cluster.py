@@ -22,6 +22,8 @@ from mixseq.errors import ClusterError, GivenUpError, MissingExtraError, Setting
 from mixseq.mapping import serially
 from mixseq.signals import Model
 
+pytestmark = pytest.mark.slow
+
 dask = pytest.importorskip("dask")
 pytest.importorskip("distributed")
 

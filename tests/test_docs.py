@@ -43,6 +43,8 @@ from scripts.paper_study.main import STAGES
 from tests import given
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
 EVERY_PAGE = [str(path.relative_to(ROOT)) for path in (*PAGES, *sorted((ROOT / "docs").glob("*/*.md")))]

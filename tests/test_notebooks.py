@@ -12,6 +12,8 @@ import pytest
 
 from scripts.site.notebooks import FOLDER, Notebook, clean, contents, page_of, read, run
 
+pytestmark = pytest.mark.slow
+
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 

@@ -14,7 +14,7 @@ from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.operations.interpolation import PoseInterpolator
 from mixseq.sequence import MeshSequence
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 
 class Case(NamedTuple):

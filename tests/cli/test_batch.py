@@ -22,6 +22,8 @@ from mixseq.mapping import serially
 from mixseq.progress import silent
 from mixseq.sequence import MeshSequence
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = {"space": "vertex", "exact": True, "reading": {}}
 
 

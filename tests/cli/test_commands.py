@@ -16,6 +16,8 @@ import mixseq
 from mixseq.cli import main
 from mixseq.sequence import MeshSequence
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 
 COMMANDS = main.list_commands(click.Context(main))

@@ -19,6 +19,8 @@ from mixseq.sequence import MeshSequence
 from mixseq_io.hdf5.compressed_reader import Stream, StreamIndex, read_compressed, read_index
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 
 

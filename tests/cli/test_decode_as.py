@@ -16,6 +16,8 @@ from mixseq.sequence import MeshSequence
 from tests.cli.test_commands import rows, succeed
 from tests.formats.gltf_files import Gltf
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 
 

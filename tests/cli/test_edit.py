@@ -14,6 +14,8 @@ from mixseq.operations import repeat, reverse, transition
 from mixseq.operations.script import OPERATIONS
 from mixseq.signals import Model
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 
 REPEAT = """

@@ -19,6 +19,8 @@ from mixseq.plots.video import COLOURS as DRAWN_COLOURS
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
 

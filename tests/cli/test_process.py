@@ -19,6 +19,8 @@ from mixseq.cli.console import progress_bar
 from mixseq.progress import silent
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 MIXSEQ = str(Path(sysconfig.get_path("scripts")) / "mixseq")
 PATIENCE = 30.0  # seconds until we give up
 

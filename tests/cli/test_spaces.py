@@ -15,6 +15,8 @@ from mixseq.cli.encode import command
 from mixseq.sequence import MeshSequence
 from mixseq.spaces import EdgeSpace
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 
 NEW = ("gradient", "lri", "edge")

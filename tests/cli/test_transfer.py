@@ -16,6 +16,8 @@ from mixseq.arrays import FloatArray
 from mixseq.sequence import MeshSequence
 from tests.meshes import tube
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
 

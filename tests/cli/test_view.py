@@ -33,6 +33,8 @@ from mixseq.signals import Model
 from mixseq.viewing import live
 from mixseq.viewing.session import Save
 
+pytestmark = pytest.mark.slow
+
 Run = Callable[..., Result]
 Contents = Callable[[], dict[str, bytes | None]]
 

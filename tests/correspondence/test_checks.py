@@ -21,6 +21,8 @@ from mixseq.topology import Topology
 from mixseq_io.correspondence.markers import read_markers
 from tests.meshes import grid, joined, rotation, tetrahedron, torus, tube
 
+pytestmark = pytest.mark.slow
+
 LEGS = ((-0.5, -2.0), (0.5, -2.0), (-0.5, 2.0), (0.5, 2.0))
 """Where the four legs of `creature` stand: x (left is negative) and z."""
 

@@ -16,6 +16,8 @@ from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 from tests.meshes import Mesh, grid, joined, rotation, topology_of, tube
 
+pytestmark = pytest.mark.slow
+
 BODY = tube(10, 25)
 MARKED = np.array([0, 3, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])
 

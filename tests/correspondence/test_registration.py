@@ -15,6 +15,8 @@ from mixseq.errors import SettingsError
 from mixseq.geometry.nearest import Nearest
 from tests.meshes import Mesh, bent, joined, rotation, topology_of, torus, tube
 
+pytestmark = pytest.mark.slow
+
 TUBE = tube(10, 25)
 MARKED = np.array([0, 5, 62, 67, 120, 125, 182, 187, 243, 248, 250, 251])
 

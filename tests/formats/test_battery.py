@@ -23,6 +23,8 @@ from mixseq_io import open_sequence, read, write, write_blocks
 from tests.formats.conftest import CASES, TARGETS, lossy
 from tests.formats.kept import assert_close, assert_kept
 
+pytestmark = pytest.mark.slow
+
 Store = Callable[[Any, MeshSequence], Path]
 Files = Callable[[], dict[str, bytes]]
 

@@ -14,7 +14,7 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import MeshSequence
 from mixseq_io import isolation, read
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 FILES = (
     "usd/q_man_run_blender50.usdc",

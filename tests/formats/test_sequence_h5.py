@@ -17,6 +17,8 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import MeshSequence
 from mixseq_io import read, write
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:

@@ -15,6 +15,8 @@ from mixseq.sequence import MeshSequence
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
 
+pytestmark = pytest.mark.slow
+
 BOUND = 1e-3
 
 

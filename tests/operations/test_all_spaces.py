@@ -17,6 +17,8 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 FORTH: MeshSequence = bar(sides=4, rings=9, frames=8)
 BACK: MeshSequence = FORTH.with_points(FORTH.points[::-1].copy())
 

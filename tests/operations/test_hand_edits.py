@@ -22,6 +22,8 @@ from mixseq.signals import Model, fit
 from mixseq.spaces.basis import BasisSpace
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def model() -> Model:

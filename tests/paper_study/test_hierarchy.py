@@ -13,6 +13,8 @@ from mixseq.topology import Topology, face_patches
 from scripts.paper_study.msgi.hierarchy import Region, divide
 from tests import meshes
 
+pytestmark = pytest.mark.slow
+
 MESHES = {
     "tube": meshes.tube(12, 30),
     "open tube": meshes.tube(12, 30, closed=False),

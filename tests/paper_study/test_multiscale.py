@@ -21,6 +21,8 @@ from mixseq.topology import Topology
 from scripts.paper_study.msgi.multiscale import MultiScale
 from tests import meshes
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"leaf": 24, "group": 4}
 """Numbers that give small meshes several levels."""
 

@@ -19,6 +19,8 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from tests.plots.test_sheets import png_size
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("matplotlib")
 
 

@@ -19,6 +19,8 @@ from mixseq.plots import contact_sheet, draw_segmentation
 from mixseq.plots.sheets import common_frames, frames_between
 from mixseq.sequence import MeshSequence
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("matplotlib")
 
 Draw = Callable[..., bytes]

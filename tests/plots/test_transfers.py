@@ -19,6 +19,8 @@ from mixseq.retargeting.transfer import Transfer, plan
 from mixseq.sequence import MeshSequence
 from tests.meshes import bar, rotation, tetrahedron
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("matplotlib")
 
 

@@ -19,6 +19,8 @@ from mixseq.retargeting.transfer import plan
 from mixseq.sequence import MeshSequence
 from tests.meshes import rotation
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 24
 PAWS = ("forepaw.l", "forepaw.r", "hindpaw.l", "hindpaw.r")
 BELLY, LONGER = 0.45, 1.3

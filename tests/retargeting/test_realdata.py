@@ -16,7 +16,7 @@ from mixseq_io.correspondence.markers import read_markers
 from tests.meshes import rotation
 from tests.retargeting.pairs import furthest
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 both = pytest.mark.parametrize("method", TRANSFERS)
 

@@ -14,6 +14,8 @@ from mixseq.rigging.rigs import rotation_matrices
 from mixseq.sequence import MeshSequence
 from tests.meshes import SEQUENCES, bar, bent, joined, rotation, tetrahedron, tube
 
+pytestmark = pytest.mark.slow
+
 MIDDLE, BLEND = 2.0, 0.8
 
 

@@ -26,6 +26,8 @@ from mixseq.topology import Topology, face_patches
 from tests.meshes import SEQUENCES, bar, rotation
 from tests.segmentation.bones import three_bones
 
+pytestmark = pytest.mark.slow
+
 methods = pytest.mark.parametrize("method", METHODS)
 
 

@@ -14,6 +14,8 @@ from mixseq.topology import Topology
 from tests.meshes import bar, grid, tetrahedron, topology_of, torus, tube
 from tests.segmentation.bones import three_bones
 
+pytestmark = pytest.mark.slow
+
 
 def test_viewpoints_are_spread_over_a_half_sphere() -> None:
     directions = viewpoints(50)

@@ -23,6 +23,8 @@ from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals import Model, fit
 from tests.meshes import SEQUENCES, bar
 
+pytestmark = pytest.mark.slow
+
 LONG = bar(sides=5, rings=13, frames=30)
 BENT = MeshSequence.from_header(
     LONG.header.with_times(np.arange(30) / 24, fps=24.0), LONG.points.astype(np.float32)

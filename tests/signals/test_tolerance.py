@@ -15,6 +15,8 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, PoseMap, fit
 from tests.meshes import SEQUENCES, bar
 
+pytestmark = pytest.mark.slow
+
 LONG = bar(sides=5, rings=13, frames=30)
 
 

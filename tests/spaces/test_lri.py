@@ -19,6 +19,8 @@ from mixseq.spaces.lri import LRISpace
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, Mesh, grid, rigid_motions, rotation, tetrahedron, torus, tube
 
+pytestmark = pytest.mark.slow
+
 AWKWARD = ("folding sheet", "inconsistent", "zero area", "bowtie", "three pages")
 
 

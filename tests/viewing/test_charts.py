@@ -17,6 +17,8 @@ from mixseq.viewing.template import CHART_SCRIPTS, chart_scripts
 from tests.meshes import bar
 from tests.viewing.conftest import Keep, NewPage, Watched
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

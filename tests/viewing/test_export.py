@@ -37,6 +37,8 @@ from mixseq.viewing.packing import Packer, unpacked
 from mixseq.viewing.template import CHART_SCRIPTS
 from tests.meshes import SEQUENCES, bar
 
+pytestmark = pytest.mark.slow
+
 Rows = NDArray[np.unsignedinteger[Any]]
 
 

@@ -25,6 +25,8 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from mixseq.viewing.live import Viewer, ViewSettings, viewer
 
+pytestmark = pytest.mark.slow
+
 QUICK = "/?fixedDpr=0.5"
 """Half the pixels: there is no graphics card here."""
 

@@ -25,6 +25,8 @@ from mixseq.viewing.streaming import integers
 from tests.meshes import bar
 from tests.viewing.conftest import SCREENSHOTS, Keep, NewPage, Watched
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

@@ -27,6 +27,8 @@ from mixseq.spaces import VertexSpace
 from mixseq.spaces.basis import BasisSpace
 from tests.meshes import bar, tetrahedron, tube
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def bounded() -> CompressedSequence:

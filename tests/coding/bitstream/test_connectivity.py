@@ -28,6 +28,8 @@ from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.polygons import Polygons
 from tests.meshes import flipped, grid, joined, pages, tetrahedron, torus, tube
 
+pytestmark = pytest.mark.slow
+
 
 def there_and_back(polygons: Polygons, vertex_count: int) -> bytes:
     data = encode_polygons(polygons, vertex_count)

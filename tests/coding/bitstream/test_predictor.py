@@ -21,6 +21,8 @@ from mixseq.coding.bitstream.signal_kernels import (
 )
 from tests.meshes import Mesh, grid, joined, seeds, tetrahedron, torus, tube
 
+pytestmark = pytest.mark.slow
+
 OUTERMOST = 1 - MARGIN
 """The most that rounding leaves, in steps."""
 

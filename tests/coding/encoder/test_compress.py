@@ -24,6 +24,8 @@ from mixseq.errors import SettingsError
 from mixseq.sequence import MeshSequence, SequenceHeader
 from tests.meshes import SEQUENCES, bar, grid, joined, seeds, tetrahedron, torus, tube
 
+pytestmark = pytest.mark.slow
+
 
 def size_of(coded: CompressedSequence) -> int:
     return sum(map(len, coded.basis)) + sum(len(c.coefficients) + len(c.residuals) for c in coded.chunks)

@@ -21,6 +21,8 @@ from mixseq.frame_store import frame_store
 from mixseq.sequence import MeshSequence
 from tests.meshes import bar, rotation, torus
 
+pytestmark = pytest.mark.slow
+
 RNG = np.random.default_rng(7)
 
 

@@ -25,6 +25,8 @@ from mixseq_io.hdf5.compressed_reader import (
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
+pytestmark = pytest.mark.slow
+
 STREAMS: list[tuple[Callable[[StreamIndex], Stream], str]] = [
     (lambda index: index.ground["connectivity"], "the connectivity's bytes are damaged"),
     (lambda index: index.basis[0], "the basis vectors of group 0 are damaged"),

@@ -13,6 +13,8 @@ from mixseq.sequence import MeshSequence
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, write_glb, written
 
+pytestmark = pytest.mark.slow
+
 
 def test_what_is_carried_over(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
     before, file = Gltf(rig), written(tmp_path / "new.glb", lifted)

@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 from mixseq.sequence import MeshSequence
 from tests.formats.gltf_maker import load
 
+pytestmark = pytest.mark.slow
+
 
 def like(baked: NDArray[np.float32], got: MeshSequence) -> NDArray[np.intp]:
     """Return the vertex of `got` at every baked vertex of frame 0."""

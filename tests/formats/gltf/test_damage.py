@@ -15,6 +15,8 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq.sequence import MeshSequence
 from tests.formats.gltf_maker import JOINTS, TRIANGLE, Maker, load, morphing, moving, skinned, split_square
 
+pytestmark = pytest.mark.slow
+
 
 def test_data_uris_and_files_beside(tmp_path: Path) -> None:
     maker = moving()

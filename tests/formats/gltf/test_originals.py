@@ -19,6 +19,8 @@ from tests.formats.conftest import lossy
 from tests.formats.gltf.test_carry import change
 from tests.formats.gltf_files import Gltf, Json, read, rigged, validate, write_glb, written
 
+pytestmark = pytest.mark.slow
+
 
 def test_flatten_leaves_the_file_behind(lifted: MeshSequence, tmp_path: Path) -> None:
     file = written(tmp_path / "new.glb", lifted, flatten=True)

@@ -19,6 +19,8 @@ from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy
 from tests.formats.gltf_files import read, validate, written
 
+pytestmark = pytest.mark.slow
+
 TWO = Polygons.from_triangles([[0, 1, 2], [0, 2, 3]])
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
 

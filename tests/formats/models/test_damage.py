@@ -28,6 +28,8 @@ from tests.formats.models.model_cases import (
 )
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 # Damage ---------------------------------------------------------------------------------------------------
 
 

@@ -24,6 +24,8 @@ from tests.formats.models.test_damage import OTHER_SHAPES
 from tests.formats.models.test_kept import assert_kept
 from tests.meshes import bar
 
+pytestmark = pytest.mark.slow
+
 # Version 1 ------------------------------------------------------------------------------------------------
 
 

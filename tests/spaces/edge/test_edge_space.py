@@ -26,6 +26,8 @@ from mixseq.spaces.mixed import FreeSpace, mixed_space
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, bent, rotation, torus, tube
 
+pytestmark = pytest.mark.slow
+
 STEPS = EdgeSettings()
 DSO = EdgeSettings("dso")
 VOLUME = EdgeSettings("dso", volume=10.0)
