@@ -15,8 +15,6 @@ from mixseq_io.hdf5.compressed_reader import (
 from tests.formats.compressed.stream_cases import GOLDEN
 from tests.meshes import bar
 
-pytestmark = pytest.mark.slow
-
 
 def golden_sequence() -> MeshSequence:
     """What the golden file is made of: 200 frames of a bar, of which every vertex trembles a little by itself."""
