@@ -134,12 +134,13 @@ def _rows(result: Comparison) -> list[tuple[str, str]]:
         ("rms error", f"{result.rms_error:.4g} diagonals"),
         ("max error", f"{result.max_error:.4g} diagonals"),
         ("worst frame", f"{result.worst_frame} at {result.worst_time:g} s"),
-        ("edge strain", _statistics(result.edge_strain)),
+        ("edge strain", _statistics(result.edge_strain, " %", 100)),
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),
     ]
 
 
-def _statistics(values: Statistics, unit: str = "") -> str:
+def _statistics(values: Statistics, unit: str, factor: float = 1) -> str:
     skipped = f" ({values.skipped:,} not defined)" if values.skipped else ""
-    return f"{values.rms:.4g} rms, {values.p999:.4g} at 99.9 %, {values.max:.4g} max{unit}{skipped}"
+    rms, p999, most = (f"{factor * value:.4g}{unit}" for value in (values.rms, values.p999, values.max))
+    return f"{rms} rms, {p999} at 99.9 %, {most} max{skipped}"
