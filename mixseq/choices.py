@@ -31,3 +31,13 @@ POSE_FORMS: tuple[PoseForm, ...] = get_args(PoseForm)
 TransferName = Literal["mixed", "gradients"]
 TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
 """How motions are transferred: part by part and joint by joint, or by deformation gradients."""
+
+PictureKind = Literal[
+    "embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"
+]
+PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
+"""Pictures of a model."""
+
+Colour = Literal["clay", "parts", "error", "strain", "curvature"]
+COLOURS: tuple[Colour, ...] = get_args(Colour)
+"""What colours of meshes mean in films."""

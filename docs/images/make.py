@@ -43,7 +43,7 @@ from mixseq.operations import (
     transition,
 )
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.plots import broadside, contact_sheet, draw_layout, draw_mesh, draw_segmentation, plot_model
+from mixseq.plots import broadside, contact_sheet, draw_embedding, draw_mesh, draw_segmentation, plot_model
 from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
 from mixseq.plots.shading import area_normals
@@ -208,10 +208,10 @@ def plot(path: Path) -> None:
     save(page, path, SHEET_WIDTH, 256)
 
 
-def layout(path: Path) -> None:
-    """The picture of ``mixseq plot --kind layout``."""
+def embedding(path: Path) -> None:
+    """The picture of ``mixseq plot --kind embedding``."""
     page = BytesIO()
-    plot_model(page, walk_model(), "layout")
+    plot_model(page, walk_model(), "embedding")
     save(page, path, 800, 256)
 
 
@@ -350,7 +350,7 @@ def sketched(path: Path) -> None:
     with chart_style():
         figure = matplotlib_module("figure").Figure(figsize=(12, 4.6))
         ax = figure.add_axes((0.06, 0.12, 0.38, 0.78))
-        draw_layout(ax, walk, [])
+        draw_embedding(ax, walk, [])
         ax.set_title("Layout of the walk; the drawn curve in red")
         ax.plot(
             *Curve(angles, curve)(np.linspace(0, 2 * np.pi, 200)).T, color=JOINT_RED, linewidth=2, zorder=5
@@ -468,7 +468,7 @@ PICTURES: Mapping[str, Callable[[Path], None]] = {
     "softening": softening,
     "coding": coding,
     "plot": plot,
-    "layout": layout,
+    "embedding": embedding,
     "edit-timing": timing,
     "edit-repeat": repeated,
     "edit-loop": looped,

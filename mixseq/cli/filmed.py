@@ -7,21 +7,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from mixseq.choices import COLOURS, Colour
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, scene_items
 from mixseq.cli.options import FILE
 from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
-
-if TYPE_CHECKING:
-    from mixseq.plots.video import Colour
-
-# Those of mixseq.plots.video, which the help would have to import.
-COLOURS = ("clay", "parts", "error", "strain", "curvature")
 
 Command = Callable[..., None]
 

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 import mixseq
+from mixseq.choices import PICTURES, PictureKind
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import check_target, read_sequence
 from mixseq.cli.filmed import FilmOptions, film_options, make_film
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
-
-if TYPE_CHECKING:
-    from mixseq.plots import Kind
-
-# Those of mixseq.plots, which the help would have to import.
-KINDS = ("layout", "coefficients", "singular-values", "parts", "error-frames", "error-vertices")
 
 
 def _as_frames(context: click.Context, option: click.Parameter, value: str | None) -> tuple[int, ...] | None:
@@ -37,14 +32,17 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
     epilog=examples(
         "mixseq plot walk.h5 walk.png",
         "mixseq plot walk.h5 errors.png --kind error-vertices --against walk.usdc",
-        "mixseq plot walk.h5 layout.svg --kind layout --frames 0,12,24,36",
+        "mixseq plot walk.h5 embedding.svg --kind embedding --frames 0,12,24,36",
         "mixseq plot --video walk.mp4 walk.usdc walk.h5 --turn 360 --seconds 8",
         "mixseq plot --video parts.gif walk.h5 --colour parts --size 640x360",
     ),
 )
 @click.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1, type=FILE)
 @click.option(
-    "--kind", type=click.Choice(KINDS), help="One picture only.  [default: all of them on one page]"
+    "--kind",
+    type=click.Choice([*PICTURES, "layout"]),  # the old name of the embedding
+    metavar=f"[{'|'.join(PICTURES)}]",
+    help="One picture only.  [default: all of them on one page]",
 )
 @click.option(
     "--against",
@@ -56,7 +54,7 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
     "--frames",
     callback=_as_frames,
     metavar="I,I,...",
-    help="Frames to number in the layout, or to draw with the errors of their vertices.  [default: automatic]",
+    help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
 )
 @click.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
 @film_options
@@ -64,7 +62,7 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
 @quiet_option
 def command(
     files: tuple[Path, ...],
-    kind: Kind | None,
+    kind: PictureKind | None,
     against: Path | None,
     frames: tuple[int, ...] | None,
     tolerance: float | None,
@@ -74,7 +72,7 @@ def command(
 ) -> None:
     """Draw a model: its signals, its parts, and how far it is from the original. Or make a film.
 
-    TARGET is a PNG or an SVG file. Without --kind it is a page with the time signal in its default layout, its
+    TARGET is a PNG or an SVG file. Without --kind it is a page with the time signal in its MDS embedding, its
     coefficients, the singular values, parts and joints, and with --against the errors per frame and per vertex.
 
     With --video, FILES are models or sequences in any format, which are shown side by side. It is drawn without a
@@ -129,7 +127,7 @@ def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
 
 
 def _refuse_in_films(
-    files: tuple[Path, ...], kind: Kind | None, frames: tuple[int, ...] | None, tolerance: float | None
+    files: tuple[Path, ...], kind: PictureKind | None, frames: tuple[int, ...] | None, tolerance: float | None
 ) -> None:
     """Refuse what only pictures have."""
     for name, value in (("kind", kind), ("frames", frames), ("tolerance", tolerance)):

@@ -53,7 +53,7 @@ class Seam(NamedTuple):
     fade : float
         Seconds before and after the seam over which it is, not longer than the sections there.
     share : float
-        Fraction of the jump that is taken up before the seam.
+        Fraction of the jump that is taken up before the seam: 1 leaves what follows as it is.
     """
 
     fade: float

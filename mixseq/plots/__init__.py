@@ -13,9 +13,9 @@ from mixseq.plots.error_pictures import (
     draw_vertex_errors,
     vertex_errors,
 )
-from mixseq.plots.model_charts import draw_coefficients, draw_layout, draw_singular_values, singular_values
+from mixseq.plots.model_charts import draw_coefficients, draw_embedding, draw_singular_values, singular_values
 from mixseq.plots.model_parts import draw_parts, draw_parts_legend
-from mixseq.plots.models import KINDS, Kind, check_settings, plot_model
+from mixseq.plots.models import check_settings, plot_model
 from mixseq.plots.sheet_layout import DPI, Target
 from mixseq.plots.sheets import contact_sheet
 from mixseq.plots.two_sides import draw_segmentation
@@ -27,8 +27,6 @@ __all__ = [
     "DPI",
     "INK",
     "JOINT_RED",
-    "KINDS",
-    "Kind",
     "Limits",
     "Target",
     "VertexErrors",
@@ -38,8 +36,8 @@ __all__ = [
     "check_settings",
     "contact_sheet",
     "draw_coefficients",
+    "draw_embedding",
     "draw_frame_errors",
-    "draw_layout",
     "draw_mesh",
     "draw_parts",
     "draw_parts_legend",

@@ -40,7 +40,7 @@ NEGLIGIBLE = 1e-13
 """Singular values below this fraction of the largest are rounding errors."""
 
 
-def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
+def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> None:
     """Draw the time signal in the plane that shows most of it (paper, Figure 18).
 
     Parameters
@@ -68,7 +68,7 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
     for frame, marker in ((0, "o"), (count - 1, "s")):
         ax.plot(*dots[frame], marker, ms=9, mfc="none", mec=INK, mew=1.2, zorder=4)
 
-    left, right, bottom, top = limits = layout_limits(model)
+    left, right, bottom, top = limits = embedding_limits(model)
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="N")
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
@@ -79,7 +79,7 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
             text, dots[frame], place, textcoords="offset points", ha="center", va="center", fontsize=8
         )
     ax.set(
-        title="Time signal: default layout, frames numbered",
+        title="Time signal: MDS embedding, frames numbered",
         xlabel="principal direction 1 (diagonals)",
         ylabel="principal direction 2 (diagonals)",
     )
@@ -88,8 +88,8 @@ def draw_layout(ax: Axes, model: Model, frames: Sequence[int] | None = None) -> 
         bar.outline.set_visible(False)
 
 
-def layout_limits(model: Model) -> Limits:
-    """Return the rectangle that `draw_layout` shows: the curve with space for labels, never too slender."""
+def embedding_limits(model: Model) -> Limits:
+    """Return the rectangle that `draw_embedding` shows: the curve with space for labels, never too slender."""
     points = np.concatenate([model.embedding(dense_times(model)), model.embedding(model.times)])
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2

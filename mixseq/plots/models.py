@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, get_args
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from mixseq.arrays import FloatArray
+from mixseq.choices import PICTURES, PictureKind
 from mixseq.errors import SettingsError
 from mixseq.plots.charts import Format, chart_style, new_page, picture_format, save_page
 from mixseq.plots.error_pictures import (
@@ -20,10 +23,10 @@ from mixseq.plots.error_pictures import (
 )
 from mixseq.plots.model_charts import (
     draw_coefficients,
-    draw_layout,
+    draw_embedding,
     draw_singular_values,
+    embedding_limits,
     existing_frames,
-    layout_limits,
 )
 from mixseq.plots.model_parts import draw_parts, draw_parts_legend, legend_rows
 from mixseq.plots.sheet_layout import Target
@@ -35,16 +38,6 @@ from mixseq.signals import Model
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.figure import FigureBase
-
-Kind = Literal["layout", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-
 MOST_ROWS = 12
 """So many frames at most are drawn with their errors."""
 
@@ -55,7 +48,7 @@ _LEGEND = 1.75
 def plot_model(
     target: Target,
     model: Model,
-    kind: Kind | None = None,
+    kind: PictureKind | None = None,
     *,
     against: MeshSequence | None = None,
     frames: Sequence[int] | None = None,
@@ -72,11 +65,11 @@ def plot_model(
     model : Model
         The model.
     kind : str, optional
-        One of `KINDS`; by default all that there are, on one page.
+        One of `PICTURES`; by default all that there are, on one page.
     against : MeshSequence, optional
         The original, for errors.
     frames : sequence of int, optional
-        Frames to number in the layout (by default some), or to draw with the errors of their vertices (by default
+        Frames to number in the embedding (by default some), or to draw with the errors of their vertices (by default
         the worst one).
     tolerance : float, optional
         Where to draw a line among the errors of the frames, in diagonals.
@@ -96,6 +89,7 @@ def plot_model(
         If matplotlib is not installed.
     """
     chosen = picture_format(target, file_format)
+    kind = known_picture(kind)
     check_settings(kind, against is not None, frames, tolerance)
     with chart_style():
         content = _content(model, kind, against, frames, tolerance, progress)
@@ -103,6 +97,14 @@ def plot_model(
         page = new_page(content.width, content.height + _HEADING, title)
         content.draw(page)
         save_page(page, target, chosen)
+
+
+def known_picture(kind: str | None) -> PictureKind | None:
+    """Return a kind of picture by its name; layout, the old name of the embedding, works with a warning."""
+    if kind == "layout":
+        warnings.warn("the picture layout is now embedding", DeprecationWarning, stacklevel=3)
+        return "embedding"
+    return cast("PictureKind | None", kind)  # `check_settings` refuses others
 
 
 def summary(model: Model) -> str:
@@ -120,7 +122,7 @@ def _count(number: int, one: str, many: str = "") -> str:
 
 
 def check_settings(
-    kind: Kind | None, against: bool, frames: Sequence[int] | None, tolerance: float | None
+    kind: PictureKind | None, against: bool, frames: Sequence[int] | None, tolerance: float | None
 ) -> None:
     """Refuse settings of `plot_model` that contradict each other, before the work.
 
@@ -129,15 +131,15 @@ def check_settings(
     SettingsError
         If they do.
     """
-    if kind is not None and kind not in KINDS:
-        raise SettingsError(f"kind is {kind!r}; one of {', '.join(KINDS)} is expected")
+    if kind is not None and kind not in PICTURES:
+        raise SettingsError(f"kind is {kind!r}; one of {', '.join(PICTURES)} is expected")
     if not against and (kind in ("error-frames", "error-vertices") or tolerance is not None):
         raise SettingsError(
             f"{kind or 'tolerance'} is about errors; give the original sequence to measure them against"
         )
-    uses: list[tuple[str, bool, tuple[Kind, ...]]] = [
+    uses: list[tuple[str, bool, tuple[PictureKind, ...]]] = [
         ("against", against, ("error-frames", "error-vertices")),
-        ("frames", frames is not None, ("layout", "error-vertices")),
+        ("frames", frames is not None, ("embedding", "error-vertices")),
         ("tolerance", tolerance is not None, ("error-frames",)),
     ]
     for name, given, kinds in uses:
@@ -151,7 +153,7 @@ def check_settings(
 
 def _content(
     model: Model,
-    kind: Kind | None,
+    kind: PictureKind | None,
     against: MeshSequence | None,
     frames: Sequence[int] | None,
     tolerance: float | None,
@@ -159,8 +161,8 @@ def _content(
 ) -> Section:
     """Choose what is on the page, and find what it needs."""
     match kind:
-        case "layout":
-            return _layout(model, frames)
+        case "embedding":
+            return _embedding(model, frames)
         case "coefficients":
             return _coefficients(model)
         case "singular-values":
@@ -170,7 +172,7 @@ def _content(
     rows = []
     if kind is None:
         charts = stacked(_coefficients(model, 2.7), _singular_values(model, 2.7))
-        rows.append(beside(_layout(model, frames), charts))
+        rows.append(beside(_embedding(model, frames), charts))
         if model.space.decomposed:
             rows.append(_parts(model, 5.0))
     if against is not None:
@@ -185,10 +187,10 @@ def _content(
     return stacked(*rows)
 
 
-def _layout(model: Model, frames: Sequence[int] | None) -> Section:
-    left, right, bottom, top = layout_limits(model)
+def _embedding(model: Model, frames: Sequence[int] | None) -> Section:
+    left, right, bottom, top = embedding_limits(model)
     height = 4.6 * (top - bottom) / (right - left) + 1.0
-    return Section(6.0, height, lambda page: draw_layout(page.subplots(), model, frames))
+    return Section(6.0, height, lambda page: draw_embedding(page.subplots(), model, frames))
 
 
 def _coefficients(model: Model, height: float = 4.0) -> Section:

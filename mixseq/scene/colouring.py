@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float, FloatArray, Index, IntArray
+from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
 from mixseq.scene.palettes import CLAY, JOINT_RED, part_colours, segmentation_colours, viridis
 from mixseq.scene.vertex_measures import MEASURES, SHARE, distances, two_digits
@@ -33,8 +33,6 @@ Numbers = Callable[[FloatArray, float], Float]
 Original = Callable[[float], FloatArray]
 """From the seconds elapsed since the first frame to the points ``(V, 3)`` that errors are measured against."""
 
-Colour = Literal["clay", "parts", "error", "strain", "curvature"]
-COLOURS: tuple[Colour, ...] = get_args(Colour)
 
 JOINT = 255
 """The entry of joints in the palette of parts; parts have those below it, again and again where there are more."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from mixseq.choices import COLOURS
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
-from mixseq.scene.colouring import COLOURS, Colouring, Original, clay, colourings_of
+from mixseq.scene.colouring import Colouring, Original, clay, colourings_of
 from mixseq.scene.items import Scene, SceneItem, check_starts, same_mesh
 
 SAMPLES = 12

@@ -11,11 +11,8 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli.filmed import COLOURS
-from mixseq.cli.plot import KINDS
+from mixseq.choices import PICTURES
 from mixseq.errors import MissingExtraError
-from mixseq.plots import KINDS as DRAWN
-from mixseq.plots.video import COLOURS as DRAWN_COLOURS
 from mixseq.sequence import MeshSequence
 from mixseq.signals import fit
 
@@ -27,11 +24,7 @@ Contents = Callable[[], dict[str, bytes | None]]
 pytest.importorskip("matplotlib")
 
 
-def test_kinds_are_those_that_are_drawn() -> None:
-    assert KINDS == DRAWN
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PICTURES)
 def test_one_picture(run: Run, kind: str) -> None:
     against = ("--against", "bar.usdc") if kind.startswith("error") else ()
     result = run("plot", "model.h5", "new.svg", "--kind", kind, *against)
@@ -48,7 +41,7 @@ def test_everything_on_one_page(run: Run) -> None:
 
 def test_the_same_input_gives_the_same_file(run: Run) -> None:
     for name in ("one.svg", "two.svg"):
-        assert run("plot", "model.h5", name, "--kind", "layout", "--frames", "0,2").exit_code == 0
+        assert run("plot", "model.h5", name, "--kind", "embedding", "--frames", "0,2").exit_code == 0
     assert Path("one.svg").read_bytes() == Path("two.svg").read_bytes()
 
 
@@ -66,7 +59,7 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5 new.pdf", "new.pdf: pictures are PNG or SVG files; end the name in .png or .svg"),
         ("plot none.h5 new", "new: pictures are PNG or SVG files"),
         ("plot model.h5 nowhere/new.png", "nowhere does not exist; make it first"),
-        ("plot model.h5 new.png --kind pie", "--kind.*'pie' is not one of 'layout'"),
+        ("plot model.h5 new.png --kind pie", "--kind.*'pie' is not one of 'embedding'"),
         ("plot model.h5 new.png --kind error-frames", "error-frames is about errors; give the original"),
         ("plot model.h5 new.png --tolerance 1", "tolerance is about errors; give the original"),
         ("plot model.h5 new.png --tolerance 0 --against bar.npz", "tolerance is 0.0; a positive number"),
@@ -78,7 +71,7 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5 new.png --frames 4", "there is no frame 4; frames are 0 to 3"),
         (
             "plot model.h5 new.png --frames 1 --kind parts",
-            "frames is for layout and error-vertices, not for parts",
+            "frames is for embedding and error-vertices, not for parts",
         ),
         ("plot model.h5 new.png --input-fps 10", "tell how to read a sequence; give --against"),
         ("plot model.h5 new.png --against bar.usdc --prim /none", "/none"),
@@ -151,10 +144,6 @@ def test_a_film_does_not_replace_what_it_shows(run: Run, contents: Contents, fol
     assert contents() == before
 
 
-def test_colours_are_those_of_films() -> None:
-    assert COLOURS == DRAWN_COLOURS
-
-
 def test_vertex_models_have_no_parts(run: Run, bent_bar: MeshSequence) -> None:
     mixseq.save("vertex.h5", fit(bent_bar, rank=1, space="vertex"))
     result = run("plot", "vertex.h5", "new.png", "--kind", "parts")
@@ -182,7 +171,7 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
 
     monkeypatch.setattr("mixseq_io.atomic._flush", full)
     before = contents()
-    result = run("plot", "model.h5", "new.png", "--kind", "layout")
+    result = run("plot", "model.h5", "new.png", "--kind", "embedding")
     assert result.exit_code == 2
     assert re.search("cannot write .*No space left on device; free some space", result.stderr)
     assert contents() == before

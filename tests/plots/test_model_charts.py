@@ -10,10 +10,10 @@ import pytest
 from mixseq.errors import SettingsError
 from mixseq.plots.model_charts import (
     draw_coefficients,
-    draw_layout,
+    draw_embedding,
     draw_singular_values,
+    embedding_limits,
     existing_frames,
-    layout_limits,
     singular_values,
 )
 from mixseq.sequence import MeshSequence
@@ -86,7 +86,7 @@ def test_chart_of_singular_values(ellipse: MeshSequence, model: Model, ax: Any) 
 
 
 def test_layout_shows_curve_and_frames(model: Model, ax: Any) -> None:
-    draw_layout(ax, model)
+    draw_embedding(ax, model)
     curve, start, end = (line.get_xydata() for line in ax.get_lines())
     frames = np.asarray(ax.collections[0].get_offsets())
     np.testing.assert_allclose(frames, model.embedding(model.times))
@@ -94,7 +94,7 @@ def test_layout_shows_curve_and_frames(model: Model, ax: Any) -> None:
     for frame in frames:
         assert np.linalg.norm(curve - frame, axis=1).min() < 0.02
     np.testing.assert_allclose(ax.collections[0].get_array(), model.times)
-    left, right, bottom, top = layout_limits(model)
+    left, right, bottom, top = embedding_limits(model)
     assert (*ax.get_xlim(), *ax.get_ylim()) == (left, right, bottom, top)
     assert ((curve > [left, bottom]) & (curve < [right, top])).all()
     assert ax.get_aspect() == 1
@@ -104,18 +104,18 @@ def test_layout_shows_curve_and_frames(model: Model, ax: Any) -> None:
 
 
 def test_layout_numbers_frames(model: Model, ax: Any) -> None:
-    draw_layout(ax, model)
+    draw_embedding(ax, model)
     assert [text.get_text() for text in ax.texts] == ["0 start", *map(str, range(1, FRAMES - 1)), "7 end"]
 
 
 def test_layout_numbers_the_frames_that_are_chosen(model: Model, ax: Any) -> None:
-    draw_layout(ax, model, [5, 2, 5, 0])
+    draw_embedding(ax, model, [5, 2, 5, 0])
     assert [text.get_text() for text in ax.texts] == ["0 start", "2", "5"]
 
 
 def test_layout_refuses_frames_that_are_not_there(model: Model, ax: Any) -> None:
     with pytest.raises(SettingsError, match="there is no frame 8; frames are 0 to 7"):
-        draw_layout(ax, model, [0, 8])
+        draw_embedding(ax, model, [0, 8])
     with pytest.raises(SettingsError, match="there is no frame -1"):
         existing_frames([-1], FRAMES)
 
@@ -154,5 +154,5 @@ def test_charts_of_what_stands_still(still: Model, ax: Any) -> None:
     draw_coefficients(ax, still)
     draw_singular_values(ax, still)
     assert {text.get_text() for text in ax.texts} == {"the model has no shape modes"}
-    left, right, bottom, top = layout_limits(still)
+    left, right, bottom, top = embedding_limits(still)
     assert left < right and bottom < top

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixseq.choices import PICTURES, PictureKind
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
-from mixseq.plots import KINDS, Kind, check_settings, plot_model
+from mixseq.plots import check_settings, plot_model
 from mixseq.plots.charts import Format
-from mixseq.plots.models import MOST_ROWS, _content, _layout, _parts, summary
+from mixseq.plots.models import MOST_ROWS, _content, _embedding, _parts, summary
 from mixseq.progress import silent
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
@@ -29,16 +30,18 @@ def vertex_model(bent_bar: MeshSequence) -> Model:
     return fit(bent_bar, rank=1, space="vertex")
 
 
-def picture(model: Model, kind: Kind | None = None, file_format: Format = "png", **settings: Any) -> bytes:
+def picture(
+    model: Model, kind: PictureKind | None = None, file_format: Format = "png", **settings: Any
+) -> bytes:
     file = io.BytesIO()
     plot_model(file, model, kind, file_format=file_format, **settings)
     return file.getvalue()
 
 
 @pytest.mark.parametrize("file_format", ["png", "svg"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PICTURES)
 def test_every_kind_is_reproducible(
-    kind: Kind, file_format: Format, bar_model: Model, bent_bar: MeshSequence
+    kind: PictureKind, file_format: Format, bar_model: Model, bent_bar: MeshSequence
 ) -> None:
     against = bent_bar if kind.startswith("error") else None
     first = picture(bar_model, kind, file_format, against=against)
@@ -56,7 +59,7 @@ def test_overview_has_a_row_for_what_there_is(
     def height(model: Model, against: MeshSequence | None = None) -> float:
         return _content(model, None, against, None, None, silent).height
 
-    signals = [max(_layout(model, None).height, 5.4) for model in (vertex_model, bar_model)]
+    signals = [max(_embedding(model, None).height, 5.4) for model in (vertex_model, bar_model)]
     assert height(vertex_model) == pytest.approx(signals[0])
     assert height(bar_model) == pytest.approx(signals[1] + _parts(bar_model, 5.0).height)
     for model in (vertex_model, bar_model):
@@ -102,12 +105,18 @@ def test_summary_counts(vertex_model: Model) -> None:
 @pytest.mark.parametrize(
     ("kind", "against", "frames", "tolerance", "message"),
     [
-        ("pie", False, None, None, "kind is 'pie'; one of layout, coefficients"),
+        ("pie", False, None, None, "kind is 'pie'; one of embedding, coefficients"),
         ("error-frames", False, None, None, "error-frames is about errors; give the original sequence"),
         ("error-vertices", False, None, None, "error-vertices is about errors"),
         (None, False, None, 0.1, "tolerance is about errors"),
-        ("layout", True, None, None, "against is for error-frames and error-vertices, not for layout"),
-        ("coefficients", False, [1], None, "frames is for layout and error-vertices, not for coefficients"),
+        ("embedding", True, None, None, "against is for error-frames and error-vertices, not for embedding"),
+        (
+            "coefficients",
+            False,
+            [1],
+            None,
+            "frames is for embedding and error-vertices, not for coefficients",
+        ),
         ("error-vertices", True, None, 0.1, "tolerance is for error-frames, not for error-vertices"),
         (None, True, None, 0.0, "tolerance is 0.0; a positive number"),
         (None, True, None, np.nan, "tolerance is nan; a positive number"),
@@ -127,9 +136,9 @@ def test_parts_need_a_space_with_parts(vertex_model: Model) -> None:
         picture(vertex_model, "parts")
 
 
-@pytest.mark.parametrize("kind", ["layout", "error-vertices", None])
-def test_frames_must_exist(kind: Kind | None, vertex_model: Model, bent_bar: MeshSequence) -> None:
-    against = None if kind == "layout" else bent_bar
+@pytest.mark.parametrize("kind", ["embedding", "error-vertices", None])
+def test_frames_must_exist(kind: PictureKind | None, vertex_model: Model, bent_bar: MeshSequence) -> None:
+    against = None if kind == "embedding" else bent_bar
     with pytest.raises(SettingsError, match="there is no frame 4; frames are 0 to 3"):
         picture(vertex_model, kind, against=against, frames=[4])
 
@@ -143,9 +152,14 @@ def test_without_matplotlib_the_message_names_the_cure(
         picture(vertex_model)
 
 
-@pytest.mark.parametrize("kind", ["layout", "coefficients", "singular-values", "error-frames"])
+@pytest.mark.parametrize("kind", ["embedding", "coefficients", "singular-values", "error-frames"])
 @pytest.mark.parametrize("frames", [1, 2])
-def test_very_short_sequences(frames: int, kind: Kind, bent_bar: MeshSequence) -> None:
+def test_very_short_sequences(frames: int, kind: PictureKind, bent_bar: MeshSequence) -> None:
     short = MeshSequence.from_arrays(bent_bar.points[:frames], bent_bar.faces, fps=10)
     against = short if kind == "error-frames" else None
     assert picture(fit(short, exact=True, space="vertex"), kind, against=against)
+
+
+def test_the_embedding_was_called_layout(bar_model: Model) -> None:
+    with pytest.warns(DeprecationWarning, match="layout is now embedding"):
+        assert picture(bar_model, "layout") == picture(bar_model, "embedding")  # type: ignore[arg-type]

@@ -4,10 +4,10 @@
 in which file (encoding; gif, h264, av1 with mp4).
 """
 
+from mixseq.choices import COLOURS, Colour
 from mixseq.plots.video.encoding import FILM_FORMATS, FilmFormat, check_film, film_format
 from mixseq.plots.video.film import FilmSettings, film
 from mixseq.renamed import moved
-from mixseq.scene.colouring import COLOURS, Colour
 
 __all__ = [
     "COLOURS",

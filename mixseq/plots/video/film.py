@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.arrays import Float
+from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor, on_threads
@@ -19,7 +20,7 @@ from mixseq.plots.video.backdrop import backdrop_of, panels_of
 from mixseq.plots.video.encoding import check_film, encode_film, film_format
 from mixseq.plots.video.panels import Layout, Panel, cameras_of, draw_moment, moments
 from mixseq.progress import Progress, silent
-from mixseq.scene.colouring import COLOURS, Colour, Colouring, colouring_of
+from mixseq.scene.colouring import Colouring, colouring_of
 from mixseq.scene.items import DecodedItem, Scene, SceneItem, check_starts, same_mesh
 from mixseq.scene.scene_times import nearest_frames
 from mixseq.segmentation.joints import Decomposition

@@ -11,7 +11,7 @@ import numpy as np
 import mixseq
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.plots import broadside, draw_layout, draw_mesh, shared_limits
+from mixseq.plots import broadside, draw_embedding, draw_mesh, shared_limits
 from mixseq.plots.charts import chart_style, new_page
 from mixseq.scene.camera import y_up
 from mixseq.sequence import MeshSequence
@@ -123,7 +123,7 @@ def draw(
         panels = page.subplots(len(models) + 1, 4, squeeze=False)
         for axes, (name, model) in zip(panels, models.items(), strict=False):
             for ax in axes[:2]:
-                draw_layout(ax, model)
+                draw_embedding(ax, model)
                 ax.plot(*model.embedding([time]).T, "D", color="#d9331f", ms=7, zorder=5)
             axes[0].set_title(name, fontsize=11)
             close_up(axes[1], model, time)
