@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from mixseq.arrays import FloatArray
     from mixseq.choices import SegmentationName
+    from mixseq.segmentation.methods import MethodSettings
     from mixseq.sequence import SequenceHeader
     from mixseq_io import Labels, SequenceReader
 
@@ -98,8 +99,8 @@ def command(
     from mixseq_io.labels.writing import check_holds_labels, write_labels
 
     how = _method(method, parts, labels, label_source)
-    if seed is not None and how != "silhouettes":
-        raise SettingsError(f"the method {how} has no random numbers; leave out --seed")
+    if seed is not None:
+        _with_seed(how, seed)  # before the work
     check_holds_labels(target)
     if picture is not None and no_picture:
         raise SettingsError("--picture and --no-picture exclude each other")
@@ -202,14 +203,22 @@ def _found(
     header: SequenceHeader, points: FloatArray, method: str, parts: int | None, seed: int | None
 ) -> Labels:
     from mixseq.segmentation.methods import segment
-    from mixseq.segmentation.silhouettes import SilhouetteSettings
     from mixseq.topology import Topology
     from mixseq_io import Labels
 
     topology = Topology(header.faces, header.vertex_count)
-    settings = None if seed is None else SilhouetteSettings(seed=seed)
+    settings = None if seed is None else _with_seed(method, seed)
     labels = segment(points, topology, cast("SegmentationName", method), parts, settings)
     return Labels(labels, tuple(f"part_{number:02d}" for number in range(int(labels.max(initial=-1)) + 1)))
+
+
+def _with_seed(method: str, seed: int) -> MethodSettings:
+    from mixseq.segmentation.methods import METHODS
+
+    found = METHODS.get(cast("SegmentationName", method))
+    if found is None or "seed" not in {field.name for field in fields(found.settings)}:
+        raise SettingsError(f"the method {method} has no random numbers; leave out --seed")
+    return found.settings(seed=seed)  # type: ignore[call-arg]
 
 
 def _areas(points: FloatArray, header: SequenceHeader) -> NDArray[np.float64]:

@@ -93,7 +93,9 @@ def page(results: Results) -> list[str]:
     for result in results.values():
         rows = []
         for pair in result["animations"].values():
-            for name in SEGMENTATIONS:
+            for name in filter(
+                pair.__contains__, SEGMENTATIONS
+            ):  # a method may be newer than what was measured
                 row = pair[name]
                 rows.append(
                     (
@@ -146,10 +148,11 @@ def verdict(results: Results) -> list[str]:
     lines = []
     for result in results.values():
         pairs = result["animations"].values()
-        fine = sum(pair[name]["valid"] for pair in pairs for name in SEGMENTATIONS)
-        total = len(pairs) * len(SEGMENTATIONS)
+        measured = [name for name in SEGMENTATIONS if all(name in pair for pair in pairs)]
+        fine = sum(pair[name]["valid"] for pair in pairs for name in measured)
+        total = len(pairs) * len(measured)
         counts = [
-            f"{shown} {sum(clear(pair, kind, name, edges) for pair in pairs for name in SEGMENTATIONS)}"
+            f"{shown} {sum(clear(pair, kind, name, edges) for pair in pairs for name in measured)}"
             for edges in (("DSO", "MSGI"), ("DSO",))
             for kind, shown in (("softened", "MixIT, free"), ("strips", "MixIT, free, strips"))
         ]
