@@ -28,11 +28,9 @@ def is_model(path: Path) -> bool:
     """Whether a file is a model; files that cannot be opened are left to their readers to complain about."""
     if path.suffix.lower() not in MODEL_EXTENSIONS or not path.is_file():
         return False
-    import h5py
+    from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, opened_h5
 
-    from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, reading_h5
-
-    with suppress(FormatError), reading_h5(path), h5py.File(path, "r") as file:
+    with suppress(FormatError), opened_h5(path) as file:
         return bool(kind_of(file) == MODEL_FORMAT)
     return False
 

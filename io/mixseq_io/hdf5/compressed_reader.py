@@ -37,7 +37,6 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-import h5py
 import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
@@ -45,7 +44,7 @@ from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, reading_h5, refuse_newer, whole
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, opened_h5, refuse_newer, whole
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
 
 COMPRESSED_VERSION = 4
@@ -112,7 +111,7 @@ def is_compressed(path: Path) -> bool:
     FormatError
         If it is missing or cannot be read as HDF5.
     """
-    with reading_h5(path), h5py.File(path, "r") as file:
+    with opened_h5(path) as file:
         return kind_of(file) == MODEL_FORMAT and "coding" in file.attrs
 
 
@@ -135,7 +134,7 @@ def read_container(path: Path) -> Container:
     FormatError
         If it is another file, or HDF5 cannot read it.
     """
-    with reading_h5(path), h5py.File(path, "r") as file:
+    with opened_h5(path) as file:
         if kind_of(file) != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
         return Container(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
+from mixseq_io.hdf5.permitted import check_permitted
 from mixseq_io.reader import brief, reading
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
 
@@ -33,6 +34,20 @@ CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "
 def reading_h5(path: Path) -> AbstractContextManager[None]:
     """Turn what h5py raises on damaged files into `FormatError`."""
     return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
+
+
+@contextmanager
+def opened_h5(path: Path) -> Iterator[h5py.File]:
+    """Open a file for reading, if there is nothing in it that our files do not have.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, damaged, or refused by `check_permitted`; also for what h5py raises while it is open.
+    """
+    with reading_h5(path), h5py.File(path, "r") as file:
+        check_permitted(path, file)
+        yield file
 
 
 def kind_of(file: h5py.File) -> str | None:

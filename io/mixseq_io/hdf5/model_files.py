@@ -46,8 +46,8 @@ from mixseq_io.hdf5.h5_files import (
     check_version,
     creating_h5,
     kind_of,
+    opened_h5,
     read_header,
-    reading_h5,
     write_header,
 )
 from mixseq_io.hdf5.model_signals import read_signals, write_signals
@@ -140,7 +140,7 @@ def load(path: PathLike, salvage: bool = False) -> Model:
 def _load(source: Path) -> Model:
     if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
         raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
-    with reading_h5(source), h5py.File(source, "r") as file:
+    with opened_h5(source) as file:
         kind = kind_of(file)
         if kind != MODEL_FORMAT:
             raise FormatError(

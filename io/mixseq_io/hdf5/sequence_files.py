@@ -34,6 +34,7 @@ from mixseq_io.hdf5.h5_files import (
     check_version,
     creating_h5,
     kind_of,
+    opened_h5,
     read_header,
     reading_h5,
     whole,
@@ -56,8 +57,8 @@ def open_h5(path: Path) -> SequenceReader:
     FormatError
         If the file is of another kind, damaged, or written by a newer mixseq.
     """
-    with ExitStack() as resources, reading_h5(path):
-        file = resources.enter_context(h5py.File(path, "r"))
+    with ExitStack() as resources:
+        file = resources.enter_context(opened_h5(path))
         kind = kind_of(file)
         if kind == MODEL_FORMAT:
             return _ModelReader(path)

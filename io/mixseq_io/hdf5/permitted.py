@@ -1,0 +1,146 @@
+"""Look through an HDF5 file before anything in it is read, and refuse what none of ours has.
+
+HDF5 can do far more than our files need: point to other files, follow links in circles, load code for unknown filters,
+and promise terabytes that were never written. A file from a stranger may use all of that. So names, types, shapes and
+how data are stored, which the 1.10 layout keeps under checksums, are looked at first; no value is.
+
+How much a dataset may unpack to follows from the bytes it has in the file: gzip makes at most 1032 bytes of one. Ours
+come near to that (1023 in a sequence that stands still), so the limit is that of gzip itself.
+"""
+
+from __future__ import annotations
+
+from math import prod
+from pathlib import Path
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z
+
+from mixseq.errors import FormatError
+
+MOST_OBJECTS = 1000
+"""Groups and datasets of a file; ours have some 30."""
+
+_DEEPEST = 8
+_MOST_ATTRIBUTES = 100
+_RANK = 4
+_ATTRIBUTE_BYTES = 1 << 20
+_UNPACKED = 1040
+"""Bytes that one byte in the file may become: what gzip can do, and a little for rounding."""
+
+_FILTERS = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
+_NUMBERS = (h5t.INTEGER, h5t.FLOAT)
+_LINKS = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
+
+
+def check_permitted(path: Path, file: h5py.File) -> None:
+    """Look at every object of a file that was just opened.
+
+    Raises
+    ------
+    FormatError
+        Names the object, if it is a link, is stored in another way, has another type, rank or more data than ours
+        can have.
+    """
+    _Inspection(path).group(file.id, "")
+
+
+class _Inspection:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._left = path.stat().st_size
+        self._objects = 0
+
+    def group(self, group: h5g.GroupID, name: str) -> None:
+        """Look at a group and everything in it."""
+        if name.count("/") > _DEEPEST:
+            raise self._refusal(name, "is nested too deeply")
+        self._attributes(group, name)
+        if group.get_num_objs() > MOST_OBJECTS:
+            raise self._refusal(name, f"has more than {MOST_OBJECTS} objects")
+        for key in group:
+            self._object(group, key, f"{name}/{key.decode('utf-8', 'replace')}")
+
+    def _object(self, group: h5g.GroupID, key: bytes, name: str) -> None:
+        self._objects += 1
+        if self._objects > MOST_OBJECTS:
+            raise self._refusal(name, f"is one of more than {MOST_OBJECTS} objects")
+        kind = group.links.get_info(key).type
+        if kind != h5l.TYPE_HARD:
+            raise self._refusal(name, f"is {_LINKS.get(kind, 'a link of an unknown kind')}")
+        found = h5o.open(group, key)
+        if h5o.get_info(found).rc != 1:
+            raise self._refusal(name, "has a second name")
+        if isinstance(found, h5g.GroupID):
+            self.group(found, name)
+        elif isinstance(found, h5d.DatasetID):
+            self._attributes(found, name)
+            self._dataset(found, name)
+        else:
+            raise self._refusal(name, "is neither a group nor a dataset")
+
+    def _attributes(self, found: h5g.GroupID | h5d.DatasetID, name: str) -> None:
+        count = h5a.get_num_attrs(found)
+        if count > _MOST_ATTRIBUTES:
+            raise self._refusal(name, f"has {count} attributes")
+        for number in range(count):
+            attribute = h5a.open(found, index=number)
+            what = f"{name or '/'}, attribute {attribute.name.decode('utf-8', 'replace')},"
+            kind, space = attribute.get_type(), attribute.get_space()
+            # Strings of any length are what older mixseqs wrote.
+            self._type(kind, what, any_length=True)
+            if space.get_simple_extent_type() == h5py.h5s.NULL or space.get_simple_extent_ndims() > _RANK:
+                raise self._refusal(what, "has no value, or too many axes")
+            if space.get_simple_extent_npoints() * kind.get_size() > _ATTRIBUTE_BYTES:
+                raise self._refusal(what, "is too large")
+
+    def _dataset(self, found: h5d.DatasetID, name: str) -> None:
+        storage = found.get_create_plist()
+        layout = storage.get_layout()
+        # First of all: HDF5 opens other files as soon as it is asked for the shape of what is in them.
+        if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED):
+            raise self._refusal(name, "is a virtual dataset, of data elsewhere")
+        if storage.get_external_count():
+            raise self._refusal(name, "keeps its data in another file")
+        for number in range(storage.get_nfilters()):
+            code = storage.get_filter(number)[0]
+            if code not in _FILTERS:
+                raise self._refusal(name, f"is stored with the filter {code}")
+        kind, space = found.get_type(), found.get_space()
+        self._type(kind, name, any_length=False)
+        if space.get_simple_extent_type() == h5py.h5s.NULL:
+            raise self._refusal(name, "has no shape")
+        shape = space.get_simple_extent_dims()
+        if len(shape) > _RANK:
+            raise self._refusal(name, f"has {len(shape)} axes")
+        self._size(found, name, shape, storage.get_chunk() if layout == h5d.CHUNKED else ())
+
+    def _type(self, kind: h5t.TypeID, name: str, any_length: bool) -> None:
+        if isinstance(kind, h5t.TypeStringID):
+            if not kind.is_variable_str() or any_length:
+                return
+            raise self._refusal(name, "has strings of any length")
+        if kind.get_class() not in _NUMBERS or kind.get_size() > np.dtype(np.float64).itemsize:
+            raise self._refusal(name, f"has the type {_told(kind)}")
+
+    def _size(self, found: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> None:
+        stored: int = found.get_storage_size()
+        elements, least = prod(shape), prod(chunk)  # a chunk is unpacked as a whole
+        claimed = found.get_type().get_size() * (max(elements, least) if elements else 0)
+        self._left -= stored
+        if self._left < 0:
+            raise self._refusal(name, "and what is before it claim more bytes than the file has")
+        if claimed > _UNPACKED * stored:
+            raise self._refusal(name, f"claims {claimed} bytes and has {stored} in the file")
+
+    def _refusal(self, name: str, what: str) -> FormatError:
+        return FormatError(
+            f"{self._path}: {name or '/'} {what}, as nothing does in a file of mixseq's; it is damaged, or made by "
+            "another program, and is not read"
+        )
+
+
+def _told(kind: h5t.TypeID) -> str:
+    names = {h5t.REFERENCE: "reference", h5t.VLEN: "list of any length", h5t.COMPOUND: "compound"}
+    return names.get(kind.get_class(), f"of class {kind.get_class()} and {kind.get_size()} bytes")
