@@ -19,6 +19,7 @@ from mixseq.plots.models import check_settings, plot_model
 from mixseq.plots.sheet_layout import DPI, Target
 from mixseq.plots.sheets import contact_sheet
 from mixseq.plots.two_sides import draw_segmentation
+from mixseq.renamed import moved
 from mixseq.scene.camera import Limits, View, broadside, shared_limits
 from mixseq.scene.palettes import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 
@@ -52,3 +53,5 @@ __all__ = [
     "singular_values",
     "vertex_errors",
 ]
+
+__getattr__ = moved(__name__, draw_layout="mixseq.plots:draw_embedding")
