@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.isolation import can_isolate, open_isolated
+from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
 
 
@@ -88,9 +87,9 @@ class Format:
     def open(self, path: Path, **options: Any) -> SequenceReader:
         """Open a file for reading, see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
-        if self.isolated and can_isolate():
+        if self.isolated:
             return open_isolated(self.reader, path, options)
-        reader: SequenceReader = _load(self.reader)(path, **options)
+        reader: SequenceReader = loaded(self.reader)(path, **options)
         return reader
 
     def write(
@@ -103,16 +102,10 @@ class Format:
     ) -> None:
         """Write a file, see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
-        _load(self.writer)(path, header, blocks, velocities, **options)
+        loaded(self.writer)(path, header, blocks, velocities, **options)
 
     def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
         for option in given:
             if option not in known:
                 takes = "with " + ", ".join(known) if known else "without options"
                 raise SettingsError(f"{self.name} has no option {option!r}; it is {verb} {takes}")
-
-
-def _load(reference: str) -> Callable[..., Any]:
-    module, function = reference.split(":")
-    loaded: Callable[..., Any] = getattr(import_module(module), function)
-    return loaded

@@ -6,7 +6,7 @@ processor time of each answer. When it dies, the file is to blame and the user g
 format. Workers are reused, because starting one takes half a second.
 
 The limits can be raised by the environment variables ``MIXSEQ_READER_MEMORY`` (GiB, 4) and ``MIXSEQ_READER_SECONDS``
-(120).
+(120 of processor time; four times as long by the clock, for files that never answer).
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ _MOST_IDLE = 2
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
-    """Open a file in a worker.
+    """Open a file in a worker, or here where none can be started.
 
     Parameters
     ----------
@@ -54,11 +55,42 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
     FormatError
         If the worker dies or exceeds its limits.
     """
+    if not can_isolate():
+        reader_here: SequenceReader = loaded(reader)(path, **options)
+        return reader_here
     with ExitStack() as resources:
         worker = _hire()
         resources.callback(_dismiss, worker)
         header, moving = worker.ask(path, "open", reader, str(path), options, str(Path.cwd()))
         return _IsolatedReader(path, _frozen(header), worker, resources.pop_all(), moving)
+
+
+def call_isolated(function: str, path: Path, share: float = 1.0) -> Any:
+    """Call a function of a file in a worker and return its value; parameters and errors are those of `open_isolated`.
+
+    Parameters
+    ----------
+    function : str
+        ``"module:function"``; it takes the path.
+    path : Path
+        The file.
+    share : float
+        Part of the limits of time that it may take.
+    """
+    if not can_isolate():
+        return loaded(function)(path)
+    worker = _hire()
+    try:
+        return worker.ask(path, "call", function, str(path), str(Path.cwd()), share)
+    finally:
+        _dismiss(worker)
+
+
+def loaded(reference: str) -> Callable[..., Any]:
+    """Return the function that ``"module:function"`` names."""
+    module, function = reference.split(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found
 
 
 def can_isolate() -> bool:
@@ -158,10 +190,10 @@ class _Worker:
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()
-        if code == -getattr(signal, "SIGPROF", 0):
+        if -code in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
             return (
-                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of processor "
-                "time, must be raised"
+                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of time, must be "
+                "raised"
             )
         return f"{path}: the library that reads it crashed; it is damaged, export it again"
 

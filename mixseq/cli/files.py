@@ -28,10 +28,11 @@ def is_model(path: Path) -> bool:
     """Whether a file is a model; files that cannot be opened are left to their readers to complain about."""
     if path.suffix.lower() not in MODEL_EXTENSIONS or not path.is_file():
         return False
-    from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, opened_h5
+    from mixseq_io.hdf5.contents import read_attributes
+    from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 
-    with suppress(FormatError), opened_h5(path) as file:
-        return bool(kind_of(file) == MODEL_FORMAT)
+    with suppress(FormatError):
+        return read_attributes(path).kind == MODEL_FORMAT
     return False
 
 

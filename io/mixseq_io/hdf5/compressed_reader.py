@@ -44,7 +44,8 @@ from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT, kind_of, opened_h5, refuse_newer, whole
+from mixseq_io.hdf5.contents import read_attributes, read_contents, reading_h5
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT, refuse_newer
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
 
 COMPRESSED_VERSION = 4
@@ -111,8 +112,8 @@ def is_compressed(path: Path) -> bool:
     FormatError
         If it is missing or cannot be read as HDF5.
     """
-    with opened_h5(path) as file:
-        return kind_of(file) == MODEL_FORMAT and "coding" in file.attrs
+    file = read_attributes(path)
+    return file.kind == MODEL_FORMAT and "coding" in file.attrs
 
 
 def read_compressed(path: Path) -> CompressedSequence:
@@ -134,12 +135,13 @@ def read_container(path: Path) -> Container:
     FormatError
         If it is another file, or HDF5 cannot read it.
     """
-    with opened_h5(path) as file:
-        if kind_of(file) != MODEL_FORMAT or "coding" not in file.attrs:
+    file = read_contents(path)
+    with reading_h5(path):
+        if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
         return Container(
             text=bytes(file.attrs["coding"]),
-            streams=whole(path, file, "streams").astype(np.uint8).tobytes(),
+            streams=file.arrays["streams"].astype(np.uint8).tobytes(),
             version=int(file.attrs["version"]),
         )
 

@@ -18,7 +18,8 @@ from mixseq.arrays import Float, Index
 from mixseq.errors import FormatError
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
-from mixseq_io.hdf5.h5_files import CHECKED, whole
+from mixseq_io.hdf5.contents import Contents
+from mixseq_io.hdf5.h5_files import CHECKED
 
 _CHUNK_ELEMENTS = 1 << 17
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
@@ -38,7 +39,7 @@ def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[An
     put(file, f"{group}/{name}", np.concatenate([*lists, np.zeros(0, dtype=np.int32)]).astype(np.int32))
 
 
-def get_lists(path: Path, file: h5py.File, group: str, name: str, limit: int) -> list[Index]:
+def get_lists(path: Path, file: Contents, group: str, name: str, limit: int) -> list[Index]:
     """Read lists of indices below `limit` that `put_lists` stored."""
     sizes = integers(path, file, f"{group}/sizes", (None,), 1)
     items = integers(path, file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
@@ -46,7 +47,7 @@ def get_lists(path: Path, file: h5py.File, group: str, name: str, limit: int) ->
 
 
 def integers(
-    path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...], low: int, limit: int | None = None
+    path: Path, file: Contents, name: str, shape: tuple[int | None, ...], low: int, limit: int | None = None
 ) -> Index:
     """Read whole numbers from `low` to below `limit`; None in the shape stands for any length."""
     array = _of_kind(path, file, name, shape, "integers")
@@ -56,7 +57,7 @@ def integers(
     return array.astype(np.int64)
 
 
-def floats(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> Float:
+def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
     """Read finite numbers; None in the shape stands for any length."""
     array = _of_kind(path, file, name, shape, "floats")
     if not np.isfinite(array).all():
@@ -64,7 +65,7 @@ def floats(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]
     return array.astype(np.float64)
 
 
-def increasing(path: Path, file: h5py.File, name: str) -> Float:
+def increasing(path: Path, file: Contents, name: str) -> Float:
     """Read times ``(n,)``, at least one, that increase."""
     times = floats(path, file, name, (None,))
     if not len(times):
@@ -79,11 +80,11 @@ def increasing(path: Path, file: h5py.File, name: str) -> Float:
 
 
 def _of_kind(
-    path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...], kind: Literal["integers", "floats"]
+    path: Path, file: Contents, name: str, shape: tuple[int | None, ...], kind: Literal["integers", "floats"]
 ) -> NDArray[Any]:
-    if name not in file:
+    if name not in file.arrays:
         raise FormatError(f"{path}: {name} is missing; it is damaged")
-    array = whole(path, file, name)
+    array = file.arrays[name]
     fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
     if not fits or array.dtype.kind not in _KINDS[kind]:
         lengths = ", ".join("any" if n is None else str(n) for n in shape)
@@ -93,9 +94,9 @@ def _of_kind(
     return array
 
 
-def read_scale(path: Path, file: h5py.File) -> float:
+def read_scale(path: Path, file: Contents) -> float:
     """Read the length of the space's unit."""
-    scale = float(file["space"].attrs["scale"])
+    scale = float(file.attributes["space"]["scale"])
     if not (np.isfinite(scale) and scale > 0):
         raise FormatError(f"{path}: the scale of the space is {scale}; a positive number is expected")
     return scale
@@ -106,7 +107,7 @@ def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -
     file.attrs["settings"] = json.dumps(settings, sort_keys=True)
 
 
-def read_settings(path: Path, file: h5py.File, about: str, known: Collection[str]) -> dict[str, Any]:
+def read_settings(path: Path, file: Contents, about: str, known: Collection[str]) -> dict[str, Any]:
     """Read settings of what they are about, which are among those that are known."""
     found: dict[str, Any] = _all_settings(file)[about]
     unknown = sorted(set(found) - set(known))
@@ -115,18 +116,18 @@ def read_settings(path: Path, file: h5py.File, about: str, known: Collection[str
     return found
 
 
-def _all_settings(file: h5py.File) -> dict[str, dict[str, Any]]:
+def _all_settings(file: Contents) -> dict[str, dict[str, Any]]:
     settings: dict[str, dict[str, Any]] = json.loads(str(file.attrs["settings"]))
     return settings
 
 
-def read_shell(path: Path, file: h5py.File) -> ShellSettings:
+def read_shell(path: Path, file: Contents) -> ShellSettings:
     """Read the settings of fits to lengths and angles."""
     shell = read_settings(path, file, "shell", ShellSettings.__dataclass_fields__)
     return ShellSettings(**{"accuracy": 0.0, **shell})  # older files were checked without it
 
 
-def read_relaxation(path: Path, file: h5py.File) -> Relaxation:
+def read_relaxation(path: Path, file: Contents) -> Relaxation:
     """Read how lengths and angles are made to agree; older models, where they were fitted to, do as new ones."""
     if "relaxation" not in _all_settings(file):
         read_shell(path, file)

@@ -9,7 +9,7 @@ Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.ht
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
-from mixseq_io.hdf5.permitted import check_permitted
-from mixseq_io.reader import brief, reading
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
@@ -31,34 +30,7 @@ CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "
 """How every dataset is stored."""
 
 
-def reading_h5(path: Path) -> AbstractContextManager[None]:
-    """Turn what h5py raises on damaged files into `FormatError`."""
-    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
-
-
-@contextmanager
-def opened_h5(path: Path) -> Iterator[h5py.File]:
-    """Open a file for reading, if there is nothing in it that our files do not have.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, damaged, or refused by `check_permitted`; also for what h5py raises while it is open.
-    """
-    with reading_h5(path), h5py.File(path, "r") as file:
-        check_permitted(path, file)
-        yield file
-
-
-def kind_of(file: h5py.File) -> str | None:
-    """Return the root attribute `format`, a string of any length or of a fixed one."""
-    kind = file.attrs.get("format")
-    if isinstance(kind, bytes):
-        return kind.decode("utf-8", "replace")
-    return kind if isinstance(kind, str) else None
-
-
-def check_version(path: Path, file: h5py.File, known: int) -> None:
+def check_version(path: Path, file: Contents, known: int) -> None:
     """Refuse a file that a newer mixseq wrote."""
     refuse_newer(path, int(file.attrs["version"]), known)
 
@@ -70,15 +42,6 @@ def refuse_newer(path: Path, version: int, known: int) -> None:
             f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
             "upgrade with pip install --upgrade mixseq"
         )
-
-
-def whole(path: Path, file: h5py.File, name: str) -> NDArray[Any]:
-    """Read a dataset, with an error that names it if it is damaged."""
-    try:
-        array: NDArray[Any] = file[name][...]
-    except OSError as error:
-        raise FormatError(f"{path}: {name} is damaged ({brief(error)}); restore the file") from error
-    return array
 
 
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
@@ -98,23 +61,23 @@ def write_header(file: h5py.File, header: SequenceHeader) -> None:
     file.flush()
 
 
-def read_header(path: Path, file: h5py.File, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
+def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
     """Read what `write_header` stored."""
     return SequenceHeader(
-        polygons=Polygons(whole(path, file, "polygons/counts"), whole(path, file, "polygons/indices")),
+        polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
         vertex_count=vertex_count,
         times=times,
         fps=float(file.attrs["fps"]),
         up_axis=str(file.attrs["up_axis"]),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
         name=str(file.attrs["name"]),
-        surface=surface_of_arrays(_surface_arrays(path, file), path.parent),
+        surface=surface_of_arrays(_surface_arrays(file), path.parent),
     )
 
 
-def _surface_arrays(path: Path, file: h5py.File) -> dict[str, NDArray[Any]]:
-    names = [name for name in SURFACE_ARRAYS if f"surface/{name}" in file]
-    arrays = {name: np.asarray(whole(path, file, f"surface/{name}")) for name in names}
+def _surface_arrays(file: Contents) -> dict[str, NDArray[Any]]:
+    names = [name for name in SURFACE_ARRAYS if f"surface/{name}" in file.arrays]
+    arrays = {name: np.asarray(file.arrays[f"surface/{name}"]) for name in names}
     return {
         name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
         for name, array in arrays.items()

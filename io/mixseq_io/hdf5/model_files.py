@@ -40,13 +40,12 @@ from mixseq.signals.model import Model
 from mixseq.version import __version__
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import write_compressed
+from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.datasets import increasing
 from mixseq_io.hdf5.h5_files import (
     MODEL_FORMAT,
     check_version,
     creating_h5,
-    kind_of,
-    opened_h5,
     read_header,
     write_header,
 )
@@ -140,15 +139,16 @@ def load(path: PathLike, salvage: bool = False) -> Model:
 def _load(source: Path) -> Model:
     if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
         raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
-    with opened_h5(source) as file:
-        kind = kind_of(file)
-        if kind != MODEL_FORMAT:
-            raise FormatError(
-                f"{source} is an HDF5 file, but not a mixseq model (format = {kind!r}); make one with mixseq encode"
-            )
-        check_version(source, file, VERSION)
-        if "coding" in file.attrs:
+    found = read_attributes(source)
+    if found.kind != MODEL_FORMAT:
+        raise FormatError(
+            f"{source} is an HDF5 file, but not a mixseq model (format = {found.kind!r}); make one with mixseq encode"
+        )
+    with reading_h5(source):
+        check_version(source, found, VERSION)
+        if "coding" in found.attrs:
             return decoded(source, read_compressed(source))
+        file = read_contents(source)
         try:
             return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
         except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
@@ -171,7 +171,7 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
         raise FormatError(f"{path}: {error}") from error
 
 
-def _read(path: Path, file: h5py.File) -> Model:
+def _read(path: Path, file: Contents) -> Model:
     frames = increasing(path, file, "signals/time/frames")
     header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
     if is_old_anchored(path, file):

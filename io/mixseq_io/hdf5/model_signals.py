@@ -14,6 +14,7 @@ from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, increasing, put
 from mixseq_io.hdf5.stored_space import (
     FIRST_WITH_QUATERNIONS,
@@ -38,7 +39,7 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
     _put_blocks(file, "signals/placement", placement_blocks(space), model.placement.values)
 
 
-def read_signals(path: Path, file: h5py.File, header: SequenceHeader, space: StoredSpace) -> Model:
+def read_signals(path: Path, file: Contents, header: SequenceHeader, space: StoredSpace) -> Model:
     """Read the signals of a model in a space.
 
     Raises
@@ -66,12 +67,12 @@ def check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
             )
 
 
-def read_shapes(path: Path, file: h5py.File, blocks: Blocks, count: int) -> Float:
+def read_shapes(path: Path, file: Contents, blocks: Blocks, count: int) -> Float:
     """Read key shapes ``(count, S)`` that consist of some of `shape_blocks`."""
     return _get_blocks(path, file, "signals/shape", blocks, count)
 
 
-def read_placements(path: Path, file: h5py.File, space: StoredSpace, count: int) -> Float:
+def read_placements(path: Path, file: Contents, space: StoredSpace, count: int) -> Float:
     """Read placements ``(count, P)``: quaternions, then centres. Before version 5 rotations were rotation vectors."""
     blocks = placement_blocks(space)
     if space.rotation_count and int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS:
@@ -89,7 +90,7 @@ def read_placements(path: Path, file: h5py.File, space: StoredSpace, count: int)
     return placements
 
 
-def _read_placement(path: Path, file: h5py.File, space: StoredSpace) -> Curve:
+def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
     knots = increasing(path, file, "signals/placement/times")
     return Curve(knots, read_placements(path, file, space, len(knots)))
 
@@ -102,7 +103,7 @@ def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> N
         put(file, f"{group}/{name}", block.reshape(len(block), *shape))
 
 
-def _get_blocks(path: Path, file: h5py.File, group: str, blocks: Blocks, count: int) -> Float:
+def _get_blocks(path: Path, file: Contents, group: str, blocks: Blocks, count: int) -> Float:
     """Read what `_put_blocks` stored."""
     columns = [
         floats(path, file, f"{group}/{name}", (count, *shape)).reshape(count, int(np.prod(shape)))
@@ -111,7 +112,7 @@ def _get_blocks(path: Path, file: h5py.File, group: str, blocks: Blocks, count: 
     return np.concatenate(columns, axis=1)
 
 
-def read_pose(path: Path, file: h5py.File) -> PoseMap:
+def read_pose(path: Path, file: Contents) -> PoseMap:
     """Read the pose signal."""
     offset = floats(path, file, "signals/pose/offset", (None,))
     matrix = floats(path, file, "signals/pose/matrix", (None, len(offset)))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from mixseq.arrays import Float
@@ -25,6 +24,7 @@ from mixseq.signals.model import Model
 from mixseq.spaces import MixedSpace, mixed_space
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, increasing, read_scale, read_shell
 from mixseq_io.hdf5.h5_files import read_header
 from mixseq_io.hdf5.model_signals import check_frames, read_placements, read_pose, read_shapes
@@ -34,7 +34,7 @@ from mixseq_io.hdf5.stored_space import FIRST_WITH_QUATERNIONS
 _NEAR = 1e-6  # in frames; times that are nearer are one: most knots are frames, but for rounding
 
 
-def read_v1(path: Path, file: h5py.File) -> Model:
+def read_v1(path: Path, file: Contents) -> Model:
     """Read a model of version 1, as the exact model of its frames."""
     times = increasing(path, file, "signals/time/times")
     header = read_header(path, file, int(file.attrs["vertex_count"]), times)
@@ -50,14 +50,14 @@ def read_v1(path: Path, file: h5py.File) -> Model:
         return build(encode(MeshSequence.from_header(header, points), space), Detail())
 
 
-def is_old_anchored(path: Path, file: h5py.File) -> bool:
+def is_old_anchored(path: Path, file: Contents) -> bool:
     """Whether a model is in the anchored placement of versions 2 to 4."""
     mixed = str(file.attrs["space"]) == MixedSpace.name
     old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
     return mixed and old and read_placement(path, file) == "anchored"
 
 
-def read_anchored(path: Path, file: h5py.File, header: SequenceHeader) -> Model:
+def read_anchored(path: Path, file: Contents, header: SequenceHeader) -> Model:
     """Read a model in the anchored placement of versions 2 to 4."""
     anchored = _Anchored(path, file, header)
     pose = read_pose(path, file)
@@ -85,7 +85,7 @@ def _frames_and_knots(header: SequenceHeader, time: Curve, placement: Curve) -> 
 class _Anchored:
     """What decodes the frames of an old model."""
 
-    def __init__(self, path: Path, file: h5py.File, header: SequenceHeader) -> None:
+    def __init__(self, path: Path, file: Contents, header: SequenceHeader) -> None:
         topology = Topology(header.faces, header.vertex_count)
         decomposition = read_segmentation(path, file, topology)
         self.header, self.scale, self.settings = header, read_scale(path, file), read_shell(path, file)
@@ -113,7 +113,7 @@ class _Anchored:
             "parts": (len(self.shapes), 3),
         }
 
-    def poses(self, path: Path, file: h5py.File, count: int) -> Float:
+    def poses(self, path: Path, file: Contents, count: int) -> Float:
         """Read rotation vectors, then centres ``(count, 6 p)``."""
         shape = (count, len(self.solver.decomposition.parts), 3)
         both = [

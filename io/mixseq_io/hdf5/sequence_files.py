@@ -27,23 +27,24 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import checked
+from mixseq_io.hdf5.contents import contents_of, opened_h5, read_attributes, reading_h5
 from mixseq_io.hdf5.h5_files import (
     CHECKED,
     MODEL_FORMAT,
     Store,
     check_version,
     creating_h5,
-    kind_of,
-    opened_h5,
     read_header,
-    reading_h5,
-    whole,
     write_header,
 )
+from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
 VERSION = 1
+
+_BY_FRAME = ("points", "velocities")
+"""Datasets that are read as frames are asked for."""
 
 # A chunk is compressed and read as a whole; HDF5 keeps 1 MiB of them by default.
 _CHUNK_BYTES = 1 << 20
@@ -57,14 +58,19 @@ def open_h5(path: Path) -> SequenceReader:
     FormatError
         If the file is of another kind, damaged, or written by a newer mixseq.
     """
+    found = read_attributes(path)
+    if found.kind == MODEL_FORMAT:
+        return _ModelReader(path)  # decoded here, where nobody limits how long it takes
+    if found.kind != FORMAT:
+        raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")
+    with reading_h5(path):
+        check_version(path, found, VERSION)
+    return open_isolated(f"{__name__}:_open", path, {})
+
+
+def _open(path: Path) -> SequenceReader:
     with ExitStack() as resources:
         file = resources.enter_context(opened_h5(path))
-        kind = kind_of(file)
-        if kind == MODEL_FORMAT:
-            return _ModelReader(path)
-        if kind != FORMAT:
-            raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {kind!r})")
-        check_version(path, file, VERSION)
         with naming(path):
             header = _header(path, file)
         return _H5Reader(path, header, file, resources.pop_all())
@@ -72,14 +78,15 @@ def open_h5(path: Path) -> SequenceReader:
 
 def _header(path: Path, file: h5py.File) -> SequenceHeader:
     shape = file["points"].shape
-    for name in ("points", "velocities") if "velocities" in file else ("points",):
+    for name in _BY_FRAME if "velocities" in file else _BY_FRAME[:1]:
         found, dtype = file[name].shape, file[name].dtype
         if len(found) != 3 or found[2] != 3 or found != shape or dtype not in (np.float32, np.float64):
             raise FormatError(f"{path}: {name} are {dtype} of shape {found}; it is damaged")
-    times = whole(path, file, "times")
+    contents = contents_of(path, file, _BY_FRAME)
+    times = contents.arrays["times"]
     if len(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
-    return read_header(path, file, vertex_count=shape[1], times=times)
+    return read_header(path, contents, vertex_count=shape[1], times=times)
 
 
 class _ModelReader(SequenceReader):
@@ -149,7 +156,7 @@ def _fill(
     shape = (header.frame_count, header.vertex_count, 3)
     frame_bytes = header.vertex_count * 3 * dtype.itemsize
     frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
-    names = ("points",) if velocities is None else ("points", "velocities")
+    names = _BY_FRAME[:1] if velocities is None else _BY_FRAME
     for name in names:
         file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED)
     for first, points, speeds in numbered:

@@ -15,6 +15,7 @@ from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
 from mixseq.topology import Topology
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, get_lists, integers, put, put_lists, read_relaxation, read_scale
 
 _SUM = 1e-9  # how far the shares of a vertex may be from one
@@ -45,7 +46,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
     _write_segmentation(file, space.decomposition)
 
 
-def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> MixedSpace:
+def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> MixedSpace:
     """Read a mixed space.
 
     Raises
@@ -73,22 +74,22 @@ def read_mixed_space(path: Path, file: h5py.File, header: SequenceHeader) -> Mix
     )
 
 
-def _read_marks(path: Path, file: h5py.File, name: str, count: int) -> NDArray[np.bool_]:
+def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np.bool_]:
     """Read which of so many are marked: their numbers."""
     marks = np.zeros(count, dtype=bool)
     marks[integers(path, file, name, (None,), 0, count)] = True
     return marks
 
 
-def read_placement(path: Path, file: h5py.File) -> str:
+def read_placement(path: Path, file: Contents) -> str:
     """Read how parts are placed."""
-    placement = str(file["space"].attrs["placement"])
+    placement = str(file.attributes["space"]["placement"])
     if placement not in PLACEMENTS:
         raise FormatError(f"{path}: the placement {placement!r} is not known")
     return placement
 
 
-def read_free(path: Path, file: h5py.File, header: SequenceHeader) -> FreeSpace:
+def read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
     """Read a mixed space in the free placement, of any version."""
     topology = Topology(header.faces, header.vertex_count)
     decomposition = read_segmentation(path, file, topology)
@@ -106,7 +107,7 @@ def read_free(path: Path, file: h5py.File, header: SequenceHeader) -> FreeSpace:
     return space
 
 
-def _read_shares(path: Path, file: h5py.File, vertices: int, parts: int) -> sparse.csr_array:
+def _read_shares(path: Path, file: Contents, vertices: int, parts: int) -> sparse.csr_array:
     lists = get_lists(path, file, "space/shares", "parts", parts)
     ends = np.cumsum([0, *(len(each) for each in lists)])
     weights = floats(path, file, "space/shares/weights", (int(ends[-1]),))
@@ -126,7 +127,7 @@ def _write_segmentation(file: h5py.File, decomposition: Decomposition) -> None:
     put_lists(file, "segmentation/joints", "faces", [joint.face_ids for joint in decomposition.joints])
 
 
-def read_segmentation(path: Path, file: h5py.File, topology: Topology) -> Decomposition:
+def read_segmentation(path: Path, file: Contents, topology: Topology) -> Decomposition:
     """Read the parts and joints of a mesh."""
     faces, vertices = len(topology.faces), topology.vertex_count
     parts = get_lists(path, file, "segmentation/parts", "vertices", vertices)

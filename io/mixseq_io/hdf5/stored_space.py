@@ -24,6 +24,7 @@ from mixseq.spaces import (
 )
 from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
+from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, put, read_scale, read_settings, read_shell, write_settings
 from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mixed_space
 
@@ -121,7 +122,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
             put(file, "space/reference_lengths", space.reference_lengths)
 
 
-def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpace:
+def read_space(path: Path, file: Contents, header: SequenceHeader) -> StoredSpace:
     """Read a shape space.
 
     Raises
@@ -148,7 +149,7 @@ def read_space(path: Path, file: h5py.File, header: SequenceHeader) -> StoredSpa
     return _read_edge_space(path, file, topology, scale, reference)
 
 
-def _read_basis_space(path: Path, file: h5py.File, vertices: int, scale: float) -> BasisSpace:
+def _read_basis_space(path: Path, file: Contents, vertices: int, scale: float) -> BasisSpace:
     fields = floats(path, file, "space/fields", (None, vertices))
     zero = ~fields.any(axis=1)
     if zero.any():
@@ -157,7 +158,7 @@ def _read_basis_space(path: Path, file: h5py.File, vertices: int, scale: float) 
 
 
 def _read_edge_space(
-    path: Path, file: h5py.File, topology: Topology, scale: float, reference: Float
+    path: Path, file: Contents, topology: Topology, scale: float, reference: Float
 ) -> EdgeSpace:
     lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
@@ -165,7 +166,7 @@ def _read_edge_space(
     return EdgeSpace(topology, scale, reference, lengths, _edge_settings(path, file))
 
 
-def _edge_settings(path: Path, file: h5py.File) -> EdgeSettings:
+def _edge_settings(path: Path, file: Contents) -> EdgeSettings:
     """Read the settings of the edge space; projections that are no more were ways to what steps find."""
     known = {*EDGE, *GONE}
     found = {

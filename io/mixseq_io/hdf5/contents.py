@@ -1,0 +1,128 @@
+"""Read HDF5 files in a process of their own: attributes and arrays come from there as plain values.
+
+One flipped bit in a string of any length lets HDF5 search for ever, deaf to Ctrl-C, and a crafted file can crash it.
+So HDF5 reads no file in the user's process, see `mixseq_io.isolation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq_io.hdf5.permitted import check_permitted
+from mixseq_io.isolation import call_isolated
+from mixseq_io.reader import brief, reading
+
+_SHARE = 1 / 60
+"""Part of the time limit that is enough for attributes: there is little to read, and damage in them has no end."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What is in an HDF5 file.
+
+    Parameters
+    ----------
+    attributes : mapping of str to mapping
+        Attributes by the name of their group; that of the root is empty.
+    arrays : mapping of str to array
+        Datasets by their names.
+    """
+
+    attributes: Mapping[str, Mapping[str, Any]]
+    arrays: Mapping[str, NDArray[Any]]
+
+    @property
+    def attrs(self) -> Mapping[str, Any]:
+        """Attributes of the root."""
+        return self.attributes[""]
+
+    @property
+    def kind(self) -> str | None:
+        """The root attribute `format`."""
+        kind = self.attrs.get("format")
+        if isinstance(kind, bytes):
+            return kind.decode("utf-8", "replace")
+        return kind if isinstance(kind, str) else None
+
+
+def read_attributes(path: Path) -> Contents:
+    """Read a file's attributes, and no arrays.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing or damaged, or has what ours do not have, see `mixseq_io.hdf5.permitted`.
+    """
+    found: Contents = call_isolated(f"{__name__}:_attributes", path, share=_SHARE)
+    return found
+
+
+def read_contents(path: Path) -> Contents:
+    """Read a whole file; errors are those of `read_attributes`, and one that names a dataset that is damaged."""
+    read_attributes(path)  # which ends soon if it cannot be done
+    found: Contents = call_isolated(f"{__name__}:_contents", path)
+    return found
+
+
+def _attributes(path: Path) -> Contents:
+    with opened_h5(path) as file:
+        groups, _ = _objects(file)
+        return Contents({name: dict(each.attrs) for name, each in groups.items()}, {})
+
+
+def _contents(path: Path) -> Contents:
+    with opened_h5(path) as file:
+        return contents_of(path, file)
+
+
+def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Contents:
+    """Read all of an open file, `but` some datasets.
+
+    Raises
+    ------
+    FormatError
+        If a dataset is damaged.
+    """
+    groups, datasets = _objects(file)
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in datasets.keys() - set(but):
+        try:
+            arrays[name] = datasets[name][...]
+        except OSError as error:
+            raise FormatError(f"{path}: {name} is damaged ({brief(error)}); restore the file") from error
+    return Contents({name: dict(each.attrs) for name, each in groups.items()}, arrays)
+
+
+def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dataset]]:
+    names: list[str] = []
+    file.visit(names.append)
+    every = {"": file} | {name: file[name] for name in names}
+    datasets = {name: each for name, each in every.items() if isinstance(each, h5py.Dataset)}
+    return {name: each for name, each in every.items() if name not in datasets}, datasets
+
+
+@contextmanager
+def opened_h5(path: Path) -> Iterator[h5py.File]:
+    """Open a file in this process, if there is nothing in it that our files do not have.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, damaged, or refused by `check_permitted`; also for what h5py raises while it is open.
+    """
+    with reading_h5(path), h5py.File(path, "r") as file:
+        check_permitted(path, file)
+        yield file
+
+
+def reading_h5(path: Path) -> AbstractContextManager[None]:
+    """Turn what h5py raises on damaged files, and what is missing, into `FormatError`."""
+    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
