@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 @setting(
     "--host",
     metavar="ADDRESS",
-    help="Listen here; 0.0.0.0 lets everybody in who can reach this machine.  [default: 127.0.0.1, this machine only]",
+    help="Listen here; 0.0.0.0 for all who reach it and have the address.  [default: 127.0.0.1, this machine only]",
 )
 @setting(
     "--port",

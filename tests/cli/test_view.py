@@ -367,7 +367,8 @@ def test_it_runs_until_it_is_ended(folder: Path, number: signal.Signals, code: i
     ) as process:
         try:
             found = re.fullmatch(
-                r"mixseq view: (http://127\.0\.0\.1:\d+) \(Ctrl-C ends it\)\n", first_line(process)
+                r"mixseq view: (http://127\.0\.0\.1:\d+/\?token=[\w-]{43}) \(Ctrl-C ends it\)\n",
+                first_line(process),
             )
             assert found
             with urlopen(found[1], timeout=PATIENCE) as response:

@@ -27,7 +27,7 @@ from mixseq.viewing.live import Viewer, ViewSettings, viewer
 
 pytestmark = pytest.mark.slow
 
-QUICK = "/?fixedDpr=0.5"
+QUICK = "&fixedDpr=0.5"
 """Half the pixels: there is no graphics card here."""
 
 ARRAY = """(name) => {

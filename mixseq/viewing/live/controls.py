@@ -18,6 +18,9 @@ SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 HAND = 0.5
 """Seconds for which a slider that was moved stays where the hand has it: what is shown comes a little later."""
 
+LONGEST_NAME = 200
+"""Bytes of the name of a file; folders hold names of 255, and writers put some letters of theirs to it at first."""
+
 ROW, PLACE = "side by side", "in one place"
 
 
@@ -153,7 +156,7 @@ class SaveControls:
         name = self._name.value.strip()
         path = self._folder / name
         # whoever can reach the page should not write anywhere
-        if not name or Path(name).name != name:
+        if not _is_file_name(name):
             notify(
                 event.client,
                 "Not saved",
@@ -161,6 +164,12 @@ class SaveControls:
             )
         else:
             self._save(path, bool(self._replace.value))
+
+
+def _is_file_name(name: str) -> bool:
+    """Whether a text is the name of a file in a folder, on any system, and no path."""
+    plain = name not in ("", ".", "..") and not any(each in name for each in "/\\:")
+    return plain and name.isprintable() and len(name.encode(errors="replace")) <= LONGEST_NAME
 
 
 def notify(client: Any, title: str, text: str, good: bool = False) -> None:

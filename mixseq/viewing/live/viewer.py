@@ -58,7 +58,7 @@ class Viewer:
     Attributes
     ----------
     address : str
-        Where it is, for a browser.
+        Where it is, for a browser, with the token that lets it in.
     playback : Playback
         What is shown, and when.
     session : Session
@@ -66,7 +66,13 @@ class Viewer:
     """
 
     def __init__(
-        self, server: Any, colours: SceneColours, settings: ViewSettings, save: Save, stack: ExitStack
+        self,
+        server: Any,
+        address: str,
+        colours: SceneColours,
+        settings: ViewSettings,
+        save: Save,
+        stack: ExitStack,
     ) -> None:
         self._server = server
         self._play: PlayControls | None = None  # the first frame may be there before they are
@@ -89,7 +95,7 @@ class Viewer:
         self._stage.on_click(self._clicked)
         server.on_client_connect(self._connected)
         server.on_client_disconnect(self._disconnected)
-        self.address = address(settings.host, server.get_port())
+        self.address = address
 
     # What the session tells -----------------------------------------------------------------------------
 
@@ -195,13 +201,18 @@ def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterato
     check_viser()
     import viser
 
+    from mixseq.viewing.live.access import Access
+    from mixseq.viewing.live.guard import Guard
+
     port = free_port(settings.host, settings.port)
+    guard = Guard(Access(settings.host))
 
     with ExitStack() as stack:
-        with redirect_stdout(StringIO()):  # a greeting of viser
+        with redirect_stdout(StringIO()), guard.posted():  # viser has a greeting
             server = viser.ViserServer(settings.host, port, label="mixseq", verbose=False)
-        stack.callback(_stop, server)
-        running = Viewer(server, colours, settings, save, stack)
+            stack.callback(_stop, server)
+        guard.unhook(server)
+        running = Viewer(server, guard.access.address, colours, settings, save, stack)
         stack.enter_context(
             warnings_heard(lambda text: running.tell("Please note", text))
         )  # of threads of ours
@@ -244,9 +255,3 @@ def free_port(host: str, wanted: int | None) -> int:
 
 def _family(host: str) -> socket.AddressFamily:
     return socket.AF_INET6 if ":" in host else socket.AF_INET
-
-
-def address(host: str, port: int) -> str:
-    """Return where a browser finds a server that listens at a host and a port."""
-    name = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"

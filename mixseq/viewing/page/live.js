@@ -85,6 +85,13 @@ window.mixseqLive ??= (function () {
   }
   tick();
 
+  // the browser has a cookie now; the token need not be seen, nor stay among the pages that were visited
+  const here = new URL(location.href);
+  if (here.searchParams.has("token")) {
+    here.searchParams.delete("token");
+    history.replaceState(history.state, "", here);
+  }
+
   // Keys that move a slider or are typed should not turn the camera as well, which listens farther out. Other keys of
   // a slider are for viser: P plays.
   for (const kind of ["keydown", "keyup"]) {

@@ -1,0 +1,157 @@
+"""A guard before viser's server: it answers whom `Access` lets in, and hears what `checked_message` lets through.
+
+viser makes its server with ``websockets.asyncio.server.serve``, which takes a function that sees requests first and a
+class of connections; there is no other way to hand them to it.
+"""
+
+from __future__ import annotations
+
+import http
+import logging
+import sys
+from asyncio import sleep
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import websockets.asyncio.server as sockets
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+
+from mixseq.viewing.live.access import CLOSED, Access
+from mixseq.viewing.live.incoming import LARGEST, Rate, checked_message
+
+FAST = 1000.0, 2000.0
+"""Messages of a page a second, and at once; more have to wait. At 144 Hz a page sends some 400."""
+
+BAD = 1.0, 20.0
+"""Bad messages of a page a second, and at once; with more the connection is closed."""
+
+LINES = 0.5, 20.0
+"""Lines on the terminal a second, and at once; more are left out."""
+
+PATIENCE = 1.0
+"""Seconds until a connection ends at which the other side does not take leave."""
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "SAMEORIGIN",
+}
+"""What every page of a viewer comes with: it is for no other page, and tells none where it is."""
+
+
+class Guard:
+    """Stands before one server of viser.
+
+    Parameters
+    ----------
+    access : Access
+        Who may connect; learns the port.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self.access = access
+        self.controls: Mapping[str, Any] = {}
+        self._lines = Rate(*LINES)
+        self._log = logging.Logger("mixseq.viewer")  # nobody else's
+        self._log.addHandler(logging.NullHandler())
+
+    def tell(self, text: str) -> None:
+        """Write a line about something that was refused, unless there were many of late."""
+        if self._lines.spare():
+            line = "".join(each if each.isprintable() else "?" for each in text[:200])
+            print(f"mixseq: viewer: {line}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def posted(self) -> Iterator[None]:
+        """Guard the server that is started meanwhile.
+
+        Raises
+        ------
+        RuntimeError
+            If none was: another viser may start its server in another way, and there is none without a guard.
+        """
+        usual, started = sockets.serve, []
+
+        def serve(handler: Any, host: str, port: int, **settings: Any) -> Any:
+            started.append(port)
+            self.access.port = port
+            settings |= {
+                "process_request": partial(self._answer, settings["process_request"]),
+                "create_connection": partial(_Connection, self),
+                "max_size": LARGEST,
+                "close_timeout": PATIENCE,
+                "logger": self._log,
+            }
+            return usual(handler, host, port, **settings)
+
+        sockets.serve = serve  # type: ignore[misc, assignment]
+        try:
+            yield
+        finally:
+            sockets.serve = usual  # type: ignore[misc]
+        if not started:
+            raise RuntimeError("this version of viser cannot be guarded")
+
+    def unhook(self, server: Any) -> None:
+        """Take away what no page of ours asks viser for, public tunnels and uploads, and learn its controls."""
+        from viser import _messages as kinds
+
+        for kind in (
+            kinds.ShareUrlRequest,
+            kinds.ShareUrlDisconnect,
+            kinds.FileTransferStartUpload,
+            kinds.FileTransferPart,
+        ):
+            server._websock_server.unregister_handler(kind)
+        self.controls = server.gui._gui_input_handle_from_uuid
+
+    def _answer(self, pages: Callable[..., Any], connection: Any, request: Any) -> Any:
+        """Answer a request, or let a websocket be opened."""
+        why = self.access.refusal(request.path, request.headers)
+        if why is not None:
+            self.tell(f"a request was refused: {why}")
+            response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{CLOSED}\n")
+        else:
+            response = pages(connection, request)
+        if response is not None:
+            for name, value in HEADERS.items():
+                response.headers[name] = value
+            if why is None and self.access.brings_token(request.path):
+                response.headers["Set-Cookie"] = self.access.cookie
+        return response
+
+
+class _Connection(sockets.ServerConnection):
+    """A connection that hears only what a page may say."""
+
+    def __init__(self, guard: Guard, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self._guard = guard
+        self._fast, self._bad = Rate(*FAST), Rate(*BAD)
+
+    async def recv(self, decode: bool | None = None) -> Any:
+        """Return the next message that is in order."""
+        while True:
+            try:
+                raw = await super().recv(decode)
+            except ConnectionClosed as closed:
+                if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
+                    self._guard.tell(f"a page was cut off: its message is larger than {LARGEST} bytes")
+                raise
+            await sleep(self._fast.wait())  # what is not read, the page has to keep
+            try:
+                message = checked_message(raw, self._guard.controls)
+            except ValueError as error:
+                self._guard.tell(f"a message was left out: {error}")
+                if not self._bad.spare():
+                    self._guard.tell("a page was cut off: many bad messages")
+                    await self.close(CloseCode.POLICY_VIOLATION, "many bad messages")
+                    raise self.protocol.close_exc from None  # and what came after them is not read
+                continue
+            if message is not None:
+                return message
