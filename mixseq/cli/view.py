@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 @setting(
     "--overlaid", is_flag=True, help="Meshes stand in one place at first, not side by side; on pages, too."
 )
+@click.option("--read-only", is_flag=True, help="Nothing can be edited or saved in the browser.")
 @setting("--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]")
 @setting(
     "--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card."
@@ -90,6 +91,7 @@ def command(
     host: str | None,
     port: int | None,
     overlaid: bool,
+    read_only: bool,
     browser: bool | None,
     shading: str | None,
     threads: int | None,
@@ -109,7 +111,13 @@ def command(
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
-    only_live = {"host": host, "port": port, "browser": browser, "shading": shading}
+    only_live = {
+        "host": host,
+        "port": port,
+        "read-only": read_only or None,
+        "browser": browser,
+        "shading": shading,
+    }
     only_page = {"every": every, "largest": largest}
     for name, value in (only_live if page else only_page).items():
         if value is not None:
@@ -132,7 +140,8 @@ def command(
             given = {name: value for name, value in only_page.items() if value is not None}
             _export(page, colours, {"fps": rate, "overlaid": overlaid, **given}, threads, progress)
     if page is None:
-        _run(colours, files, {"host": host, "port": port, "overlaid": overlaid}, browser, shading, threads)
+        how = {"host": host, "port": port, "overlaid": overlaid, "read_only": read_only}
+        _run(colours, files, how, browser, shading, threads)
 
 
 def _opened(

@@ -71,6 +71,7 @@ PATIENCE = 60.0
             "view bar.npz --export new.html --port 9000",
             "--port is about the viewer in a browser; leave it out",
         ),
+        ("view bar.npz --export new.html --read-only", "--read-only is about the viewer in a browser"),
         ("view bar.npz --export new.html --host 0.0.0.0", "--host is about the viewer in a browser"),
         ("view bar.npz --export new.html --no-browser", "--browser is about the viewer in a browser"),
         ("view bar.npz --export new.html --shading simple", "--shading is about the viewer in a browser"),
@@ -220,7 +221,7 @@ def test_defaults(run: Run, room: Room, folder: Path) -> None:
     settings = room.settings
     assert (settings.host, settings.port, settings.material) == ("127.0.0.1", None, "standard")
     assert (settings.folder, settings.threads) == (folder, thread_count())
-    assert not settings.overlaid
+    assert (settings.overlaid, settings.read_only) == (False, False)
 
 
 @pytest.mark.parametrize(
@@ -239,11 +240,11 @@ def test_files_are_told_apart(files: str, names: list[str]) -> None:
 
 
 def test_settings(run: Run, room: Room) -> None:
-    line = "view bar.npz --host 0.0.0.0 --port 9123 --shading simple --threads 1 --overlaid --no-browser"
+    line = "view bar.npz --host 0.0.0.0 --port 9123 --shading simple --threads 1 --overlaid --read-only --no-browser"
     run(*line.split())
     settings = room.settings
     assert (settings.host, settings.port, settings.material) == ("0.0.0.0", 9123, "toon5")
-    assert (settings.threads, settings.overlaid) == (1, True)
+    assert (settings.threads, settings.overlaid, settings.read_only) == (1, True, True)
 
 
 @pytest.mark.parametrize(

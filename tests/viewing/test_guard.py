@@ -183,6 +183,12 @@ def test_websockets_are_for_our_own_pages(
     assert page.token not in lines[0]
 
 
+def test_a_page_of_an_earlier_viewer_is_told_once(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    for _ in range(30):
+        assert page.get("/", Cookie=f"mixseq-{page.port}=old").status == 403
+    assert len(capfd.readouterr().err.splitlines()) == 1
+
+
 def test_our_own_page_is_let_in(page: Page) -> None:
     with page.open() as line:
         assert line.recv(timeout=30)
@@ -387,6 +393,28 @@ def test_two_hundred_pages_and_one_that_never_reads(running: Viewer, page: Page)
         eventually(lambda: running.session.history.undoes == "reverse")
         lines[1].send(change(page.control("File"), value="many.h5"))
         eventually(lambda: page.control("File").value == "many.h5")
+
+
+def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    settings = ViewSettings(folder=tmp_path, threads=1, read_only=True)
+    with viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as running:
+        page = Page(running)
+        controls = running._server.gui._gui_input_handle_from_uuid.values()
+        labels = {getattr(each, "label", None) for each in controls}
+        assert not labels & {"Save", "File", "Replace", "Steps", "Pen", "Gain", "Part"}
+        assert labels >= {"Play", "Frame", "Wireframe", "mixseq"}
+        with page.open() as line:
+            line.send(msgspec.msgpack.encode(CAMERA))
+            for said in (
+                '{"kind": "retime", "keys": [[0, 0.1], [1, 0.2]], "done": true}',
+                '{"kind": "drawn"}',
+            ):
+                line.send(change(page.control("mixseq"), value=said))
+            check_it_hears(page, line)
+        assert running.session.model is model
+        assert not running.session.unsaved
+    assert not list(tmp_path.iterdir())
+    assert not capfd.readouterr().err
 
 
 # Parts ------------------------------------------------------------------------------------------------------

@@ -57,6 +57,7 @@ class Guard:
         self.access = access
         self.controls: Mapping[str, Any] = {}
         self._lines = Rate(*LINES)
+        self._refusals: set[str] = set()
         self._log = logging.Logger("mixseq.viewer")  # nobody else's
         self._log.addHandler(logging.NullHandler())
 
@@ -114,7 +115,9 @@ class Guard:
         """Answer a request, or let a websocket be opened."""
         why = self.access.refusal(request.path, request.headers)
         if why is not None:
-            self.tell(f"a request was refused: {why}")
+            if why not in self._refusals:  # a page of an earlier viewer asks again and again
+                self._refusals.add(why)
+                self.tell(f"a request was refused: {why}; further ones are not told")
             response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{CLOSED}\n")
         else:
             response = pages(connection, request)

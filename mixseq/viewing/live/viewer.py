@@ -42,6 +42,8 @@ class ViewSettings:
         How light falls on meshes; the second is for machines without a graphics card.
     overlaid : bool
         Whether meshes stand in one place at first, rather than side by side.
+    read_only : bool
+        Whether nothing can be edited or saved: there are no controls for that.
     """
 
     host: str = "127.0.0.1"
@@ -50,6 +52,7 @@ class ViewSettings:
     threads: int = 2
     material: str = "standard"
     overlaid: bool = False
+    read_only: bool = False
 
 
 class Viewer:
@@ -90,7 +93,7 @@ class Viewer:
         self._shown = ShowControls(server, self.playback, self._stage, colours)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(300)
-        if self.session.editable:
+        if self.session.editable and not settings.read_only:
             self._editor = Editor(server, self.session, self.playback, settings.folder)
         self._stage.on_click(self._clicked)
         server.on_client_connect(self._connected)
