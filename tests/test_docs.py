@@ -395,7 +395,7 @@ def test_specification_has_every_dataset_and_attribute(name: str, folder: Path) 
         attributes, datasets = contents(file)
         assert set(attributes) | set(datasets) <= set(table)
         for key, value in attributes.items():
-            stated = {"string": str, "int64": np.int64, "float64": np.float64}[table[key][1]]
+            stated = {"string": bytes, "int64": np.int64, "float64": np.float64}[table[key][1]]
             assert isinstance(value, stated), key
         for key, dataset in datasets.items():
             shape, dtype = table[key][1:3]

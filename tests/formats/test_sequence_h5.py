@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -13,9 +14,11 @@ import h5py
 import numpy as np
 import pytest
 
+import mixseq
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import MeshSequence
 from mixseq_io import read, write
+from tests.formats.models.model_cases import GOLDEN
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 def test_layout(path: Path, plain: MeshSequence) -> None:
     write(path, plain)
     with h5py.File(path) as file:
-        assert (file.attrs["format"], file.attrs["version"]) == ("mixseq-sequence", 1)
+        assert (file.attrs["format"], file.attrs["version"]) == (b"mixseq-sequence", 2)
         for name in ("points", "times", "polygons/counts", "polygons/indices"):
             assert file[name].fletcher32 and file[name].shuffle and file[name].compression == "gzip"
         assert file["points"].chunks[1:] == (plain.vertex_count, 3)
@@ -56,9 +59,9 @@ def test_damage_names_the_frames(path: Path) -> None:
 def test_a_newer_version(path: Path, plain: MeshSequence) -> None:
     write(path, plain)
     with h5py.File(path, "a") as file:
-        file.attrs["version"] = 2
+        file.attrs["version"] = 3
     with pytest.raises(
-        FormatError, match="version 2, this mixseq reads up to 1; a newer mixseq wrote it: upgrade"
+        FormatError, match="version 3, this mixseq reads up to 2; a newer mixseq wrote it: upgrade"
     ):
         read(path)
 
@@ -77,6 +80,68 @@ def test_missing_pieces(path: Path, plain: MeshSequence, missing: str) -> None:
         del (file.attrs if missing in file.attrs else file)[missing]
     with pytest.raises(FormatError, match=r"walk\.h5"):
         read(path)
+
+
+@pytest.mark.parametrize("name", ["points", "times", "polygons/counts"])
+def test_groups_in_place_of_datasets(path: Path, plain: MeshSequence, name: str) -> None:
+    write(path, plain)
+    with h5py.File(path, "a") as file:
+        del file[name]
+        file.create_group(name)
+    with pytest.raises(FormatError, match=r"walk\.h5"):
+        read(path)
+
+
+@pytest.mark.parametrize("name", ["version", "fps"])
+def test_infinite_attributes(path: Path, plain: MeshSequence, name: str) -> None:
+    write(path, plain)
+    with h5py.File(path, "a") as file:
+        file.attrs[name] = np.inf
+    with pytest.raises((FormatError, InvalidSequenceError), match=r"walk\.h5"):
+        read(path)
+
+
+def damaged_bits(content: bytes, what: bytes) -> list[bytes]:
+    """Flip every bit of all places of some bytes, one at a time."""
+    spoilt = []
+    place = content.find(what)
+    while place >= 0:
+        for number in range(8 * len(what)):
+            data = bytearray(content)
+            data[place + number // 8] ^= 1 << number % 8
+            spoilt.append(bytes(data))
+        place = content.find(what, place + 1)
+    return spoilt
+
+
+@pytest.mark.parametrize("kind", ["sequence", "model"])
+def test_damage_to_names_and_axes_is_noticed(path: Path, plain: MeshSequence, kind: str) -> None:
+    name = "Grünling"
+    sequence = replace(plain, name=name, up_axis="Z")
+    if kind == "model":
+        mixseq.save(path, mixseq.fit(sequence, space="vertex"))
+    else:
+        write(path, sequence)
+    content = path.read_bytes()
+    assert b"GCOL" not in content  # where HDF5 keeps strings of any length, without checksums
+    spoilt = damaged_bits(content, name.encode()) + damaged_bits(content, b"up_axis")
+    assert len(spoilt) >= 8 * (9 + 7)
+    for data in spoilt:
+        path.write_bytes(data)
+        with pytest.raises(FormatError, match=r"walk\.h5"):
+            read(path)
+    path.write_bytes(content)
+    assert (read(path).name, read(path).up_axis) == (name, "Z")
+
+
+@pytest.mark.parametrize("name", ["sequence-v1", "sequence-v2"])
+def test_golden_files_still_read_the_same(name: str) -> None:
+    found = read(GOLDEN / f"{name}.h5")
+    with np.load(GOLDEN / f"{name}.npz") as expected:
+        for what in ("points", "times", "velocities"):
+            np.testing.assert_array_equal(getattr(found, what), expected[what])
+    assert (found.name, found.up_axis, found.metres_per_unit) == ("bär", "Z", 0.01)
+    assert [(each.name, each.material) for each in found.surface.face_sets] == [("end", "skin")]
 
 
 def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
@@ -106,6 +171,7 @@ import numpy as np
 from mixseq.errors import OutputError
 from mixseq.sequence import MeshSequence
 from mixseq_io import read, write
+from tests.formats.models.model_cases import GOLDEN
 
 def noise(frames):
     points = np.random.default_rng(0).normal(size=(frames, 1000, 3)).astype(np.float32)

@@ -47,10 +47,12 @@ class Contents:
     @property
     def kind(self) -> str | None:
         """The root attribute `format`."""
-        kind = self.attrs.get("format")
-        if isinstance(kind, bytes):
-            return kind.decode("utf-8", "replace")
-        return kind if isinstance(kind, str) else None
+        return self.text("format") if isinstance(self.attrs.get("format"), bytes | str) else None
+
+    def text(self, name: str, group: str = "") -> str:
+        """Return an attribute as text, whether it was stored with a fixed length or, as formerly, with any."""
+        value = self.attributes[group][name]
+        return value.decode("utf-8", "surrogateescape") if isinstance(value, bytes) else str(value)
 
 
 def read_attributes(path: Path) -> Contents:
@@ -125,4 +127,4 @@ def opened_h5(path: Path) -> Iterator[h5py.File]:
 
 def reading_h5(path: Path) -> AbstractContextManager[None]:
     """Turn what h5py raises on damaged files, and what is missing, into `FormatError`."""
-    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError)
+    return reading(path, "HDF5", KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError)

@@ -19,7 +19,7 @@ from mixseq.errors import FormatError
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.h5_files import CHECKED
+from mixseq_io.hdf5.h5_files import CHECKED, put_text
 
 _CHUNK_ELEMENTS = 1 << 17
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
@@ -104,7 +104,7 @@ def read_scale(path: Path, file: Contents) -> float:
 
 def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -> None:
     """Store settings by what they are about."""
-    file.attrs["settings"] = json.dumps(settings, sort_keys=True)
+    put_text(file, "settings", json.dumps(settings, sort_keys=True))
 
 
 def read_settings(path: Path, file: Contents, about: str, known: Collection[str]) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def read_settings(path: Path, file: Contents, about: str, known: Collection[str]
 
 
 def _all_settings(file: Contents) -> dict[str, dict[str, Any]]:
-    settings: dict[str, dict[str, Any]] = json.loads(str(file.attrs["settings"]))
+    settings: dict[str, dict[str, Any]] = json.loads(file.text("settings"))
     return settings
 
 

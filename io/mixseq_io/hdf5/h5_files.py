@@ -44,11 +44,17 @@ def refuse_newer(path: Path, version: int, known: int) -> None:
         )
 
 
+def put_text(holder: h5py.Group, name: str, text: str) -> None:
+    """Store a text as an attribute, of fixed length: strings of any length lie outside the structure's checksums."""
+    data = text.encode("utf-8", "surrogateescape")
+    holder.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+
+
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
     """Store everything about a sequence but its times and points."""
-    file.attrs["name"] = header.name
+    put_text(file, "name", header.name)
     file.attrs["fps"] = header.fps
-    file.attrs["up_axis"] = header.up_axis
+    put_text(file, "up_axis", header.up_axis)
     file.attrs["metres_per_unit"] = header.metres_per_unit
     file.create_dataset("polygons/counts", data=header.polygons.counts, chunks=True, **CHECKED)
     file.create_dataset("polygons/indices", data=header.polygons.indices, chunks=True, **CHECKED)
@@ -68,9 +74,9 @@ def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np
         vertex_count=vertex_count,
         times=times,
         fps=float(file.attrs["fps"]),
-        up_axis=str(file.attrs["up_axis"]),
+        up_axis=file.text("up_axis"),
         metres_per_unit=float(file.attrs["metres_per_unit"]),
-        name=str(file.attrs["name"]),
+        name=file.text("name"),
         surface=surface_of_arrays(_surface_arrays(file), path.parent),
     )
 

@@ -2,7 +2,7 @@
 
 ::
 
-    /                          format = "mixseq-model", version = 2, 3, 4 or 5, created_by, settings (JSON), space,
+    /                          format = "mixseq-model", version = 6 (2 to 5 before), created_by, settings (JSON), space,
                                name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
@@ -46,17 +46,18 @@ from mixseq_io.hdf5.h5_files import (
     MODEL_FORMAT,
     check_version,
     creating_h5,
+    put_text,
     read_header,
     write_header,
 )
 from mixseq_io.hdf5.model_signals import read_signals, write_signals
 from mixseq_io.hdf5.older_models import is_old_anchored, read_anchored, read_v1
 from mixseq_io.hdf5.salvage import explain_damage, salvage_compressed
-from mixseq_io.hdf5.stored_space import FIRST_WITH_QUATERNIONS, read_space, storable, version_of, write_space
+from mixseq_io.hdf5.stored_space import read_space, storable, write_space
 from mixseq_io.registry import PathLike
 
-VERSION = FIRST_WITH_QUATERNIONS
-"""Files have the first version that knows their space: older mixseqs read what they can."""
+VERSION = 6
+"""Since 6 all texts have a fixed length, and so a checksum."""
 
 SUFFIXES = (".h5", ".hdf5")
 
@@ -95,9 +96,9 @@ def save(path: PathLike, model: Model | CompressedSequence) -> None:
             stacklevel=2,
         )
     with creating_h5(target) as (file, store):
-        file.attrs["format"] = MODEL_FORMAT
-        file.attrs["version"] = version_of(space)
-        file.attrs["created_by"] = f"mixseq {__version__}"
+        put_text(file, "format", MODEL_FORMAT)
+        file.attrs["version"] = VERSION
+        put_text(file, "created_by", f"mixseq {__version__}")
         file.attrs["vertex_count"] = model.header.vertex_count
         write_header(file, model.header)
         write_space(file, space)

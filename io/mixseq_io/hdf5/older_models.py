@@ -52,7 +52,7 @@ def read_v1(path: Path, file: Contents) -> Model:
 
 def is_old_anchored(path: Path, file: Contents) -> bool:
     """Whether a model is in the anchored placement of versions 2 to 4."""
-    mixed = str(file.attrs["space"]) == MixedSpace.name
+    mixed = file.text("space") == MixedSpace.name
     old = int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS
     return mixed and old and read_placement(path, file) == "anchored"
 

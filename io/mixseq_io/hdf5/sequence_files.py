@@ -2,7 +2,7 @@
 
 ::
 
-    /                    format = "mixseq-sequence", version = 1,
+    /                    format = "mixseq-sequence", version = 2 (1 before),
                          name, fps, up_axis, metres_per_unit
     /points              (T, V, 3) float32 or float64, in chunks of whole frames
     /velocities          as points, units per second; optional
@@ -34,6 +34,7 @@ from mixseq_io.hdf5.h5_files import (
     Store,
     check_version,
     creating_h5,
+    put_text,
     read_header,
     write_header,
 )
@@ -41,7 +42,8 @@ from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
-VERSION = 1
+VERSION = 2
+"""Since 2 all texts have a fixed length, and so a checksum."""
 
 _BY_FRAME = ("points", "velocities")
 """Datasets that are read as frames are asked for."""
@@ -77,8 +79,12 @@ def _open(path: Path) -> SequenceReader:
 
 
 def _header(path: Path, file: h5py.File) -> SequenceHeader:
+    names = _BY_FRAME if "velocities" in file else _BY_FRAME[:1]
+    for name in names:
+        if not isinstance(file[name], h5py.Dataset):
+            raise FormatError(f"{path}: {name} is no dataset; it is damaged")
     shape = file["points"].shape
-    for name in _BY_FRAME if "velocities" in file else _BY_FRAME[:1]:
+    for name in names:
         found, dtype = file[name].shape, file[name].dtype
         if len(found) != 3 or found[2] != 3 or found != shape or dtype not in (np.float32, np.float64):
             raise FormatError(f"{path}: {name} are {dtype} of shape {found}; it is damaged")
@@ -149,7 +155,7 @@ def _fill(
     store: Store,
 ) -> None:
     dtype, numbered = checked(header, blocks, velocities)
-    file.attrs["format"] = FORMAT
+    put_text(file, "format", FORMAT)
     file.attrs["version"] = VERSION
     write_header(file, header)
     file.create_dataset("times", data=header.times, chunks=True, **CHECKED)

@@ -17,6 +17,7 @@ from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, get_lists, integers, put, put_lists, read_relaxation, read_scale
+from mixseq_io.hdf5.h5_files import put_text
 
 _SUM = 1e-9  # how far the shares of a vertex may be from one
 
@@ -32,7 +33,7 @@ def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
 
 def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
     """Store what a mixed space has beside its scale and settings."""
-    file["space"].attrs["placement"] = space.placement
+    put_text(file["space"], "placement", space.placement)
     put(file, "space/shapes", space.shapes)
     put(file, "space/reference", space.reference)
     if isinstance(space, FreeSpace):
@@ -83,7 +84,7 @@ def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np
 
 def read_placement(path: Path, file: Contents) -> str:
     """Read how parts are placed."""
-    placement = str(file.attributes["space"]["placement"])
+    placement = file.text("placement", "space")
     if placement not in PLACEMENTS:
         raise FormatError(f"{path}: the placement {placement!r} is not known")
     return placement

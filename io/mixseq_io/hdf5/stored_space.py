@@ -26,6 +26,7 @@ from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, put, read_scale, read_settings, read_shell, write_settings
+from mixseq_io.hdf5.h5_files import put_text
 from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mixed_space
 
 StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace
@@ -56,19 +57,6 @@ def storable(space: ShapeSpace) -> StoredSpace:
     if isinstance(space, StoredSpace):
         return space
     raise OutputError(f"files hold models in the spaces {', '.join(KNOWN)}, not in {type(space).__name__}")
-
-
-def version_of(space: StoredSpace) -> int:
-    """Return the first version of the format that knows a space."""
-    match space:
-        case VertexSpace():
-            return 2
-        case GradientSpace():
-            return 3
-        case BasisSpace():
-            return 4
-        case _:
-            return FIRST_WITH_QUATERNIONS
 
 
 def shape_blocks(space: StoredSpace) -> Blocks:
@@ -107,7 +95,7 @@ def write_space(file: h5py.File, space: StoredSpace) -> None:
         edge = {name: getattr(space.settings, name) for name in EDGE}
         settings = {"shell": asdict(space.shell), "edge": edge}
     write_settings(file, settings)
-    file.attrs["space"] = space.name
+    put_text(file, "space", space.name)
     file.require_group("space").attrs["scale"] = space.scale
     file.flush()
     match space:
@@ -130,7 +118,7 @@ def read_space(path: Path, file: Contents, header: SequenceHeader) -> StoredSpac
     FormatError
         If the space is not known, or something in it is missing, damaged or contradicts the rest.
     """
-    kind = str(file.attrs["space"])
+    kind = file.text("space")
     if kind not in KNOWN:
         raise FormatError(f"{path}: the space {kind!r} is not known; {', '.join(KNOWN)} are")
     if kind == MixedSpace.name:

@@ -84,9 +84,6 @@ SETTINGS = {
 
 EACH_DATASET = [(space, name) for space, names in DATASETS.items() for name in sorted(names)]
 
-VERSIONS = {"vertex": 2, "gradient": 3}
-"""Of spaces whose files did not change when rotations became quaternions; the others have version 5."""
-
 SHAPES = {
     "mixed": ["lengths", "angles", "unposed", "sides"],
     "free": ["lengths", "angles", "parts"],

@@ -227,8 +227,8 @@ def test_bad_attributes_are_refused(free: Path, where: str, name: str, value: An
 
 def test_a_newer_version_asks_for_an_upgrade(copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
-        file.attrs["version"] = 6
-    with pytest.raises(FormatError, match=r"has version 6, .* reads up to 5; .*upgrade"):
+        file.attrs["version"] = 7
+    with pytest.raises(FormatError, match=r"has version 7, .* reads up to 6; .*upgrade"):
         mixseq.load(copy)
 
 

@@ -36,6 +36,8 @@ GOLDEN_FILES = {
     "model-v5-free": 1e-3,
     "model-v5-lri": 1e-9,
     "model-v5-edge": 1e-3,
+    "model-v6": 1e-9,
+    "model-v6-edge": 1e-3,
 }
 """How near points between frames are to what they were when the file was made."""
 
@@ -65,6 +67,8 @@ def test_golden_files_still_decode_to_the_same_points(name: str) -> None:
         ("model-v5-free", FreeSpace, 4, 7),
         ("model-v5-lri", LRISpace, 5, 9),
         ("model-v5-edge", EdgeSpace, 5, 9),
+        ("model-v6", AnchoredSpace, 6, 11),
+        ("model-v6-edge", EdgeSpace, 5, 9),
     ],
 )
 def test_golden_files_hold_what_they_should(name: str, kind: type, frames: int, knots: int) -> None:

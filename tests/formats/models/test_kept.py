@@ -30,7 +30,6 @@ from tests.formats.models.model_cases import (
     POSES,
     SETTINGS,
     SHAPES,
-    VERSIONS,
     assert_equal,
 )
 from tests.meshes import SEQUENCES, bar
@@ -138,9 +137,9 @@ def test_what_the_documentation_names_is_there(space: str, files: Path, models: 
         assert set(file.attrs) == ATTRIBUTES
         parts = isinstance(models[space].space, MixedSpace)
         assert set(file["space"].attrs) == {"scale"} | ({"placement"} if parts else set())
-        assert file.attrs["format"] == "mixseq-model"
-        assert file.attrs["version"] == VERSIONS.get(space, 5)
-        assert file.attrs["space"] == models[space].space.name
+        assert file.attrs["format"] == b"mixseq-model"
+        assert file.attrs["version"] == 6
+        assert file.attrs["space"].decode() == models[space].space.name
         settings = json.loads(file.attrs["settings"])
         assert settings.keys() == SETTINGS.get(space, set())
         assert space != "volume" or settings["shell"]["bending"] == 0.4

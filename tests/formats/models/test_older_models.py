@@ -109,7 +109,7 @@ def test_an_old_model_becomes_one_of_this_version(second: Path, tmp_path: Path) 
     assert len(loaded.time.times) == len(loaded.placement.times) == 11  # frames and middles
     assert_kept(loaded, tmp_path / "new.h5")
     with h5py.File(tmp_path / "new.h5") as file:
-        assert file.attrs["version"] == 5
+        assert file.attrs["version"] == 6
         assert "links" not in file["space"]
 
 
