@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Condition, Thread
 from traceback import print_exception
-from typing import Self
 
 from mixseq.arrays import Single
 from mixseq.errors import MixseqError, ReconstructionError
 from mixseq.scene.items import Scene, SceneItem
 from mixseq.threads import one_blas_thread
+from mixseq.viewing.background import Background
 
 MEMORY = 1 << 30
 """Bytes of frames that are kept."""
@@ -30,7 +29,7 @@ class _Wish:
     ahead: bool
 
 
-class FrameCache:
+class FrameCache(Background):
     """Frames of scenes, decoded in the background.
 
     Parameters
@@ -50,25 +49,7 @@ class FrameCache:
         self._size = 0
         self._busy: set[Key] = set()
         self._wish: _Wish | None = None
-        self._closed = False
-        self._changed = Condition()
-        self._threads = [Thread(target=self._decode, daemon=True) for _ in range(threads)]
-        for thread in self._threads:
-            thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the threads, after the frames that they are at."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        for thread in self._threads:
-            thread.join()
+        super().__init__(self._decode, threads)
 
     def want(self, scene: Scene, frame: int, ahead: bool = True) -> tuple[Single, ...] | None:
         """Ask for a frame.

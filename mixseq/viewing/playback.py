@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from threading import Condition, Thread
 from time import monotonic
 from traceback import print_exception
-from typing import Protocol, Self
+from typing import Protocol
 
 from mixseq.arrays import Single
 from mixseq.errors import MixseqError
 from mixseq.scene.items import Scene
+from mixseq.viewing.background import Background
 from mixseq.viewing.clock import Clock
 from mixseq.viewing.frame_cache import MEMORY, FrameCache
 
@@ -56,7 +56,7 @@ class Moment:
     poses: tuple[Single, ...]
 
 
-class Playback:
+class Playback(Background):
     """Plays a scene on a stage.
 
     Parameters
@@ -89,24 +89,12 @@ class Playback:
         self._shown: tuple[Scene, int] | None = None
         self._stale = False
         self._sent = 0.0
-        self._closed = False
-        self._changed = Condition()
         self._frames = FrameCache(self.drawn, threads, memory)
-        self._thread = Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        super().__init__(self._run)
 
     def close(self) -> None:
         """End the threads."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self._thread.join()
+        super().close()
         self._frames.close()
 
     @property

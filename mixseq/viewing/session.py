@@ -10,15 +10,16 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Condition, Thread
+from threading import Thread
 from traceback import print_exception
-from typing import Protocol, Self
+from typing import Protocol
 
 from mixseq.arrays import Float
 from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.operations import retime
 from mixseq.scene.items import Scene
 from mixseq.signals import Model
+from mixseq.viewing.background import Background
 from mixseq.viewing.history import History
 from mixseq.viewing.playback import Playback
 
@@ -66,7 +67,7 @@ class _Job:
     preview: bool = False
 
 
-class Session:
+class Session(Background):
     """Editing of the models of a scene.
 
     Parameters
@@ -92,23 +93,11 @@ class Session:
         self._writing: list[Thread] = []
         self._index = min(self._histories, default=-1)
         self._jobs: deque[_Job] = deque()
-        self._closed = False
-        self._changed = Condition()
-        self._thread = Thread(target=self._work, daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        super().__init__(self._work)
 
     def close(self) -> None:
         """End the threads, after the edit and the files that they are at."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self._thread.join()
+        super().close()
         for writing in self._writing:
             writing.join()
 
