@@ -107,11 +107,10 @@ def space_settings(name: SpaceName, edge: EdgeSettings | None = None, **given: A
     SettingsError
         If the name is none of `SPACES`, or the space has no use for a setting.
     """
-    if name not in SPACES:
-        raise SettingsError(f"space is {name!r}; one of {', '.join(SPACES)} is expected")
+    _check_name(name)
     if edge is not None:
         warnings.warn("edge=EdgeSettings('dso') is now projection='dso'", DeprecationWarning, stacklevel=4)
-        given |= {"projection": edge.projection, "volume": edge.volume}
+        given |= {name: value for name, value in vars(edge).items() if value is not None}
     known = _defaults(name)
     for setting, value in given.items():
         owners = [other for other in SPACES if setting in _defaults(other)]
@@ -138,7 +137,15 @@ _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
 
 
 def _defaults(name: SpaceName) -> dict[str, Any]:
-    return {field.name: field.default for field in fields(_SETTINGS[name])}
+    """Return what users may choose by name, and what it is if they do not."""
+    found = {field.name: field.default for field in fields(_SETTINGS[name])}
+    found.pop("settling_from", None)  # follows from what the space is for
+    return found
+
+
+def _check_name(name: SpaceName) -> None:
+    if name not in SPACES:
+        raise SettingsError(f"space is {name!r}; one of {', '.join(SPACES)} is expected")
 
 
 def make_space(
@@ -166,11 +173,16 @@ def make_space(
     Raises
     ------
     SettingsError
-        If there is no such space, or a setting is out of range.
+        If there is no such space, the settings are another space's, or one is out of range.
     SegmentationError
         If given parts do not fit the mesh.
     """
+    _check_name(name)
     settings = settings or _SETTINGS[name]()
+    if not isinstance(settings, _SETTINGS[name]):
+        raise SettingsError(
+            f"settings are {type(settings).__name__}; the {name} space takes {_SETTINGS[name].__name__}"
+        )
     if isinstance(settings, MixedSettings):
         return _mixed(frames, settings, workers, Stages(progress, MAKING, len(frames.points)))
     header, points = frames.header, frames.points

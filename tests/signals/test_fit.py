@@ -44,6 +44,7 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"space": "gradient", "shell": ShellSettings()}, r"for shell; .* space='edge'"),
         ({"placement": "free", "shell": ShellSettings()}, r"the mixed space has no use for shell"),
         ({"projection": "dso"}, r"the mixed space has no use for projection; .* space='edge'"),
+        ({"settling_from": 0.1, "rank": 1}, r"there is no setting settling_from"),
         ({"shrinkage": 1}, r"there is no setting shrinkage; settings of spaces are joint_width, "),
         ({"knots": 1}, r"knots is 1; 3 frames can tell of 0 to 0 inner knots"),
     ],
@@ -129,10 +130,11 @@ def test_settings_of_the_edge_space_are_used() -> None:
 
 def test_settings_of_the_edge_space_may_come_together() -> None:
     with pytest.warns(DeprecationWarning, match="edge=.* is now projection=") as heard:
-        space = fit(SMALL, exact=True, space="edge", edge=EdgeSettings("dso", volume=0.5)).space  # type: ignore[call-arg]
+        together = EdgeSettings("dso", volume=0.5, shell=ShellSettings(bending=0.7))
+        space = fit(SMALL, exact=True, space="edge", edge=together).space  # type: ignore[call-arg]
     assert heard[0].filename == __file__
     assert isinstance(space, EdgeSpace)
-    assert space.settings.volume == 0.5
+    assert space.settings == together
 
 
 @pytest.mark.parametrize("space", ["vertex", "gradient", "lri", "edge"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mixseq.choices import SPACES, SpaceName
+from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially
 from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
@@ -88,6 +89,13 @@ def test_reference_lengths_are_means_over_all_frames() -> None:
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / sequence.diagonal
     np.testing.assert_allclose(space.reference_lengths, 1.25 * lengths, rtol=1e-12)
     assert space.settings.volume == 0.25
+
+
+def test_spaces_and_settings_that_do_not_go_together() -> None:
+    with pytest.raises(SettingsError, match="space is 'polar'; one of mixed, "):
+        make_space(LONG, "polar")  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match="settings are MixedSettings; the vertex space takes NoSettings"):
+        make_space(LONG, "vertex", MixedSettings())
 
 
 @pytest.mark.parametrize(
