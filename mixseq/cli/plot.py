@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from mixseq.cli.files import check_target, read_sequence
 from mixseq.cli.filmed import FilmOptions, film_options, make_film
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 
 
 def _as_frames(context: click.Context, option: click.Parameter, value: str | None) -> tuple[int, ...] | None:
@@ -24,6 +25,14 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
         return tuple(int(item) for item in value.split(","))
     except ValueError:
         raise click.BadParameter(f"{value!r} is not a list of frames such as 0,12,24") from None
+
+
+def _as_kind(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
+    """Take the old name of the embedding, for one more version."""
+    if value != "layout":
+        return value
+    warnings.warn("the picture layout is now embedding", MixseqWarning, stacklevel=2)
+    return "embedding"
 
 
 @click.command(
@@ -40,7 +49,8 @@ def _as_frames(context: click.Context, option: click.Parameter, value: str | Non
 @click.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1, type=FILE)
 @click.option(
     "--kind",
-    type=click.Choice([*PICTURES, "layout"]),  # the old name of the embedding
+    type=click.Choice([*PICTURES, "layout"]),
+    callback=_as_kind,
     metavar=f"[{'|'.join(PICTURES)}]",
     help="One picture only.  [default: all of them on one page]",
 )
