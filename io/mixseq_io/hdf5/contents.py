@@ -95,7 +95,7 @@ def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Conte
     """
     groups, datasets = _objects(file)
     arrays: dict[str, NDArray[Any]] = {}
-    for name in datasets.keys() - set(but):
+    for name in (name for name in datasets if name not in but):
         try:
             arrays[name] = datasets[name][...]
         except OSError as error:
