@@ -9,11 +9,17 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.formats.usd.stage_maker import CORNERS, INDICES, Make, raised
+from tests.formats.usd_maker import Asset
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "scene.usda"
+
+
+@pytest.fixture
+def asset(tmp_path: Path) -> Asset:
+    return Asset(tmp_path / "asset.usda")
 
 
 @pytest.fixture

@@ -19,11 +19,6 @@ from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, pa
 
 
 @pytest.fixture
-def asset(tmp_path: Path) -> Asset:
-    return Asset(tmp_path / "asset.usda")
-
-
-@pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "out.usda"
 

@@ -32,11 +32,6 @@ from tests.formats.usd_maker import (
 
 
 @pytest.fixture
-def asset(tmp_path: Path) -> Asset:
-    return Asset(tmp_path / "asset.usda")
-
-
-@pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "out.usda"
 
