@@ -14,10 +14,9 @@ none.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +28,7 @@ from mixseq.frame_store import FrameStore, frame_store
 from mixseq.mapping import Executor, on_threads
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.progress import Progress, Stages, silent
-from mixseq.renamed import renamed
+from mixseq.renamed import moved, renamed
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode
@@ -266,9 +265,4 @@ def checked_weights(weights: ArrayLike, count: int) -> Float:
     return np.asarray(numbers / total)
 
 
-def __getattr__(name: str) -> Any:
-    """Give old names, which work for one more version."""
-    if name != "Blend":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    warnings.warn("Blend is now PoseInterpolator", DeprecationWarning, stacklevel=2)
-    return PoseInterpolator
+__getattr__ = moved(__name__, Blend=f"{__name__}:PoseInterpolator")

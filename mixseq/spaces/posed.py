@@ -64,7 +64,7 @@ class PosedSpace(ShapeSpace):
     def rebuilt(self, shape: Float) -> Float:
         """Return the rows ``(N, 3)`` of all pieces with a shape ``(S,)``, each piece anywhere; see `Pieces`."""
 
-    def shapes_without_jumps(self, shapes: Float, previous: Float | None) -> Float:
+    def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
         """Let shapes ``(T, S)`` go on from frame to frame; without the one before, from the reference."""
         return shapes
 
@@ -103,7 +103,7 @@ class PosedSpace(ShapeSpace):
         """Implement `ShapeSpace.unwrap`."""
         shapes, turns, centres = self.split(vectors)
         before = None if previous is None else self.split(previous[None])
-        shapes = self.shapes_without_jumps(shapes, None if before is None else before[0][0])
+        shapes = self.unwrap_shapes(shapes, None if before is None else before[0][0])
         turns = continued(turns, None if before is None else before[1][0])
         count = len(vectors)
         return np.concatenate([shapes, turns.reshape(count, -1), centres.reshape(count, -1)], axis=1)

@@ -235,6 +235,6 @@ def test_a_fox_comes_back_from_its_file(data: Path, space: SpaceName, tmp_path: 
 
 
 def test_the_old_name_works() -> None:
-    with pytest.warns(DeprecationWarning, match="Blend is now PoseInterpolator"):
+    with pytest.warns(DeprecationWarning, match="Blend is now .*PoseInterpolator"):
         from mixseq.operations.interpolation import Blend
     assert Blend is PoseInterpolator

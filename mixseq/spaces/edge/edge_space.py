@@ -141,8 +141,8 @@ class EdgeSpace(PosedSpace):
         lengths, angles = edge_lengths(x, self.topology.edges), dihedral_angles(x, self.topology.hinges)
         return np.concatenate([lengths, angles, volumes])
 
-    def shapes_without_jumps(self, shapes: Float, previous: Float | None) -> Float:
-        """Implement `PosedSpace.shapes_without_jumps`."""
+    def unwrap_shapes(self, shapes: Float, previous: Float | None) -> Float:
+        """Implement `PosedSpace.unwrap_shapes`."""
         result, start = np.array(shapes), len(self.topology.edges)
         angles = slice(start, start + len(self.topology.hinges))
         before = (
