@@ -1,7 +1,7 @@
 """Skins and morph targets fitted to sequences, for engines.
 
-`rigs` says what they are, `fit` makes them: `decomposition` alternates `bones`, how they move, and `weights` (with
-`kernels`), how vertices follow them; `correctives` fits targets.
+`rigs` says what they are, `rig_fitting` makes them: `decomposition` alternates `bones`, how they move, and
+`weights` (with `weight_kernels`), how vertices follow them; `correctives` fits targets.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A scene: meshes that move, with their colours, cameras and places; pictures, films, pages and the viewer draw it.
 
-`items` are what is shown and `timeline` says when; `colouring` is what colours show of a mesh and `colours` of all of
-them, by what `measures` find, from `palettes`; `camera` is from where, `arrangement` where the meshes stand.
+`items` are what is shown and `scene_times` says when; `colouring` is what colours show of a mesh and `colours` of all
+of them, by what `vertex_measures` find, from `palettes`; `camera` is from where, `arrangement` where the meshes stand.
 """
 
 from mixseq.scene.camera import Camera, View

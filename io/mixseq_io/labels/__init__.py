@@ -1,1 +1,1 @@
-"""Labels of faces that somebody else made: found in files (`reading`), derived (`given`), and written (`writing`)."""
+"""Labels of faces that others made: found in files (`reading`), derived (`from_markings`), and written (`writing`)."""
