@@ -19,7 +19,7 @@ from mixseq.errors import FormatError
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.h5_files import CHECKED, put_text
+from mixseq_io.hdf5.h5_files import CHECKED, put_array, put_text
 
 _CHUNK_ELEMENTS = 1 << 17
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
@@ -29,8 +29,7 @@ def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
     """Store an array, its first axis cut into chunks of about a mebibyte."""
     row = max(1, array[:1].size)
     chunks = (max(1, min(len(array), _CHUNK_ELEMENTS // row)), *array.shape[1:]) if array.size else None
-    file.create_dataset(name, data=array, chunks=chunks, **(CHECKED if array.size else {}))
-    file.flush()  # where arrays are in the file must not depend on when the library finds time to write them
+    put_array(file, name, array, chunks=chunks, **(CHECKED if array.size else {}))
 
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:

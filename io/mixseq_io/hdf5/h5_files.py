@@ -50,21 +50,31 @@ def put_text(holder: h5py.Group, name: str, text: str) -> None:
     holder.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
+def put_array(file: h5py.File, name: str, array: NDArray[Any], **storage: Any) -> None:
+    """Store an array as a dataset, and write it at once, so that equal contents are equal files.
+
+    Left to itself HDF5 finds a place for the numbers when the dataset is closed, that is, when Python drops the last
+    reference to it. Whoever looks at our frames meanwhile holds another: a debugger, or the profiler that every worker
+    of a dask cluster has.
+    """
+    file.create_dataset(name, data=array, **storage)
+    file.flush()
+
+
 def write_header(file: h5py.File, header: SequenceHeader) -> None:
     """Store everything about a sequence but its times and points."""
     put_text(file, "name", header.name)
     file.attrs["fps"] = header.fps
     put_text(file, "up_axis", header.up_axis)
     file.attrs["metres_per_unit"] = header.metres_per_unit
-    file.create_dataset("polygons/counts", data=header.polygons.counts, chunks=True, **CHECKED)
-    file.create_dataset("polygons/indices", data=header.polygons.indices, chunks=True, **CHECKED)
+    put_array(file, "polygons/counts", header.polygons.counts, chunks=True, **CHECKED)
+    put_array(file, "polygons/indices", header.polygons.indices, chunks=True, **CHECKED)
     for name, array in surface_arrays(header.surface).items():
         if array.dtype.kind == "U":
             # Fixed length: strings of any length lie outside the dataset and its checksum.
             array = np.char.encode(array, "utf-8")
         storage = CHECKED | {"chunks": True} if array.size else {}
-        file.create_dataset(f"surface/{name}", data=array, **storage)
-    file.flush()
+        put_array(file, f"surface/{name}", array, **storage)
 
 
 def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:

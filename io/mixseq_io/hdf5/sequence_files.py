@@ -34,6 +34,7 @@ from mixseq_io.hdf5.h5_files import (
     Store,
     check_version,
     creating_h5,
+    put_array,
     put_text,
     read_header,
     write_header,
@@ -158,14 +159,17 @@ def _fill(
     put_text(file, "format", FORMAT)
     file.attrs["version"] = VERSION
     write_header(file, header)
-    file.create_dataset("times", data=header.times, chunks=True, **CHECKED)
+    put_array(file, "times", header.times, chunks=True, **CHECKED)
     shape = (header.frame_count, header.vertex_count, 3)
     frame_bytes = header.vertex_count * 3 * dtype.itemsize
     frames = min(max(1, _CHUNK_BYTES // frame_bytes), header.frame_count)
     names = _BY_FRAME[:1] if velocities is None else _BY_FRAME
-    for name in names:
-        file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED)
+    datasets = [
+        file.create_dataset(name, shape, dtype, chunks=(frames, *shape[1:]), **CHECKED) for name in names
+    ]
     for first, points, speeds in numbered:
-        for name, block in zip(names, (points, speeds), strict=False):
-            file[name][first : first + len(points)] = block
+        for dataset, block in zip(datasets, (points, speeds), strict=False):
+            dataset[first : first + len(points)] = block
         store.check()
+    for dataset in datasets:  # one after the other, not as they happen to be closed: see `put_array`
+        dataset.flush()
