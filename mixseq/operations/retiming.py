@@ -33,7 +33,7 @@ from mixseq.operations.splines import (
 )
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.sequence_header import frame_times
-from mixseq.signals.curve import Curve, Measure
+from mixseq.signals.curve import CLOSEST, Curve, Measure
 from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.model import Model
 
@@ -85,7 +85,8 @@ class Retiming:
         Raises
         ------
         SettingsError
-            If there are fewer than two points, or they are not finite, or outputs do not increase.
+            If there are fewer than two points, or they are not finite, or outputs do not increase, or times are so
+            close or so far that there are no numbers for the slopes.
         """
         x, y = np.asarray(outputs, dtype=np.float64), np.asarray(sources, dtype=np.float64)
         if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
@@ -94,6 +95,11 @@ class Retiming:
             )
         if not (np.isfinite(x).all() and np.isfinite(y).all() and (np.diff(x) > 0).all()):
             raise SettingsError("the times of a retiming must be finite, and its output times increase")
+        if np.diff(x).min() < CLOSEST or max(np.abs(x).max(), np.abs(y).max()) > 1 / CLOSEST:
+            raise SettingsError(
+                f"the output times of a retiming must be {CLOSEST:g} s apart or more, and no time beyond "
+                f"{1 / CLOSEST:g} s"
+            )
         lines = np.stack([np.diff(y) / np.diff(x), y[:-1]])
         return cls(float(x[0]), float(x[-1]), PchipInterpolator(x, y) if smooth else PPoly(lines, x))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +12,7 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.errors import FormatError
 from mixseq.operations.retiming import Retiming
+from mixseq.operations.toml_text import parse_toml
 
 
 class _Key(NamedTuple):
@@ -90,10 +90,7 @@ def _csv_keys(file: Path, text: str) -> Iterable[_Key]:
 
 
 def _toml_keys(file: Path, text: str) -> Iterable[_Key]:
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FormatError(f"{file} is not TOML: {error}") from None
+    data = parse_toml(file, text)
     tables = data.get("key")
     if data.keys() == {"output", "source"} and all(isinstance(times, list) for times in data.values()):
         if len(data["output"]) != len(data["source"]):

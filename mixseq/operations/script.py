@@ -20,7 +20,6 @@ parameters, see `mixseq.operations.arguments`.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -29,6 +28,7 @@ from typing import Any
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
 from mixseq.operations.arguments import Readers, WrongTypeError, keys_of
+from mixseq.operations.toml_text import parse_toml
 from mixseq.signals.model import Model
 
 OPERATIONS: Mapping[str, str] = {
@@ -100,11 +100,12 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
         number of the table, from 1 on, and the key.
     """
     try:
-        script = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # neither TOML nor text
+    except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not a TOML file: {error}") from error
+    script = parse_toml(path, text)
     tables = script.pop("edit", [])
     if script:
         raise SettingsError(

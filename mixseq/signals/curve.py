@@ -23,6 +23,9 @@ from mixseq.polygons import frozen
 Measure = Callable[[Float], Float]
 """From the deviations ``(T, k)`` of a curve to how large they are ``(T,)``."""
 
+CLOSEST = 1e-100
+"""Least time between knots, in seconds: what is divided by it three times is still a number. Ours."""
+
 
 @dataclass(frozen=True, eq=False)
 class Curve:
@@ -50,8 +53,15 @@ class Curve:
         values = np.asarray(self.values, dtype=np.float64)
         if values.ndim != 2 or len(values) != len(times) or not len(times):
             raise SettingsError(f"a curve of {len(times)} knots has values of shape {values.shape}")
-        if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
+        apart = np.diff(times)
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and (apart > 0).all()):
             raise SettingsError("the knots of a curve must be finite and increase")
+        if (apart < CLOSEST).any():
+            knot = int(np.argmin(apart))
+            raise SettingsError(
+                f"knots {knot} and {knot + 1} of a curve are {apart[knot]:g} s apart; {CLOSEST:g} s or more are "
+                "expected"
+            )
         object.__setattr__(self, "times", frozen(times))
         object.__setattr__(self, "values", frozen(values))
 

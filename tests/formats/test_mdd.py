@@ -51,6 +51,19 @@ def test_one_frame(tmp_path: Path) -> None:
     assert (got.times.tolist(), got.fps) == ([0.5], 24)
 
 
+@pytest.mark.parametrize("last", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_last_time_that_is_not_after_the_first(tmp_path: Path, last: float) -> None:
+    """Between them times increase, so that there is a rate to be looked for."""
+    write(tmp_path / "a.mdd", moving(np.arange(5) / 24))
+    content = bytearray((tmp_path / "a.mdd").read_bytes())
+    content[8 + 4 * 4 : 8 + 5 * 4] = struct.pack(">f", last)
+    (tmp_path / "a.mdd").write_bytes(content)
+    with pytest.raises(
+        InvalidSequenceError, match=r"a.mdd: frame 4(: its time is not finite| is at .* s, not after)"
+    ):
+        read(tmp_path / "a.mdd")
+
+
 def test_times_too_close_for_single_precision(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidSequenceError, match=r"frames 1 and 2 are both at 1000 s in float32, which MDD stores"

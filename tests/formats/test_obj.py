@@ -153,12 +153,21 @@ def test_dialects_of_the_text(tmp_path: Path, ends: str) -> None:
         (TRIANGLE.format(z="1e999"), InvalidSequenceError, "frame 0: vertex 0 is"),
         ("v 0 0 0\nv 1 1 1\nv 2 2 2", InvalidSequenceError, "has no faces"),
         ("hello", FormatError, "no vertices"),
+        (TRIANGLE.format(z=0) + "fo 1 2", InvalidSequenceError, "polygon 1 has 2 corners"),
     ],
 )
 def test_bad_text(tmp_path: Path, text: str, error: type[Exception], message: str) -> None:
     (tmp_path / "bad.obj").write_text(text)
     with pytest.raises(error, match=f"bad.obj.*{message}"):
         read(tmp_path / "bad.obj")
+
+
+def test_lines_that_mean_nothing_are_told(tmp_path: Path) -> None:
+    (tmp_path / "bad.obj").write_text(TRIANGLE.format(z=0) + "d 1 2 3\n\x00\nF 3 2 1\n")
+    with pytest.warns(
+        MixseqWarning, match=r"bad.obj, line 5: 'd 1 2 3' is no statement .* like 2 other lines"
+    ):
+        assert len(read(tmp_path / "bad.obj").faces) == 1
 
 
 def test_changing_connectivity(tmp_path: Path) -> None:

@@ -56,13 +56,19 @@ def test_cut_anywhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("4 2 0", "5 2 0", "announces 7 vertices and faces and has 6 lines"),
-        ("4 2 0", "4 1 0", "announces 5 vertices and faces and has 6 lines"),
-        ("4 2 0", "-4 10 0", "cannot be read as an OFF file"),
-        ("4 2 0", "99999999999 2 0", "announces 100000000001"),
+        ("4 2 0", "5 2 0", "announces 5 vertices and 2 faces and has 6 lines"),
+        ("4 2 0", "4 1 0", "announces 4 vertices and 1 faces and has 6 lines"),
+        ("4 2 0", "-4 10 0", "has 6 lines of them"),
+        ("4 2 0", "99999999999 2 0", "announces 99999999999 vertices"),
+        ("3 0 1 2", "2 0 1 2", "face 0: '2 0 1 2' is not a face"),
+        ("3 0 1 2", "-3 0 1 2", "face 0: '-3 0 1 2' is not a face"),
+        ("3 0 2 3", "4 0 2 3", "face 1: '4 0 2 3' is not a face"),
+        ("3 0 2 3", "3 0 2", "face 1: '3 0 2' is not a face"),
+        ("3 0 2 3", "3 0 2 3 0 1 2 0 1", "face 1: '3 0 2 3 0 1 2 0 1' is not a face"),
+        ("3 0 2 3", "3 0\f2 3", "cannot be read as an OFF file"),
         ("3 0 2 3", "3 0 2 4", "cannot be read as an OFF file"),
         ("1 1 0", "1 one 0", "cannot be read as an OFF file"),
-        ("OFF", "OF", "has 7 lines of them"),
+        ("OFF", "OF", "cannot be read as an OFF file"),
     ],
 )
 def test_refusals(old: str, new: str, message: str, tmp_path: Path) -> None:

@@ -114,6 +114,33 @@ def test_texture_coordinates_are_kept(tmp_path: Path, seam: bool) -> None:
     assert (b"texcoord" in (tmp_path / "a_1.ply").read_bytes()) == seam
 
 
+def with_wedges(quad: bytes, triangle: bytes) -> bytes:
+    content = text().replace(b"property float quality", b"property list uchar float texcoord")
+    return content.replace(b"1 2 3 0.5", b"1 2 3 " + quad).replace(b"3 2 4 0.5", b"3 2 4 " + triangle)
+
+
+def test_faces_without_texture_coordinates_among_others(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(with_wedges(b"0", b"6 .25 0 1 0 1 1"))
+    uvs = read(tmp_path / "a.ply").surface.uvs
+    assert uvs is not None
+    assert uvs.at_corners.tolist() == [[0, 0]] * 4 + [[0.25, 0], [1, 0], [1, 1]]
+    (tmp_path / "a.ply").write_bytes(with_wedges(b"0", b"0"))
+    assert read(tmp_path / "a.ply").surface.uvs is None
+
+
+@pytest.mark.parametrize("count", [1, 4, 8])
+def test_a_face_with_too_few_or_too_many_texture_coordinates(tmp_path: Path, count: int) -> None:
+    (tmp_path / "bad.ply").write_bytes(with_wedges(b"8" + b" 0" * 8, b"%d" % count + b" 0" * count))
+    with pytest.raises(FormatError, match=rf"bad.ply, face 1 has {count} numbers of .* for 3 corners"):
+        read(tmp_path / "bad.ply")
+
+
+def test_triangle_strips_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "bad.ply").write_bytes(text().replace(b"element edge", b"element tristrips"))
+    with pytest.raises(FormatError, match=r"bad.ply has triangle strips, which are not read"):
+        read(tmp_path / "bad.ply")
+
+
 def test_what_ply_cannot_hold(tmp_path: Path) -> None:
     surface = Surface(
         hard_edges=np.arange(7),

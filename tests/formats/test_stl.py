@@ -151,12 +151,25 @@ def test_truncated_and_longer_files(tmp_path: Path) -> None:
         (b"    vertex 0 0 0\n", b"", FormatError, "'endfacet' is not expected here"),
         (b"endsolid", b"solid", FormatError, "is not expected here"),
         (b"vertex 0 0 0", b"vertex nan 0 0", InvalidSequenceError, "coordinates must be finite"),
+        (
+            b"facet normal 0 0 1\n",
+            b"facet normal 0 0 1\nfacet",
+            FormatError,
+            "'facet  OUTER LOOP' is not expected here",
+        ),
         (b"facet normal", b"triangle", FormatError, "'triangle 0 0 1' is not expected here"),
     ],
 )
 def test_damaged_text(tmp_path: Path, old: bytes, new: bytes, error: type[Exception], message: str) -> None:
     (tmp_path / "bad.stl").write_bytes(text(SQUARE[FACES], "a").replace(old, new, 1))
     with pytest.raises(error, match=f"bad.stl.*{message}"):
+        read(tmp_path / "bad.stl")
+
+
+def test_facets_without_vertices(tmp_path: Path) -> None:
+    lines = text(SQUARE[FACES], "a").splitlines(keepends=True)
+    (tmp_path / "bad.stl").write_bytes(b"".join(lines[:3] + lines[6:]))
+    with pytest.raises(FormatError, match=r"bad.stl, line 5: 'endfacet' is not expected here"):
         read(tmp_path / "bad.stl")
 
 

@@ -117,6 +117,8 @@ def test_times_outside(time: float) -> None:
         ([1, 0], [0, 1], "output times increase"),
         ([0, np.nan], [0, 1], "must be finite"),
         ([0, 1], [0, np.inf], "must be finite"),
+        ([0, 1e-320], [0, 1], "must be 1e-100 s apart or more"),
+        ([0, 1], [-1e308, 1e308], "no time beyond 1e"),
     ],
 )
 def test_points_that_make_no_map(outputs: object, sources: object, message: str) -> None:

@@ -50,7 +50,12 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.csv", "0,1\n2,1\n# no\n2,3", "a.csv, line 4: the output time 2 s is not after 2 s of line 2"),
         ("a.csv", "0,1\nnan,1", "a.csv, line 2: the times nan, 1 are not finite"),
         ("a.csv", "0,1\n1,inf", "a.csv, line 2: the times 1, inf are not finite"),
-        ("a.toml", "key = \n1", "a.toml is not TOML: .*line 1"),
+        ("a.toml", "key = \n1", "a.toml is not a TOML file: .*line 1"),
+        (
+            "a.toml",
+            f"key = [{{output=0, source=1{'0' * 400}}}]",
+            "a.toml is not a TOML file: 1000.* more than 64 bits",
+        ),
         ("a.toml", "", "a.toml has nothing; tables"),
         ("a.toml", "key = 3", "a.toml has key; tables"),
         ("a.toml", "keys = []", "a.toml has keys; tables"),

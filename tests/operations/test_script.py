@@ -192,6 +192,24 @@ def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
         read_script(tmp_path / "bad.toml", Readers(load, read))
 
 
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("a = " + "[" * 100_000, "nested too deeply"),
+        ("a = " + "[" * 30 + "]" * 30, "nested too deeply"),
+        ("a" + ".b" * 30 + " = 1", "nested too deeply"),
+        (table(f'operation = "exaggerate"\ngain = 1{"0" * 400}'), "1000.* has more than 64 bits"),
+        (
+            table(f'operation = "retime"\nkeys = [[0, 0], [1, -1{"0" * 400}]]'),
+            "-1000.* has more than 64 bits",
+        ),
+    ],
+)
+def test_scripts_that_go_too_far(edits: Edits, text: str, what: str) -> None:
+    with pytest.raises(FormatError, match=f"edits.toml is not a TOML file: .*{what}"):
+        edits(text)
+
+
 def test_errors_of_operations_tell_which_edit_it_was(edits: Edits) -> None:
     found = edits(table('operation = "loop"') + table('operation = "cut"\nstart = 0\nend = 9'))
     with pytest.raises(SettingsError, match=r"edit 2 \(cut\): end is 9 s; the model is from 0 to 0.8 s"):

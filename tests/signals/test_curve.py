@@ -69,6 +69,7 @@ def test_more_knots_on_a_curve_do_not_change_it(extra: list[float]) -> None:
         ([0.0, 0.0], np.zeros((2, 1)), "must be finite and increase"),
         ([0.0, np.inf], np.zeros((2, 1)), "must be finite and increase"),
         ([0.0, 1.0], np.full((2, 1), np.nan), "must be finite and increase"),
+        ([-1.0, 0.0, 1e-320], np.zeros((3, 1)), "knots 1 and 2 of a curve are 9.99989e-321 s apart"),
     ],
 )
 def test_unsound_curves_are_refused(times: list[float], values: Float, message: str) -> None:

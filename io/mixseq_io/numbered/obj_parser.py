@@ -13,6 +13,7 @@ from mixseq.errors import FormatError
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues, Surface
+from mixseq_io.blocks import warn
 from mixseq_io.numbered.frame_files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped
 from mixseq_io.reader import reading
@@ -24,6 +25,12 @@ _EXPECTED = {
     b"vn": "a normal; three numbers are expected",
     b"vt": "a texture coordinate; one or two numbers are expected",
 }
+_FACES = (b"f", b"fo")
+_LEFT_OUT = frozenset(
+    b"vp cstype deg bmat step p l curv curv2 surf parm trim hole scrv sp end con s mg bevel c_interp d_interp lod "
+    b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
+)
+"""Statements of the specification, of its older versions too, that say nothing about a polygon mesh."""
 _LARGEST = 2**31 - 1
 _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
@@ -85,6 +92,7 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
     found = _Lines()
     coordinates: list[float] = []
+    unknown: list[tuple[int, bytes]] = []
     for number, line in enumerate(lines, start=1):
         words = line.split(None, 1)
         kind, rest = words if len(words) == 2 else (line.strip(), b"")
@@ -92,7 +100,7 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
             if kind == b"v":
                 x, y, z = rest.split()[:3]
                 coordinates += (float(x), float(y), float(z))
-            elif kind == b"f":
+            elif kind in _FACES:
                 found.faces.append(rest)
                 found.vertices_before.append(len(coordinates) // 3)
                 if whole:
@@ -110,10 +118,18 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
                 found.statements.append(
                     Statement(kind.decode(), text, len(found.faces), len(coordinates) // 3)
                 )
+            elif kind and kind not in _LEFT_OUT and not kind.startswith(b"#"):
+                unknown.append((number, line))
         except ValueError:
             raise FormatError(f"{file}, line {number}: {excerpt(line)} is not {_EXPECTED[kind]}") from None
     if not coordinates:
         raise FormatError(f"{file} cannot be read as an OBJ file: it has no vertices (lines starting with v)")
+    if unknown:
+        number, line = unknown[0]
+        more = f", like {len(unknown) - 1} other lines" if unknown[1:] else ""
+        warn(
+            f"{file}, line {number}: {excerpt(line)} is no statement of OBJ files and left out{more}; is it damaged?"
+        )
     dtype = np.float32 if lines[0] == FIRST_LINE + b"float32" else np.float64
     with np.errstate(over="ignore"):
         found.points = np.array(coordinates).reshape(-1, 3).astype(dtype)

@@ -21,10 +21,12 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.losses import lost_surface
-from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
 from mixseq_io.reader import SequenceReader, naming, reading
 
 _COMMENT = b"# Written by mixseq, "
+_COLOUR = 4
+"""Most numbers that may follow the corners of a face."""
 
 
 def open_off(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
@@ -60,8 +62,12 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
 
     with reading(file, "an OFF file", ValueError, TypeError, IndexError, NameError, OverflowError):
         data = file.read_bytes()
-        _check_counts(file, data)
-        mesh = load_off(StringIO(data.decode()))
+        lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
+        _check_lines(file, lines)
+        text = b"\n".join(lines).decode("ascii")
+        if len(text.splitlines()) != len(lines):
+            raise ValueError("it has characters that end a line of text only")
+        mesh = load_off(StringIO(text))
         ours = data.startswith(b"OFF\n" + _COMMENT + b"float32")
         vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
         faces = np.asarray(mesh["faces"]).reshape(-1, 3)
@@ -71,19 +77,25 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
         )
 
 
-def _check_counts(file: Path, data: bytes) -> None:
-    """Refuse a file whose lines are fewer than announced, or whose last is cut: trimesh takes what faces there are."""
-    lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
+def _check_lines(file: Path, lines: list[bytes]) -> None:
+    """Refuse a file with other numbers of lines, or of corners in a line, than announced: trimesh leaves those out."""
     first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
-    counts = first or (lines[1].split() if len(lines) > 1 else [])
-    announced = int(counts[0]) + int(counts[1]) if len(counts) > 1 else 0
+    counts = [int(word) for word in (first or (lines[1].split() if len(lines) > 1 else []))[:2]]
+    vertices, faces = counts if len(counts) == 2 and min(counts) >= 0 else (0, 0)
     body = lines[1 if first else 2 :]
-    last = body[-1].split() if body else [b"0"]
-    if len(body) != announced or len(last) <= int(last[0]):
+    if not body or len(body) != vertices + faces:
         raise FormatError(
-            f"{file} announces {announced} vertices and faces and has {len(body)} lines of them; it is truncated or "
-            "damaged, write it again"
+            f"{file} announces {vertices} vertices and {faces} faces and has {len(body)} lines of them; it is "
+            "truncated or damaged, write it again"
         )
+    for face, line in enumerate(body[vertices:]):
+        words = line.split()
+        corners = int(words[0])
+        if corners < 3 or not 0 <= len(words) - 1 - corners <= _COLOUR:
+            raise FormatError(
+                f"{file}, face {face}: {excerpt(line)} is not a face; a number of corners, 3 or more, and so many "
+                "numbers of vertices are expected"
+            )
 
 
 def _encoder(header: SequenceHeader) -> Encoder:

@@ -72,6 +72,8 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         if like is not None and "face" not in elements:
             return MeshFile(points=points, polygons=like.polygons, source=source)
         faces = elements.get("face", {})
+        if "tristrips" in elements:
+            raise FormatError(f"{file} has triangle strips, which are not read; export its faces one by one")
         corners = faces.get("vertex_indices", faces.get("vertex_index"))
         if corners is None or corners.counts is None:
             raise FormatError(f"{file} cannot be read as a PLY file: it has no faces with vertex_indices")
@@ -81,7 +83,7 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         points=points,
         polygons=polygons,
         source=source,
-        surface=Surface(uvs=_uvs(elements, polygons)),
+        surface=Surface(uvs=_uvs(file, elements, polygons)),
         colours=_colours(elements, polygons),
     )
 
@@ -106,16 +108,21 @@ def _whole(numbers: NDArray[np.generic]) -> IntArray:
     return values.astype(np.int32)
 
 
-def _uvs(elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
+def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
+    """Return the texture coordinates, those of faces before those of vertices; faces without get (0, 0)."""
     vertices, faces = elements["vertex"], elements["face"]
     wedges = faces.get("texcoord")
     with np.errstate(over="ignore"):
-        if (
-            wedges is not None
-            and wedges.counts is not None
-            and np.array_equal(wedges.counts, 2 * polygons.counts)
-        ):
-            pairs = wedges.values.astype(np.float32).reshape(-1, 2)
+        if wedges is not None and wedges.counts is not None and wedges.counts.any():
+            wrong = (wedges.counts != 0) & (wedges.counts != 2 * polygons.counts)
+            if wrong.any():
+                face = int(np.argmax(wrong))
+                raise FormatError(
+                    f"{file}, face {face} has {wedges.counts[face]} numbers of texture coordinates for "
+                    f"{polygons.counts[face]} corners; it is damaged"
+                )
+            pairs = np.zeros((polygons.indices.size, 2), dtype=np.float32)
+            pairs[np.repeat(wedges.counts > 0, polygons.counts)] = wedges.values.reshape(-1, 2)
             rows, indices = np.unique(pairs, axis=0, return_inverse=True)
             return CornerValues(rows, indices.reshape(-1))
         for names in _UV_NAMES:

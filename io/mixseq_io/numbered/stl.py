@@ -134,17 +134,20 @@ def _read_corners(file: Path, data: bytes) -> FloatArray:
 def _read_text(file: Path, data: bytes) -> FloatArray:
     corners: list[list[float]] = []
     open_solid = False
+    facets = 0
     for number, line in enumerate(data.splitlines(), start=1):
         match line.lower().split():
-            case [b"solid", *_] if not open_solid and len(corners) % 3 == 0:
+            case [b"solid", *_] if not open_solid:
                 open_solid = True
-            case [b"endsolid", *_] if open_solid and len(corners) % 3 == 0:
+            case [b"endsolid", *_] if open_solid and len(corners) == 3 * facets:
                 open_solid = False
-            case [b"endfacet" | b"end", *_] if open_solid and len(corners) % 3 == 0:
+            case [b"endfacet" | b"end", *_] if open_solid and len(corners) == 3 * facets:
                 pass
+            case [b"facet", *_] if open_solid and len(corners) == 3 * facets:
+                facets += 1
             case [b"vertex", x, y, z] if open_solid:
                 corners.append(_position(file, number, line, (x, y, z)))
-            case [] | [b"facet" | b"outer" | b"endloop" | b"color", *_]:
+            case [] | [b"outer" | b"endloop" | b"color", *_]:
                 pass
             case _:
                 raise FormatError(

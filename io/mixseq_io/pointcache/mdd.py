@@ -63,6 +63,8 @@ def _rate(times: NDArray[np.float64]) -> float | None:
     if not (np.isfinite(step) and step > 0):
         return None
     span = float(times[-1] - times[0])
+    if not (np.isfinite(span) and span > 0):
+        return None  # times that do not increase are told where they are used
     overall = (
         max(1, round(span / step)) / span
     )  # more exact than one step, which is rounded, if steps are even

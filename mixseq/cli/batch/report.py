@@ -131,7 +131,7 @@ def read_report(folder: Path) -> Report:
             for asset in stored["assets"]
         ]
         rows(entries)  # whatever cannot be shown is no entry
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
     return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
 
