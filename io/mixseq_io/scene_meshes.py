@@ -7,7 +7,7 @@ joins. Points go along: mesh ``i`` owns the vertices ``meshes[i].vertices`` of e
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,6 +121,19 @@ def _joined_hard_edges(meshes: Sequence[SceneMesh]) -> IntArray | None:
         joined.append(hard_edges + count)
         count += int(hard_edges.max(initial=-1)) + 1
     return np.concatenate(joined)
+
+
+def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]) -> tuple[FaceSet, ...]:
+    """Return the material of a whole mesh as a face set: of the polygons that no other one is bound to, if any.
+
+    Examples
+    --------
+    >>> material_of_the_rest("/looks/skin", 3, [FaceSet("shirt", [1], "/looks/red")])[0].polygons.tolist()
+    [0, 2]
+    """
+    taken = [each.polygons for each in bound]
+    rest = np.setdiff1d(np.arange(polygon_count), np.concatenate(taken) if taken else ())
+    return (FaceSet(path.rpartition("/")[2], rest, path),) if rest.size else ()
 
 
 def split(header: SequenceHeader) -> list[SceneMesh]:

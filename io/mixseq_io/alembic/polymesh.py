@@ -8,7 +8,6 @@ Specification: https://docs.alembic.io/reference/index.html (``IPolyMeshSchema``
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from mixseq_io.alembic.archive_meshes import Mesh
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
 from mixseq_io.alembic.samples import sample_times
 from mixseq_io.blocks import warn
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
 
 _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
 
@@ -93,7 +92,7 @@ def read_scene_mesh(source: Source) -> SceneMesh:
         polygons=polygons,
         uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[order]),
         hard_edges=hard_edges,
-        face_sets=tuple(_face_sets(source, len(stored.counts))),
+        face_sets=_face_sets(source, len(stored.counts)),
         subdivision=_scheme(source) if mesh.subdivided else "none",
     )
 
@@ -152,16 +151,20 @@ def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str
     return CornerValues(rows, indices[place])
 
 
-def _face_sets(source: Source, polygon_count: int) -> Iterator[FaceSet]:
-    material = AbcMaterial.getMaterialAssignmentPath(source.mesh.node)
-    if material:
-        yield FaceSet(material.rpartition("/")[2], np.arange(polygon_count, dtype=np.int32), material)
+def _face_sets(source: Source, polygon_count: int) -> tuple[FaceSet, ...]:
+    """Return the mesh's own material on the faces that no face set gives another, and the face sets."""
+    sets = []
     for name in source.mesh.schema.getFaceSetNames():
         node = source.mesh.schema.getFaceSet(name)
         faces = node.getSchema().getFacesProperty()
         if faces.getNumSamples():
             polygons = values(faces, 0, source.room)
-            yield FaceSet(name, polygons, AbcMaterial.getMaterialAssignmentPath(node))
+            sets.append(FaceSet(name, polygons, AbcMaterial.getMaterialAssignmentPath(node)))
+    whole = AbcMaterial.getMaterialAssignmentPath(source.mesh.node)
+    rest = (
+        material_of_the_rest(whole, polygon_count, [each for each in sets if each.material]) if whole else ()
+    )
+    return (*rest, *sets)
 
 
 def _scheme(source: Source) -> str:

@@ -20,7 +20,7 @@ from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
 from mixseq_io.reader import naming
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
 from mixseq_io.usd.mesh_motion import AnimatedMesh
 from mixseq_io.usd.prims import Notes
 from mixseq_io.usd.stage_meshes import display_name
@@ -178,11 +178,8 @@ def within(rows: IntArray, count: int) -> bool:
 
 
 def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes: Notes) -> list[FaceSet]:
-    """Return the material on the whole mesh, if there is one, and the subsets of its faces."""
-    sets = []
-    whole = _material(mesh.GetPrim())
-    if whole and polygon_count:
-        sets.append(FaceSet(whole.GetPrim().GetName(), np.arange(polygon_count), str(whole.GetPath())))
+    """Return the mesh's own material on the faces that no subset gives another, and the subsets of its faces."""
+    sets, bound = [], []
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(subset.GetPrim(), "subsets of other elements than faces are left out")
@@ -202,7 +199,12 @@ def _face_sets(mesh: UsdGeom.Mesh, polygon_count: int, code: Usd.TimeCode, notes
                 display_name(subset.GetPrim()), polygons[inside], str(material.GetPath()) if material else ""
             )
         )
-    return sets
+        # Renderers bind to subsets of this family only.
+        if material and subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
+            bound.append(sets[-1])
+    whole = _material(mesh.GetPrim())
+    rest = material_of_the_rest(str(whole.GetPath()), polygon_count, bound) if whole else ()
+    return [*rest, *sets]
 
 
 def _material(prim: Usd.Prim) -> UsdShade.Material | None:

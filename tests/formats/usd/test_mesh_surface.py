@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
+import mixseq
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning
 from tests.formats.usd.stage_maker import INDICES, Make, plain, saved
@@ -120,7 +123,7 @@ class TestSurface:
         UsdGeom.Subset.CreateGeomSubset(mesh, "left", "face", Vt.IntArray([0, 1]), "side")
         joined = saved(stage)
         assert [plain(each) for each in joined.surface.face_sets] == [
-            ("skin", [0, 1], "/looks/skin"),
+            ("skin", [0], "/looks/skin"),  # subsets come before the mesh
             ("shirt", [1], "/looks/red"),
             ("left", [0, 1], ""),
             ("skin", [2, 3], "/looks/skin"),
@@ -135,7 +138,35 @@ class TestSurface:
         bind(mesh.GetPrim()).Bind(wool, materialPurpose=purpose)
         bind(part.GetPrim()).Bind(silk, materialPurpose=purpose)
         sets = [plain(each) for each in saved(stage).surface.face_sets]
-        assert sets == [("wool", [0, 1], "/wool"), ("part", [1], "/silk")]
+        assert sets == [("wool", [0], "/wool"), ("part", [1], "/silk")]
+
+    @pytest.mark.filterwarnings("ignore:.*glTF")
+    def test_a_material_on_a_mesh_of_which_subsets_bind_every_face(
+        self, stage: Usd.Stage, make: Make, tmp_path: Path
+    ) -> None:
+        """As Blender writes meshes of several materials: the first one is on the mesh, too."""
+        mesh, bind = make("/mesh"), UsdShade.MaterialBindingAPI.Apply
+        for face, name in enumerate(("skin", "cloth")):
+            material = UsdShade.Material.Define(stage, f"/{name}")
+            part = UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", Vt.IntArray([face]), "materialBind")
+            bind(part.GetPrim()).Bind(material)
+        bind(mesh.GetPrim()).Bind(UsdShade.Material.Get(stage, "/skin"))
+        sequence = saved(stage)
+        sets = [("skin", [0], "/skin"), ("cloth", [1], "/cloth")]
+        assert [plain(each) for each in sequence.surface.face_sets] == sets
+        mixseq.write(tmp_path / "mesh.glb", sequence)
+        both = mixseq.read(tmp_path / "mesh.glb").surface.face_sets
+        assert [plain(each) for each in both] == [("skin", [0, 1], "skin"), ("cloth", [2], "cloth")]
+
+    def test_a_subset_of_another_family_leaves_the_mesh_its_material(
+        self, stage: Usd.Stage, make: Make
+    ) -> None:
+        mesh, bind = make("/mesh"), UsdShade.MaterialBindingAPI.Apply
+        wool = UsdShade.Material.Define(stage, "/wool")
+        bind(mesh.GetPrim()).Bind(wool)
+        part = UsdGeom.Subset.CreateGeomSubset(mesh, "part", "face", Vt.IntArray([1]), "side")
+        bind(part.GetPrim()).Bind(wool)
+        assert plain(saved(stage).surface.face_sets[0]) == ("wool", [0, 1], "/wool")
 
     def test_subsets_that_change(self, stage: Usd.Stage, make: Make) -> None:
         subset = UsdGeom.Subset.CreateGeomSubset(make("/mesh", 1, 2), "part", "face", Vt.IntArray())
