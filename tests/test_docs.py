@@ -285,6 +285,11 @@ def test_pages_name_no_folder_of_some_machine() -> None:
         )
 
 
+def test_reference_has_what_all_commands_share() -> None:
+    described = section("docs/cli.md", "Options that several commands have")
+    assert all(f"`{option.opts[0]} {option.metavar}` | all |" in described for option in main.shared)
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_reference_has_every_option(name: str) -> None:
     command = main.get_command(click.Context(main), name)
@@ -294,7 +299,7 @@ def test_reference_has_every_option(name: str) -> None:
     options = {
         option
         for parameter in command.params
-        if isinstance(parameter, click.Option) and parameter not in settings
+        if isinstance(parameter, click.Option) and parameter not in (*settings, *main.shared)
         for option in (*parameter.opts, *parameter.secondary_opts)
     }
     long = {option for each in settings for option in (*each.opts, *each.secondary_opts)}

@@ -1,12 +1,12 @@
 """Readers in a process of their own, for formats that are parsed by C++ libraries.
 
 A damaged file can make such a library crash, hang, or ask for all memory; none of that can be caught where it
-happens. So these readers run in a worker (`mixseq_io.worker`), a second Python with limits on its memory and on the
-processor time of each answer. When it dies, the file is to blame and the user gets an error as from any other
-format. Workers are reused, because starting one takes half a second.
+happens. So these readers run in a worker (`mixseq_io.worker`), a second Python with limits on its memory
+(`mixseq_io.memory`) and on the time of each answer. When it dies, the file is to blame and the user gets an error as
+from any other format. Workers are reused, because starting one takes half a second.
 
-The limits can be raised by the environment variables ``MIXSEQ_READER_MEMORY`` (GiB, 4) and ``MIXSEQ_READER_SECONDS``
-(120 of processor time; four times as long by the clock, for files that never answer).
+The limit of time can be raised by the environment variable ``MIXSEQ_READER_SECONDS`` (120 of processor time; four
+times as long by the clock, for files that never answer).
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
 from mixseq_io.labels.markings import Markings
+from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.reader import SequenceReader
 
 _MOST_IDLE = 2
@@ -61,29 +62,39 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
     with ExitStack() as resources:
         worker = _hire()
         resources.callback(_dismiss, worker)
-        header, moving = worker.ask(path, "open", reader, str(path), options, str(Path.cwd()))
+        header, moving = worker.ask(path, "open", reader, str(path), options, str(Path.cwd()), max_memory())
         return _IsolatedReader(path, _frozen(header), worker, resources.pop_all(), moving)
 
 
-def call_isolated(function: str, path: Path, share: float = 1.0) -> Any:
+def call_isolated(function: str, path: Path, *arguments: Any) -> Any:
     """Call a function of a file in a worker and return its value; parameters and errors are those of `open_isolated`.
 
     Parameters
     ----------
     function : str
-        ``"module:function"``; it takes the path.
+        ``"module:function"``; it takes the path and the arguments.
     path : Path
         The file.
-    share : float
-        Part of the limits of time that it may take.
+    *arguments
+        What else it takes.
     """
     if not can_isolate():
-        return loaded(function)(path)
+        return loaded(function)(path, *arguments)
     worker = _hire()
     try:
-        return worker.ask(path, "call", function, str(path), str(Path.cwd()), share)
+        return worker.ask(path, "call", function, str(path), arguments, str(Path.cwd()), max_memory())
     finally:
         _dismiss(worker)
+
+
+clocks: list[Callable[[float], None]] = []
+"""What limits time in this process, if it is a worker."""
+
+
+def limit_time(share: float) -> None:
+    """Start the clock of an answer anew, with a share of the limit of time; does nothing outside of a worker."""
+    for start in clocks:
+        start(share)
 
 
 def loaded(reference: str) -> Callable[..., Any]:
@@ -195,7 +206,10 @@ class _Worker:
                 f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of time, must be "
                 "raised"
             )
-        return f"{path}: the library that reads it crashed; it is damaged, export it again"
+        return (
+            f"{path}: the library that reads it crashed; it is damaged, export it again (or it needs more than "
+            f"{gigabytes(max_memory())} of memory: --max-memory)"
+        )
 
 
 _idle: list[_Worker] = []

@@ -17,24 +17,16 @@ array               shape                 meaning
 
 and those of `mixseq_io.surface_arrays`: texture coordinates, hard edges, face sets, objects.
 Points keep their precision, float32 or float64. Objects (pickles) are not read.
-
-Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
-https://pkware.cachefly.net/webdocs/casestudies/APPNOTE.TXT
 """
 
 from __future__ import annotations
 
 import shutil
-import struct
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from lzma import LZMAError
-from math import prod
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
@@ -44,26 +36,12 @@ from numpy.typing import NDArray
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.sequence import DEFAULT_FPS, Polygons, SequenceHeader
+from mixseq_io.archives import Archive, ArrayHeader, finish, reading_archive
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import checked, warn
-from mixseq_io.reader import SequenceReader, naming, reading
+from mixseq_io.memory import memory_limit
+from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
-
-DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    LZMAError,
-    EOFError,
-    ValueError,
-    KeyError,
-    TypeError,
-    SyntaxError,
-    TokenError,
-    RuntimeError,
-    OverflowError,
-    struct.error,
-)
-"""What zipfile, zlib and numpy raise at damaged input."""
 
 _MOST_IN_MEMORY = 1 << 26
 _COPIED_AT_ONCE = 1 << 20
@@ -79,17 +57,17 @@ def open_npz(path: Path, fps: float | None = None) -> SequenceReader:
     fps : float, optional
         Frames per second if the file tells neither fps nor times.
     """
-    with ExitStack() as resources, reading(path, "an npz file", *DAMAGE):
-        archive = resources.enter_context(zipfile.ZipFile(path))
-        members = {name.removesuffix(".npy") for name in archive.namelist()}
+    with ExitStack() as resources, reading_archive(path):
+        archive = Archive(path, resources.enter_context(zipfile.ZipFile(path)))
+        members = archive.names
         if "points" not in members or not ("faces" in members or {"face_counts", "face_indices"} <= members):
             raise FormatError(
                 f"{path} has the arrays {', '.join(sorted(members)) or 'none'}; `points`, and `faces` or "
                 "`face_counts` with `face_indices`, are needed"
             )
-        small = {name: _read_array(archive, name) for name in (*_SMALL, *SURFACE_ARRAYS) if name in members}
-        with archive.open("points.npy") as stream:
-            shape, _, _ = _read_array_header(path, stream, archive.getinfo("points.npy").file_size)
+        small = {name: archive.read(name) for name in (*_SMALL, *SURFACE_ARRAYS) if name in members}
+        with archive.open("points") as (_, start):
+            shape = _large_array(path, "points", start)
         with naming(path):
             header = _header(path, shape, small, fps)
         moving = "velocities" in members and _fit(path, archive, shape)
@@ -101,7 +79,7 @@ _SMALL = ("faces", "face_counts", "face_indices", "fps", "times", "up_axis", "me
 
 class _NpzReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, archive: zipfile.ZipFile, resources: ExitStack, moving: bool
+        self, path: Path, header: SequenceHeader, archive: Archive, resources: ExitStack, moving: bool
     ) -> None:
         super().__init__(path, header, resources, moving)
         self._archive = archive
@@ -113,20 +91,18 @@ class _NpzReader(SequenceReader):
         return self._read("velocities", size)
 
     def _read(self, name: str, size: int) -> Iterator[FloatArray]:
-        member = f"{name}.npy"
-        with reading(self.path, "an npz file", *DAMAGE), self._archive.open(member) as stream:
-            shape, fortran, dtype = _read_array_header(
-                self.path, stream, self._archive.getinfo(member).file_size, name
-            )
-            if fortran:  # a frame's numbers are all over the file: there is nothing to stream
-                whole = _as_floats(_read_array(self._archive, name))
-                yield from (whole[start : start + size] for start in range(0, len(whole), size))
+        with reading_archive(self.path), self._archive.open(name) as (stream, header):
+            frames = header.shape[0]
+            if header.fortran:  # a frame's numbers are all over the file: there is nothing to stream
+                with memory_limit(self._limit):
+                    whole = _as_floats(self._archive.read(name))
+                yield from (whole[start : start + size] for start in range(0, frames, size))
                 return
-            for start in range(0, shape[0], size):
-                block = np.empty((min(size, shape[0] - start), *shape[1:]), dtype)
+            for start in range(0, frames, size):
+                block = np.empty((min(size, frames - start), *header.shape[1:]), header.dtype)
                 _read_into(stream, block)
-                if start + size >= shape[0]:
-                    stream.read(1)  # zipfile compares the checksum when it meets the end
+                if start + size >= frames:
+                    finish(stream)
                 yield _as_floats(block)
 
 
@@ -159,38 +135,17 @@ def _header(
     )
 
 
-def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    with archive.open(f"{name}.npy") as stream:
-        array: NDArray[Any] = npy.read_array(stream, allow_pickle=False)
-        stream.read(1)
-        return array
+def _large_array(path: Path, name: str, header: ArrayHeader) -> tuple[int, ...]:
+    """Return the shape of an array that is read in blocks."""
+    if not (np.issubdtype(header.dtype, np.floating) or np.issubdtype(header.dtype, np.integer)):
+        raise FormatError(f"{path}: {name} have type {header.dtype}; numbers are expected")
+    return header.shape
 
 
-def _read_array_header(
-    path: Path, stream: IO[bytes], member_size: int, name: str = "points"
-) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read the header of a large array, and check that as many bytes follow as it announces."""
-    version = npy.read_magic(stream)
-    if version == (1, 0):
-        shape, fortran, dtype = npy.read_array_header_1_0(stream)
-    elif version == (2, 0):
-        shape, fortran, dtype = npy.read_array_header_2_0(stream)
-    else:
-        raise FormatError(f"{path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read")
-    if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
-        raise FormatError(f"{path}: {name} have type {dtype}; numbers are expected")
-    if stream.tell() + prod(shape) * dtype.itemsize != member_size:
-        raise FormatError(
-            f"{path}: {name} of shape {shape} do not fill their {member_size} bytes; it is damaged"
-        )
-    return shape, fortran, dtype
-
-
-def _fit(path: Path, archive: zipfile.ZipFile, shape: tuple[int, ...]) -> bool:
+def _fit(path: Path, archive: Archive, shape: tuple[int, ...]) -> bool:
     """Whether there is a velocity for every point; in archives that others made there may not be."""
-    size = archive.getinfo("velocities.npy").file_size
-    with archive.open("velocities.npy") as stream:
-        found, _, _ = _read_array_header(path, stream, size, "velocities")
+    with archive.open("velocities") as (_, start):
+        found = _large_array(path, "velocities", start)
     if found != shape:
         warn(f"{path}: velocities have shape {found}, points {shape}; they are left out")
     return found == shape

@@ -14,6 +14,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqError, Settin
 from mixseq.sequence import SequenceHeader, check_block
 from mixseq_io.blocks import check_velocities
 from mixseq_io.labels.markings import Markings, sets_of
+from mixseq_io.memory import check_memory, max_memory, memory_limit, out_of_memory
 
 
 class SequenceReader(ABC):
@@ -46,6 +47,7 @@ class SequenceReader(ABC):
         self.has_velocities = has_velocities
         self._resources = resources or ExitStack()
         self._closed = False
+        self._limit = max_memory()
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Iterate over the points, from the first frame each time it is called.
@@ -53,7 +55,7 @@ class SequenceReader(ABC):
         Parameters
         ----------
         size : int
-            Largest number of frames B per block.
+            Largest number of frames B per block; there are fewer where so many would take more than `max_memory`.
 
         Returns
         -------
@@ -65,16 +67,15 @@ class SequenceReader(ABC):
         SettingsError
             If `size` is not positive.
         FormatError
-            If the file is damaged, or the reader closed.
+            If the file is damaged, a frame takes more than `max_memory`, or the reader is closed.
         InvalidSequenceError
             If a frame has another number of vertices, or coordinates that are not finite.
         """
-        _check_size(size)
 
         def check(block: FloatArray, frame: int) -> None:
             check_block(self.header, block, frame)
 
-        return self._checked(self._read_blocks(size), check, "points")
+        return self._checked(self._read_blocks(self._fitting(size)), check, "points")
 
     def velocity_blocks(self, size: int = 16) -> Iterator[FloatArray] | None:
         """Iterate over the velocities, in the file's units per second, in step with `blocks` of the same size.
@@ -89,10 +90,22 @@ class SequenceReader(ABC):
         SettingsError, FormatError, InvalidSequenceError
             As `blocks`.
         """
-        _check_size(size)
+        fitting = self._fitting(size)
         if not self.has_velocities:
             return None
-        return self._checked(self._read_velocities(size), check_velocities, "velocities")
+        return self._checked(self._read_velocities(fitting), check_velocities, "velocities")
+
+    def check_whole(self) -> None:
+        """Refuse a sequence of which all frames together take more than `max_memory`.
+
+        Raises
+        ------
+        FormatError
+            The message tells what it would take.
+        """
+        numbers = 3 * self.header.vertex_count * self.header.frame_count * (1 + self.has_velocities)
+        with memory_limit(self._limit):
+            check_memory(self.path, 4 * numbers, f"all its {self.header.frame_count} frames")
 
     def markings(self) -> Markings:
         """Return what tells parts of the mesh apart: sets of polygons, and colours and joints where they are read."""
@@ -110,6 +123,15 @@ class SequenceReader(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _fitting(self, size: int) -> int:
+        """Return how many frames a block may have."""
+        if size < 1:
+            raise SettingsError(f"block size is {size}; a positive number of frames is expected")
+        frame = 3 * 8 * self.header.vertex_count
+        with memory_limit(self._limit):
+            check_memory(self.path, frame, "a frame")
+        return min(size, self._limit // max(frame, 1))
 
     @abstractmethod
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
@@ -139,11 +161,6 @@ class SequenceReader(ABC):
             )
 
 
-def _check_size(size: int) -> None:
-    if size < 1:
-        raise SettingsError(f"block size is {size}; a positive number of frames is expected")
-
-
 @contextmanager
 def naming(path: Path | str) -> Iterator[None]:
     """Put the file's name before the messages of errors about the sequence in it."""
@@ -165,8 +182,14 @@ def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[N
         What it should have been, for the message: "an npz file".
     *errors : exception types
         What the library raises; `OSError` and `MemoryError` are always translated.
+
+    Raises
+    ------
+    FormatError
+        Also if it is a pipe, a socket or a device.
     """
-    damage: tuple[type[Exception], ...] = (OSError, MemoryError, *errors)
+    check_regular(path, what)
+    damage: tuple[type[Exception], ...] = (OSError, *errors)
     try:
         yield
     except MixseqError:
@@ -177,10 +200,44 @@ def reading(path: Path | str, what: str, *errors: type[Exception]) -> Iterator[N
         raise FormatError(f"{path} is a folder, not {what}") from None
     except PermissionError:
         raise FormatError(f"{path}: no permission to read it") from None
+    except MemoryError:
+        raise out_of_memory(path) from None
     except damage as error:
         raise FormatError(
             f"{path} cannot be read as {what}; it is damaged, truncated or of another type ({brief(error)})"
         ) from error
+
+
+_OF_TEXT = 6
+"""Bytes that a byte of text takes in memory as words and numbers of Python."""
+
+
+def read_whole(path: Path, text: bool = False) -> bytes:
+    """Return all bytes of a file, if they fit the limit of memory; of `text`, also what is made of it.
+
+    Raises
+    ------
+    FormatError
+        If they do not.
+    """
+    size = path.stat().st_size
+    check_memory(
+        path, size * _OF_TEXT if text else size, "the file and what is made of it" if text else "the file"
+    )
+    return path.read_bytes()
+
+
+def check_regular(path: Path | str, what: str) -> None:
+    """Refuse a pipe, a socket or a device: reading it may never end.
+
+    Raises
+    ------
+    FormatError
+        If the path is there, and is one of these.
+    """
+    file = Path(path)
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        raise FormatError(f"{path} is a pipe, a socket or a device, not {what}; give the name of a file")
 
 
 def brief(error: BaseException) -> str:

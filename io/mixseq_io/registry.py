@@ -15,7 +15,8 @@ from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, Out
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq_io.format import Format
 from mixseq_io.formats import FORMATS
-from mixseq_io.reader import SequenceReader, naming
+from mixseq_io.memory import memory_limit
+from mixseq_io.reader import SequenceReader, check_regular, naming
 
 PathLike = str | os.PathLike[str]
 
@@ -28,7 +29,12 @@ _FOREIGN_SIGNATURES = {
 
 
 def open_sequence(
-    path: PathLike, *, up_axis: str | None = None, metres_per_unit: float | None = None, **options: Any
+    path: PathLike,
+    *,
+    up_axis: str | None = None,
+    metres_per_unit: float | None = None,
+    max_memory: float | None = None,
+    **options: Any,
 ) -> SequenceReader:
     """Open a file for reading frame by frame.
 
@@ -41,6 +47,9 @@ def open_sequence(
         Which axis points up, where the file does not tell or tells wrong. Points stay as they are.
     metres_per_unit : float, optional
         Length of a unit, likewise.
+    max_memory : float, optional
+        Bytes that what is read at once may take; by default 8 GB, or half of the machine's memory if that is less,
+        see `mixseq_io.memory`.
     **options
         The format's ``read_options``, see `FORMATS`.
 
@@ -52,7 +61,7 @@ def open_sequence(
     Raises
     ------
     FormatError
-        If the file is missing, damaged, of another type, or too new.
+        If the file is missing, damaged, of another type, or too new, or takes more than `max_memory`.
     AmbiguousError
         If there are several sequences; the message tells how to choose.
     InvalidSequenceError
@@ -61,10 +70,12 @@ def open_sequence(
         If the format has no such option.
     """
     file = Path(path)
+    check_regular(file, "a file")
     chosen = _format_to_read(file)
     if file.is_file():
         _check_signature(file, chosen)
-    reader = chosen.open(file, **options)
+    with memory_limit(max_memory):
+        reader = chosen.open(file, **options)
     told: dict[str, Any] = {"up_axis": up_axis, "metres_per_unit": metres_per_unit}
     try:
         with naming(file):
@@ -80,6 +91,7 @@ def open_sequence(
 def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`."""
     with open_sequence(path, **options) as reader:
+        reader.check_whole()
         velocities = reader.velocity_blocks()
         sequence = collect(reader.header, reader.blocks())
         if velocities is None:

@@ -24,7 +24,7 @@ from mixseq.progress import Progress, silent
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
-from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.compressed_reader import read_container, sequence_of
 from mixseq_io.hdf5.model_files import decoded
 from mixseq_io.hdf5.salvage import explain_damage
 from mixseq_io.registry import PathLike
@@ -97,10 +97,11 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     if original is not None:
         check_frames(original)
     try:
-        coded = read_compressed(source)
-    except FormatError:
-        explain_damage(source)  # may know more
+        container = read_container(source)
+    except FormatError as error:
+        explain_damage(source, error)  # may know more
         raise
+    coded = sequence_of(source, container)
     frames = _Checked(source, decoded(source, coded), progress)
     header, parameters = coded.header, coded.parameters
     found = Verification(header.frame_count, header.vertex_count, parameters.max_error, parameters.promised)

@@ -1,11 +1,11 @@
 """The other side of `mixseq_io.isolation`: a process that opens one file at a time and answers questions about it.
 
-Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder)`` gives the header
-and whether there are velocities, ``("markings",)`` what tells parts of the mesh apart, ``("iterate", number, what,
-size)`` starts an iteration over points or velocities, ``("next", number)`` gives its next block or None,
-``("close",)`` ends with the file. ``("call", function, path, folder, share)`` gives what a function of a file returns
-within a share of the time limit. An answer is a triple of the value, the exception that was raised or None, and the
-warnings. The process ends when stdin does.
+Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder, limit)`` gives the
+header and whether there are velocities, ``("markings",)`` what tells parts of the mesh apart, ``("iterate", number,
+what, size)`` starts an iteration over points or velocities, ``("next", number)`` gives its next block or None,
+``("close",)`` ends with the file. ``("call", function, path, arguments, folder, limit)`` gives what a function of a
+file returns. The limit is that of memory, in bytes. An answer is a triple of the value, the exception that was raised
+or None, and the warnings. The process ends when stdin does.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.errors import FormatError, MixseqError
-from mixseq_io.isolation import loaded
+from mixseq.errors import MixseqError
+from mixseq_io.isolation import clocks, loaded
+from mixseq_io.memory import VARIABLE, out_of_memory
 from mixseq_io.reader import SequenceReader
 
-_MEMORY = float(os.environ.get("MIXSEQ_READER_MEMORY", "4"))
 _SECONDS = float(os.environ.get("MIXSEQ_READER_SECONDS", "120"))
 _PATIENCE = 4
 """Time by the clock, on a machine that has other things to do, over that of the processor."""
@@ -44,17 +44,21 @@ class Worker:
         """Answer a question; see the head of the module."""
         return getattr(self, f"_{kind}")(*arguments)
 
-    def _call(self, function: str, path: str, folder: str, share: float) -> Any:
-        self._path = path
-        os.chdir(folder)
-        limit_time(share * _SECONDS)
-        return loaded(function)(Path(path))
+    def _call(self, function: str, path: str, arguments: tuple[Any, ...], folder: str, limit: int) -> Any:
+        found = loaded(function)
+        self._begin(path, folder, limit)
+        return found(Path(path), *arguments)
 
-    def _open(self, reader: str, path: str, options: dict[str, Any], folder: str) -> Any:
+    def _open(self, reader: str, path: str, options: dict[str, Any], folder: str, limit: int) -> Any:
+        found = loaded(reader)
+        self._begin(path, folder, limit)
+        self._reader = found(Path(path), **options)
+        return self._reader.header, self._reader.has_velocities
+
+    def _begin(self, path: str, folder: str, limit: int) -> None:
         self._path = path
         os.chdir(folder)
-        self._reader = loaded(reader)(Path(path), **options)
-        return self._reader.header, self._reader.has_velocities
+        limit_memory(limit)
 
     def _markings(self) -> Any:
         assert self._reader is not None
@@ -89,32 +93,42 @@ class Worker:
             except MixseqError as raised:
                 error = raised
             except MemoryError:
-                error = FormatError(
-                    f"{self._path}: reading needs more than {_MEMORY:g} GiB of memory; it is damaged, or "
-                    "MIXSEQ_READER_MEMORY, the limit, must be raised"
-                )
+                error = out_of_memory(self._path)
             except Exception:  # a bug: the other side shows where it was
                 error = RuntimeError(f"in the reader's process:\n{traceback.format_exc()}")
         return answer, error, [str(warning.message) for warning in caught]
 
 
-def limit_memory() -> None:
-    """Let allocations beyond the limit fail; files that are mapped into memory do not count."""
+def limit_memory(most: int) -> None:
+    """Let allocations fail that add more than so many bytes to what the process has, its libraries for the most part.
+
+    Files that are mapped into memory do not count.
+    """
+    os.environ[VARIABLE] = str(most / (1 << 30))  # what `max_memory` returns from here on
     try:
         import resource
     except ImportError:  # Windows
         return
-    most = int(_MEMORY * (1 << 30))
+    most += _memory_used()
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (most if hard < 0 else min(most, hard), hard))
 
 
-def limit_time(seconds: float) -> None:
-    """End the process when it has computed for so long, or waited for long; 0 takes the limit away."""
+def _memory_used() -> int:
+    """Return the bytes that count for the limit, 0 where the system does not tell."""
+    try:
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[5]
+    except OSError:  # not Linux
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def limit_time(share: float) -> None:
+    """End the process when it has computed for a share of the limit, or waited for long; 0 takes the limit away."""
     if hasattr(signal, "setitimer"):
         # Without handlers: Python's would wait for the library to return.
-        signal.setitimer(signal.ITIMER_PROF, seconds)
-        signal.setitimer(signal.ITIMER_REAL, _PATIENCE * seconds)
+        signal.setitimer(signal.ITIMER_PROF, share * _SECONDS)
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE * share * _SECONDS)
 
 
 def main() -> None:
@@ -124,14 +138,14 @@ def main() -> None:
     # C++ libraries print to stdout, too; it is kept for answers under another number.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    limit_memory()
+    clocks.append(limit_time)
     worker = Worker()
     while True:
         try:
             question = pickle.load(questions)
         except EOFError:
             break
-        limit_time(_SECONDS)
+        limit_time(1)
         answer = worker.guarded(question)
         limit_time(0)
         try:

@@ -9,6 +9,7 @@ import click
 
 import mixseq
 from mixseq.cli.group import LazyGroup
+from mixseq.cli.limits import max_memory
 from mixseq.cli.options import examples
 
 
@@ -21,6 +22,7 @@ from mixseq.cli.options import examples
         "Change": ("resample", "edit", "interpolate", "transfer", "segment"),
         "Check": ("compare", "verify"),
     },
+    shared=(max_memory,),
     epilog=examples(
         "mixseq demo",
         "mixseq encode walk.usdc walk.h5",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -12,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from mixseq.cli.console import format_bytes
+from mixseq.cli.limits import as_bytes
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from mixseq.sequence import SequenceHeader
 
 Rows = list[tuple[str, str]]
-
-_UNITS = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
-_SIZE = re.compile(r"(\d+\.?\d*|\.\d+)\s*([kmg]?i?b|)", re.IGNORECASE)
 
 _OF_FITTING = (
     *(
@@ -38,23 +35,6 @@ _OF_FITTING = (
     *("projection", "volume", "labels", "label_source", "knots", "pose"),
 )
 """Options of ``mixseq encode`` that are about models that are not compressed."""
-
-
-def as_bytes(context: click.Context, option: click.Parameter, value: str | None) -> int | None:
-    """Read a size such as 2MB, 500kB or 1.5MiB.
-
-    Examples
-    --------
-    >>> [as_bytes(None, None, text) for text in ("2MB", "500 kB", "1.5MiB", "800")]
-    [2000000, 500000, 1572864, 800]
-    """
-    if value is None:
-        return None
-    found = _SIZE.fullmatch(value.strip())
-    unit = found and _UNITS.get(found[2].lower())
-    if not found or not unit or float(found[1]) * unit < 1:
-        raise click.BadParameter(f"{value!r} is not a size such as 2MB, 500kB or 1.5MiB")
-    return int(float(found[1]) * unit)
 
 
 def aim_options(command: Callable[..., None]) -> Callable[..., None]:

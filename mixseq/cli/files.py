@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.errors import OutputError, SettingsError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
@@ -25,15 +25,19 @@ MODEL_EXTENSIONS = (".h5", ".hdf5")
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model; files that cannot be opened are left to their readers to complain about."""
+    """Whether a file is a model.
+
+    Raises
+    ------
+    FormatError
+        If it should be HDF5, and cannot be read.
+    """
     if path.suffix.lower() not in MODEL_EXTENSIONS or not path.is_file():
         return False
     from mixseq_io.hdf5.contents import read_attributes
     from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 
-    with suppress(FormatError):
-        return read_attributes(path).kind == MODEL_FORMAT
-    return False
+    return read_attributes(path).kind == MODEL_FORMAT
 
 
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
@@ -41,6 +45,7 @@ def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) ->
     from mixseq.sequence import collect
 
     with mixseq.open_sequence(path, **reading) as reader:
+        reader.check_whole()
         frames = reader.header.frame_count
         return collect(reader.header, counted(reader.blocks(), frames, f"reading {path.name}", progress))
 

@@ -21,7 +21,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
@@ -45,12 +45,21 @@ class LazyGroup(click.Group):
         The package.
     sections : dict of tuple of str
         Names of the commands and of their modules, under the titles that help gives them.
+    shared : sequence of click.Option
+        Options that all commands have.
     **settings
         What every `click.Group` takes.
     """
 
-    def __init__(self, package: str, sections: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
+    def __init__(
+        self,
+        package: str,
+        sections: Mapping[str, tuple[str, ...]],
+        shared: Sequence[click.Option] = (),
+        **settings: Any,
+    ) -> None:
         super().__init__(**settings)
+        self.shared = shared
         self._package = package
         self._sections = sections
 
@@ -63,6 +72,7 @@ class LazyGroup(click.Group):
         if cmd_name not in self.list_commands(ctx):
             return None
         command: click.Command = import_module(f"{self._package}.{cmd_name}").command
+        command.params += [each for each in self.shared if each not in command.params]
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -14,7 +14,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.cli.compressed import as_bytes
+from mixseq.cli.limits import as_bytes
 from mixseq.sequence import MeshSequence
 from mixseq_io.hdf5.compressed_reader import Stream, StreamIndex, read_compressed, read_index
 from tests.meshes import bar

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,6 +52,8 @@ def misbehave(how: str, path: Path) -> None:
     elif how == "hang":
         while True:
             pass
+    elif how == "wait":
+        time.sleep(60)
     elif how == "memory":
         np.zeros(1 << 40)
     elif how == "print":

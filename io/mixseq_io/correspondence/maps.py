@@ -26,7 +26,6 @@ Vertices and triangles are numbered from 0; of pairs, targets without a row are 
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -39,10 +38,9 @@ from mixseq.arrays import IntArray
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.map_completion import Mesh, from_barycentric, from_triangles, from_vertices
 from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq_io.archives import opened_archive
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.text_files import Kind, read_rows
-from mixseq_io.npz import DAMAGE
-from mixseq_io.reader import reading
 from mixseq_io.registry import PathLike
 
 VERSION = 1
@@ -178,10 +176,8 @@ def checksum(vertex_count: int, faces: IntArray) -> str:
 
 
 def _read_npz(file: Path) -> GivenMap:
-    with reading(file, "an npz file", *DAMAGE), np.load(file, allow_pickle=False) as archive:
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise zipfile.BadZipFile("an array by itself")
-        arrays = {name: archive[name] for name in archive.files}
+    with opened_archive(file) as archive:
+        arrays = {name: archive.read(name) for name in archive.names}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
         if not np.array_equal(arrays["version"], VERSION):

@@ -156,6 +156,13 @@ def _yaml(file: Path, text: str) -> list[_Entry]:
             f"{file}: markers in YAML need PyYAML; get it with: pip install 'mixseq[yaml]'"
         ) from error
     try:
+        for token in yaml.scan(text, Loader=yaml.SafeLoader):
+            # A few lines of aliases of aliases stand for more values than fit into any memory.
+            if isinstance(token, yaml.AnchorToken | yaml.AliasToken):
+                line = token.start_mark.line + 1
+                raise FormatError(
+                    f"{file}, line {line}: anchors (&) and aliases (*) are not read; write it out"
+                )
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         values = _listed(file, _plain(root))
     except (yaml.YAMLError, RecursionError) as error:

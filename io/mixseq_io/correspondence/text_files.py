@@ -11,7 +11,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError
-from mixseq_io.reader import brief, reading
+from mixseq_io.reader import brief, read_whole, reading
 
 
 def read_text(file: Path, what: str) -> str:
@@ -23,7 +23,7 @@ def read_text(file: Path, what: str) -> str:
         If there is no such file, or it is no text.
     """
     with reading(file, what, UnicodeDecodeError):
-        return file.read_text(encoding="utf-8-sig")
+        return read_whole(file, text=True).decode("utf-8-sig")
 
 
 def parse_json(file: Path, text: str) -> Any:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mixseq.errors import FormatError
 from mixseq_io.gltf.containers import Data, chunks, data_of_file, data_of_uri
 from mixseq_io.gltf.json_fields import Fields, check_extensions
+from mixseq_io.memory import check_memory
 from mixseq_io.reader import reading
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -142,6 +143,7 @@ class Document:
                 f"{self.path}: {what} have {numbers} numbers, but the file only {self.data_size} bytes; it is damaged, "
                 "or repeats one mesh too often: choose fewer with prim"
             )
+        check_memory(self.path, 8 * numbers, what)
 
     def buffer(self, index: int) -> Data:
         """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside.

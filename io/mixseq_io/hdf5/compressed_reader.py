@@ -44,9 +44,10 @@ from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.hdf5.contents import read_attributes, read_contents, reading_h5
+from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT, refuse_newer
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
+from mixseq_io.memory import check_memory
 
 COMPRESSED_VERSION = 4
 """Version of model files that hold a compressed sequence. Frozen: breaks old files."""
@@ -56,6 +57,9 @@ MAGIC = b"msq4"
 
 HEAD = struct.Struct("<4sIII")
 """Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
+
+_OF_ELEMENT = 64
+"""Bytes that decoding takes for each vertex, corner and frame."""
 
 _CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
 
@@ -135,7 +139,11 @@ def read_container(path: Path) -> Container:
     FormatError
         If it is another file, or HDF5 cannot read it.
     """
-    file = read_contents(path)
+    return container_of(path, read_contents(path, MODEL_FORMAT))
+
+
+def container_of(path: Path, file: Contents) -> Container:
+    """Return what has been read of a compressed model, as `read_container`."""
     with reading_h5(path):
         if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
             raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
@@ -255,9 +263,11 @@ def read_header(
     Raises
     ------
     FormatError
-        If they contradict each other.
+        If they contradict each other, or take too much memory.
     """
     facts = _facts(path, container)
+    told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
+    check_memory(path, _OF_ELEMENT * sum(each for each in told if isinstance(each, int)), "mesh and times")
     try:
         vertices, polygons, corners, frames = (
             int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")

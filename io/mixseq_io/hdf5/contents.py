@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq_io.hdf5.permitted import check_permitted
-from mixseq_io.isolation import call_isolated
-from mixseq_io.reader import brief, reading
+from mixseq_io.isolation import call_isolated, limit_time
+from mixseq_io.memory import check_memory
+from mixseq_io.reader import brief, check_regular, reading
 
 _SHARE = 1 / 60
 """Part of the time limit that is enough for attributes: there is little to read, and damage in them has no end."""
@@ -63,25 +65,37 @@ def read_attributes(path: Path) -> Contents:
     FormatError
         If the file is missing or damaged, or has what ours do not have, see `mixseq_io.hdf5.permitted`.
     """
-    found: Contents = call_isolated(f"{__name__}:_attributes", path, share=_SHARE)
+    check_regular(path, "HDF5")
+    found: Contents = call_isolated(f"{__name__}:_attributes", path)
     return found
 
 
-def read_contents(path: Path) -> Contents:
-    """Read a whole file; errors are those of `read_attributes`, and one that names a dataset that is damaged."""
-    read_attributes(path)  # which ends soon if it cannot be done
-    found: Contents = call_isolated(f"{__name__}:_contents", path)
+def read_contents(path: Path, kind: str | None = None) -> Contents:
+    """Read a whole file; if its `format` is another than `kind`, where one is given, its attributes only.
+
+    Raises
+    ------
+    FormatError
+        As `read_attributes`; also if a dataset is damaged, or all together take more than `mixseq_io.memory` allows.
+    """
+    check_regular(path, "HDF5")
+    found: Contents = call_isolated(f"{__name__}:_contents", path, kind)
     return found
 
 
 def _attributes(path: Path) -> Contents:
+    limit_time(_SHARE)
     with opened_h5(path) as file:
-        groups, _ = _objects(file)
-        return Contents({name: dict(each.attrs) for name, each in groups.items()}, {})
+        return Contents(_attributes_of(file), {})
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path, kind: str | None) -> Contents:
+    limit_time(_SHARE)
     with opened_h5(path) as file:
+        found = Contents(_attributes_of(file), {})
+        if kind not in (None, found.kind):
+            return found
+        limit_time(1)
         return contents_of(path, file)
 
 
@@ -91,16 +105,27 @@ def contents_of(path: Path, file: h5py.File, but: Collection[str] = ()) -> Conte
     Raises
     ------
     FormatError
-        If a dataset is damaged.
+        If a dataset is damaged, or they take more memory than is allowed.
     """
-    groups, datasets = _objects(file)
+    _, datasets = _objects(file)
+    check_memory(path, sum(_unpacked(each, name in but) for name, each in datasets.items()), "its datasets")
     arrays: dict[str, NDArray[Any]] = {}
     for name in (name for name in datasets if name not in but):
         try:
             arrays[name] = datasets[name][...]
         except OSError as error:
             raise FormatError(f"{path}: {name} is damaged ({brief(error)}); restore the file") from error
-    return Contents({name: dict(each.attrs) for name, each in groups.items()}, arrays)
+    return Contents(_attributes_of(file), arrays)
+
+
+def _attributes_of(file: h5py.File) -> dict[str, dict[str, Any]]:
+    return {name: dict(each.attrs) for name, each in _objects(file)[0].items()}
+
+
+def _unpacked(dataset: h5py.Dataset, in_part: bool) -> int:
+    """Return the bytes that a dataset takes in memory, or those of a chunk, which is unpacked as a whole."""
+    chunk = prod(dataset.chunks or (1,))
+    return int(dataset.dtype.itemsize * (chunk if in_part else max(dataset.size, chunk)))
 
 
 def _objects(file: h5py.File) -> tuple[dict[str, h5py.Group], dict[str, h5py.Dataset]]:

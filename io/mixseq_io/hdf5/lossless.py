@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 from mixseq.surface import Surface
+from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
 
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
 """How surfaces are compressed. Frozen: breaks old files."""
-
-_MOST_BYTES = 1 << 32
-"""A surface larger than this is none: the lengths in damaged files are not to be trusted. Free: a limit."""
 
 
 def pack_times(times: NDArray[np.float64], fps: float) -> bytes:
@@ -107,7 +105,12 @@ def unpack_surface(packed: bytes, folder: Path) -> Surface:
     if not packed:
         return Surface()
     try:
-        whole = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(packed, _MOST_BYTES)
+        limit = max_memory()
+        whole = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(packed, limit)
+        if len(whole) == limit:  # it goes on, how far nobody knows
+            raise FormatError(
+                f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
+            )
         text, _, data = whole.partition(b"\0")
         return surface_of_arrays(_arrays(json.loads(text), data), folder)
     except (lzma.LZMAError, ValueError, TypeError, KeyError, IndexError) as error:

@@ -38,9 +38,9 @@ from mixseq.errors import (
 )
 from mixseq.signals.model import Model
 from mixseq.version import __version__
-from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.compressed_reader import container_of, sequence_of
 from mixseq_io.hdf5.compressed_writer import write_compressed
-from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
+from mixseq_io.hdf5.contents import Contents, read_contents, reading_h5
 from mixseq_io.hdf5.datasets import increasing
 from mixseq_io.hdf5.h5_files import (
     MODEL_FORMAT,
@@ -54,10 +54,14 @@ from mixseq_io.hdf5.model_signals import read_signals, write_signals
 from mixseq_io.hdf5.older_models import is_old_anchored, read_anchored, read_v1
 from mixseq_io.hdf5.salvage import explain_damage, salvage_compressed
 from mixseq_io.hdf5.stored_space import read_space, storable, write_space
+from mixseq_io.memory import check_memory, memory_limit
 from mixseq_io.registry import PathLike
 
 VERSION = 6
 """Since 6 all texts have a fixed length, and so a checksum."""
+
+_DECODED = 16
+"""Bytes that decoding takes for each number of a basis and its coefficients."""
 
 SUFFIXES = (".h5", ".hdf5")
 
@@ -106,7 +110,7 @@ def save(path: PathLike, model: Model | CompressedSequence) -> None:
         store.check()
 
 
-def load(path: PathLike, salvage: bool = False) -> Model:
+def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = None) -> Model:
     """Load a model from an HDF5 file.
 
     Parameters
@@ -116,6 +120,8 @@ def load(path: PathLike, salvage: bool = False) -> Model:
     salvage : bool
         Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
         accuracy. Other files are loaded as usual.
+    max_memory : float, optional
+        Bytes that the file's arrays may take, as in `mixseq_io.open_sequence`.
 
     Returns
     -------
@@ -124,32 +130,33 @@ def load(path: PathLike, salvage: bool = False) -> Model:
     Raises
     ------
     FormatError
-        If the file is missing, damaged, not a model, or written by a newer mixseq, or if its signals contradict
-        each other.
+        If the file is missing, damaged, not a model, or written by a newer mixseq, if its signals contradict
+        each other, or if it takes more than `max_memory`.
     """
-    source = Path(path)
+    with memory_limit(max_memory):
+        return _load(Path(path), salvage)
+
+
+def _load(source: Path, salvage: bool) -> Model:
     if salvage and (rest := salvage_compressed(source)) is not None:
         return decoded(source, rest)
-    try:
-        return _load(source)
-    except FormatError:
-        explain_damage(source)
-        raise
-
-
-def _load(source: Path) -> Model:
     if source.is_file() and source.stat().st_size and not h5py.is_hdf5(source):
         raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
-    found = read_attributes(source)
-    if found.kind != MODEL_FORMAT:
+    if source.is_file():
+        check_memory(source, source.stat().st_size, "the file itself")
+    try:
+        file = read_contents(source, MODEL_FORMAT)
+    except FormatError as error:
+        explain_damage(source, error)
+        raise
+    if file.kind != MODEL_FORMAT:
         raise FormatError(
-            f"{source} is an HDF5 file, but not a mixseq model (format = {found.kind!r}); make one with mixseq encode"
+            f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
         )
     with reading_h5(source):
-        check_version(source, found, VERSION)
-        if "coding" in found.attrs:
-            return decoded(source, read_compressed(source))
-        file = read_contents(source)
+        check_version(source, file, VERSION)
+        if "coding" in file.attrs:
+            return decoded(source, sequence_of(source, container_of(source, file)))
         try:
             return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
         except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
@@ -162,10 +169,13 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
     Raises
     ------
     FormatError
-        If its streams contradict each other, or what is in them does not fit in memory.
+        If its streams contradict each other, or what is in them takes too much memory.
     """
     from mixseq.coding.bitstream.compressed_sequence import to_model
 
+    width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
+    numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
+    check_memory(path, _DECODED * numbers, "its basis and coefficients")
     try:
         return to_model(coded)
     except (FormatError, MemoryError) as error:

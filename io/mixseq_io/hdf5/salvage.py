@@ -34,13 +34,14 @@ from mixseq_io.hdf5.compressed_reader import (
     ChunkStreams,
     Container,
     StreamIndex,
-    is_compressed,
-    read_container,
+    container_of,
     read_header,
     read_index,
     read_parameters,
     sequence_of,
 )
+from mixseq_io.hdf5.contents import read_contents
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 
 _TEXT = b'{"coding":{'
 """What the attribute begins with."""
@@ -149,29 +150,27 @@ def _ranges(chunks: list[ChunkStreams]) -> str:
     return ", ".join(f"{first} to {last}" for first, last in zip(firsts, lasts, strict=True))
 
 
-def explain_damage(path: Path) -> None:
-    """Say more of a file that HDF5 cannot read, if it is, or was, a compressed model; do nothing if it is not.
+def explain_damage(path: Path, error: FormatError) -> None:
+    """Say more of a file that HDF5 cannot read, if it was a compressed model; do nothing if it was not.
 
     Raises
     ------
     FormatError
         Names the first stream that is damaged, or says that all are whole.
     """
-    try:
-        read_container(path)
-    except FormatError as error:
-        container = _search_bytes(path) if path.is_file() else None
-        if container is not None:
-            sequence_of(path, container)
-            raise FormatError(
-                f"{path}: HDF5's own structure is damaged, but no signal is; read it with mixseq decode --salvage"
-            ) from error
+    container = _search_bytes(path) if path.is_file() else None
+    if container is not None:
+        sequence_of(path, container)
+        raise FormatError(
+            f"{path}: HDF5's own structure is damaged, but no signal is; read it with mixseq decode --salvage"
+        ) from error
 
 
 def _found(path: Path) -> Container | None:
     """Read attribute and streams with HDF5 if it can, else look for them in the bytes of the file."""
     try:
-        return read_container(path) if is_compressed(path) else None
+        file = read_contents(path, MODEL_FORMAT)
+        return container_of(path, file) if "coding" in file.attrs and file.kind == MODEL_FORMAT else None
     except FormatError:
         if not path.is_file():
             raise

@@ -30,10 +30,10 @@ from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import AmbiguousError, FormatError, SettingsError
 from mixseq.polygons import Polygons
 from mixseq.sequence import Frames, SequenceHeader
+from mixseq_io.archives import opened_archive
 from mixseq_io.labels.faces import Labels, triangle_labels
 from mixseq_io.labels.markings import COLOURS, FAMILY, LABELS, SKELETON, SMALLEST_JOINT
-from mixseq_io.npz import DAMAGE
-from mixseq_io.reader import SequenceReader, reading
+from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import PathLike, open_sequence
 
 Sources = dict[str, Callable[[], Labels]]
@@ -151,11 +151,11 @@ def _stored(file: Path, header: SequenceHeader) -> Sources:
     """Return the array of labels of an npz file, if there is one."""
     if file.suffix.lower() != ".npz":
         return {}
-    with reading(file, "an npz file", *DAMAGE), np.load(file, allow_pickle=False) as archive:
-        members = set(archive.files)
+    with opened_archive(file) as archive:
+        members = archive.names
         name = next((each for each in ARRAYS if each in members), "")
-        values = archive[name] if name else None
-        names = archive["names"] if "names" in members else None
+        values = archive.read(name) if name else None
+        names = archive.read("names") if "names" in members else None
     if values is not None:
         labels = _of_array(file, name, values, names, header.polygons)
         return {LABELS: lambda: labels}
@@ -171,8 +171,8 @@ def _is_mesh(file: Path) -> bool:
     """Whether a file is a sequence, and not only an array of labels."""
     if file.suffix.lower() != ".npz":
         return True
-    with reading(file, "an npz file", *DAMAGE), np.load(file, allow_pickle=False) as archive:
-        return "points" in archive.files
+    with opened_archive(file) as archive:
+        return "points" in archive.names
 
 
 def _of_array(

@@ -16,7 +16,7 @@ from mixseq.surface import CornerValues, Surface
 from mixseq_io.blocks import warn
 from mixseq_io.numbered.frame_files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped
-from mixseq_io.reader import reading
+from mixseq_io.reader import read_whole, reading
 
 FIRST_LINE = b"# Written by mixseq, "
 LAST_LINE = b"# end of mesh"
@@ -87,7 +87,7 @@ class _Lines:
 def _read_lines(file: Path, whole: bool) -> _Lines:
     """Sort the lines of a file, `whole` or only vertices and faces."""
     with reading(file, "an OBJ file"):
-        lines = file.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+        lines = read_whole(file, text=True).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
     if lines and lines[0].startswith(FIRST_LINE) and lines[-1] != LAST_LINE:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
     found = _Lines()

@@ -22,7 +22,7 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.losses import lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
-from mixseq_io.reader import SequenceReader, naming, reading
+from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 
 _COMMENT = b"# Written by mixseq, "
 _COLOUR = 4
@@ -61,7 +61,7 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
     from trimesh.exchange.off import load_off
 
     with reading(file, "an OFF file", ValueError, TypeError, IndexError, NameError, OverflowError):
-        data = file.read_bytes()
+        data = read_whole(file, text=True)
         lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
         _check_lines(file, lines)
         text = b"\n".join(lines).decode("ascii")

@@ -32,7 +32,7 @@ from mixseq.surface import CornerValues, Surface
 from mixseq_io.losses import lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
 from mixseq_io.numbered.ply_elements import Columns, read_elements
-from mixseq_io.reader import SequenceReader, reading
+from mixseq_io.reader import SequenceReader, read_whole, reading
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
@@ -65,7 +65,7 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         If a face has less than three corners.
     """
     with reading(file, "a PLY file", ValueError, OverflowError, UnicodeDecodeError):
-        elements, source = read_elements(file.read_bytes(), None if like is None else like.source)
+        elements, source = read_elements(read_whole(file), None if like is None else like.source)
         points = _side_by_side(elements.get("vertex", {}), "x", "y", "z")
         if points is None:
             raise FormatError(f"{file} cannot be read as a PLY file: it has no vertices with x, y and z")

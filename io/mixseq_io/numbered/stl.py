@@ -31,7 +31,7 @@ from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq_io.blocks import as_float32, warn
 from mixseq_io.losses import lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
-from mixseq_io.reader import SequenceReader, reading
+from mixseq_io.reader import SequenceReader, read_whole, reading
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _PREAMBLE = 80
@@ -74,7 +74,7 @@ def parse_stl(file: Path, like: MeshFile | None = None) -> MeshFile:
         If it has another number of triangles than the first frame, or corners of a vertex have come apart.
     """
     with reading(file, "an STL file"):
-        corners = _read_corners(file, file.read_bytes())
+        corners = _read_corners(file, read_whole(file))
     if like is None:
         first, indices = _weld(corners)
         polygons = Polygons(np.full(len(corners) // 3, 3), indices)

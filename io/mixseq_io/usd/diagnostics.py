@@ -17,6 +17,7 @@ from pxr import Sdf, Tf, UsdUtils
 
 from mixseq.errors import FormatError, OutputError
 from mixseq_io.atomic import raise_system_error
+from mixseq_io.memory import out_of_memory
 
 _LONGEST_REASON = 200
 
@@ -45,7 +46,9 @@ def reading_usd(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+    except MemoryError:
+        raise out_of_memory(path) from None
+    except (RuntimeError, ValueError, TypeError) as error:
         raise FormatError(
             f"{path} cannot be read as USD; it is damaged, truncated or of another type ({_reasons(error)})"
         ) from error

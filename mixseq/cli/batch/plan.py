@@ -6,6 +6,7 @@ import re
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -150,7 +151,7 @@ def _in_folder(folder: Path) -> Iterator[Path]:
         if form is None or file.name.startswith(".") or not file.is_file():
             continue
         if not form.numbered:
-            if not is_model(file):
+            if not _is_model(file):
                 if "mesh" in form.read_options:
                     caches.add(file.stem)
                 yield file
@@ -166,6 +167,13 @@ def _in_folder(folder: Path) -> Iterator[Path]:
         else:
             single.append(f"{before}{numbers[0]}{after}")
     _tell_of_single(folder, [name for name in single if Path(name).stem not in caches])
+
+
+def _is_model(file: Path) -> bool:
+    """Whether a file is a model; one that cannot be read is an asset that will fail."""
+    with suppress(FormatError):
+        return is_model(file)
+    return False
 
 
 def _tell_of_single(folder: Path, names: list[str]) -> None:

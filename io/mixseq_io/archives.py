@@ -1,0 +1,142 @@
+"""Arrays in npz files: how large they are is known, and compared with the limit, before anything is unpacked.
+
+A small zip file can unpack to any size, and its headers can lie. So of every array the size that the archive tells must
+be that of the shape that the array tells, and all that is read of a file at once must fit the limit of memory. zipfile
+never unpacks more than the archive tells. Methods of compression that NumPy does not write are refused: they unpack
+in steps that nobody bounds.
+
+Specifications: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and
+https://pkware.cachefly.net/webdocs/casestudies/APPNOTE.TXT
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from math import prod
+from pathlib import Path
+from tokenize import TokenError
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from mixseq.errors import FormatError
+from mixseq_io.memory import check_memory
+from mixseq_io.reader import reading
+
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    SyntaxError,
+    TokenError,
+    RuntimeError,
+    OverflowError,
+    struct.error,
+)
+"""What zipfile, zlib and numpy raise at damaged input."""
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+class ArrayHeader(NamedTuple):
+    """What stands before the numbers of an array: its shape, whether columns come first, and its type."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+
+class Archive:
+    """An open npz file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    file : zipfile.ZipFile
+        The same, open.
+    """
+
+    def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
+        self._path = path
+        self._file = file
+        self._sizes: dict[str, int] = {}
+        self.names = dict.fromkeys(name.removesuffix(".npy") for name in file.namelist()).keys()
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Return an array; together with those before it must fit the limit of memory."""
+        with self.open(name) as (stream, _):
+            self._sizes[name] = self._file.getinfo(f"{name}.npy").file_size
+            check_memory(self._path, sum(self._sizes.values()), f"its arrays, with {name!r},")
+        with self._file.open(f"{name}.npy") as stream:
+            array: NDArray[Any] = npy.read_array(stream, allow_pickle=False)
+            finish(stream)
+            return array
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[IO[bytes], ArrayHeader]]:
+        """Yield a stream of an array's numbers, and the header that stands before them.
+
+        Raises
+        ------
+        FormatError
+            If it is of another size than the archive tells, or compressed as NumPy compresses nothing.
+        """
+        member = self._file.getinfo(f"{name}.npy")
+        if member.compress_type not in _METHODS:
+            raise FormatError(
+                f"{self._path}: {name} is compressed by method {member.compress_type}, which NumPy does not write; "
+                "save it anew with numpy.savez"
+            )
+        with self._file.open(member) as stream:
+            header = self._header(name, stream)
+            if header.dtype.hasobject:
+                raise ValueError(f"{name} has Python objects, which are not read")
+            if stream.tell() + prod(header.shape) * header.dtype.itemsize != member.file_size:
+                raise FormatError(
+                    f"{self._path}: {name} of shape {header.shape} do not fill their {member.file_size} bytes; it is "
+                    "damaged"
+                )
+            yield stream, header
+
+    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
+        version = npy.read_magic(stream)
+        if version == (1, 0):
+            return ArrayHeader(*npy.read_array_header_1_0(stream))
+        if version == (2, 0):
+            return ArrayHeader(*npy.read_array_header_2_0(stream))
+        raise FormatError(
+            f"{self._path}: {name} are stored in npy version {version}; 1.0 and 2.0 can be read"
+        )
+
+
+def finish(stream: IO[bytes]) -> None:
+    """Go to the end of an array that has been read: there zipfile compares the checksum."""
+    stream.read(1)
+
+
+@contextmanager
+def opened_archive(path: Path) -> Iterator[Archive]:
+    """Open an npz file.
+
+    Raises
+    ------
+    FormatError
+        If it is missing or damaged; also for what is raised while it is open.
+    """
+    with reading_archive(path), zipfile.ZipFile(path) as file:
+        yield Archive(path, file)
+
+
+def reading_archive(path: Path) -> AbstractContextManager[None]:
+    """Turn what zipfile and NumPy raise on damaged files into `FormatError`."""
+    return reading(path, "an npz file", *_DAMAGE)
