@@ -2,6 +2,9 @@
 
 Files are read from their first frame to the last, and often slowly. What is learned from a sequence looks at it several
 times, and at single frames. So what streams is copied once, and all that follows is the same for both.
+
+Here is also decided what double precision can hold. Lengths are squared, and their squares multiplied; so a mesh may be
+no smaller than `SMALLEST` and no larger than `LARGEST`. Beside large coordinates small errors cannot be told: `finest`.
 """
 
 from __future__ import annotations
@@ -9,13 +12,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from mixseq.arrays import FloatArray
 from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
 from mixseq.progress import Progress, silent
-from mixseq.sequence import Frames, MeshSequence, SequenceHeader, check_block
+from mixseq.sequence import Frames, MeshSequence, SequenceHeader, bounding_diagonal, check_block
 
 _AT_ONCE = 8, 1 << 20  # frames, and vertices, in a block: at most 24 MB of float64, unless one frame is more
+
+SMALLEST, LARGEST = 1e-60, 1e60
+"""Diagonals of the first frame, and coordinates, in the units of the sequence; the values are ours."""
+
+_LAST_DIGITS = 2.0**-40
+"""What of a coordinate is lost in computations, at most, as long as nothing cancels out; the value is ours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +51,22 @@ def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
     Raises
     ------
     InvalidSequenceError
-        If there are more or fewer frames than the header says, or frames of another mesh.
+        If there are more or fewer frames than the header says, frames of another mesh, or lengths whose squares double
+        precision cannot hold.
     OutputError
         If there is no room for a copy.
     """
+    store = (
+        FrameStore(frames.header, frames.points)
+        if isinstance(frames, MeshSequence)
+        else _copied(frames, progress)
+    )
+    _check_lengths(store.points)
+    return store
+
+
+def _copied(frames: Frames, progress: Progress) -> FrameStore:
     header = frames.header
-    if isinstance(frames, MeshSequence):
-        return FrameStore(header, frames.points)
     count, done = header.frame_count, 0
     array: LargeArray | None = None
     for block in frames.blocks(block_size(header.vertex_count)):
@@ -63,6 +83,31 @@ def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
     if array is None or done < count:
         raise InvalidSequenceError(f"{done} frames of points but {count} times; give one time per frame")
     return FrameStore(header, array)
+
+
+def _check_lengths(points: LargeArray) -> None:
+    diagonal = bounding_diagonal(points[:1][0])
+    cure = f"from {SMALLEST:g} to {LARGEST:g} is expected; scale it, in the program it comes from"
+    if diagonal and not SMALLEST <= diagonal <= LARGEST:
+        raise InvalidSequenceError(
+            f"the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do not fit into "
+            f"double precision; {cure}"
+        )
+    largest = largest_coordinate(points)
+    if largest > LARGEST:
+        raise InvalidSequenceError(
+            f"coordinates are up to {largest:.3g} units, and their squares do not fit into double precision; {cure}"
+        )
+
+
+def largest_coordinate(points: LargeArray) -> float:
+    """Return the largest absolute value of a coordinate of points ``(T, V, 3)``."""
+    return max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(points))
+
+
+def finest(points: LargeArray) -> float:
+    """Return the smallest bound that a sequence ``(T, V, 3)`` can be computed to, in its units."""
+    return largest_coordinate(points) * _LAST_DIGITS
 
 
 def block_size(vertex_count: int) -> int:

@@ -10,8 +10,8 @@ bounding box of A's first frame:
 - *dihedral error* of a hinge: the difference of its angles, by the shorter way around, in degrees
 - *volume error* of a frame: :math:`|\mathrm{vol}_B / \mathrm{vol}_A - 1|`
 
-Frames are compared a few at a time, in float64. Percentiles are exact: they need only the largest thousandth of
-all values.
+Frames are compared a few at a time, in float64, at any scale (`mixseq.diagonal`). Percentiles are exact: they need only
+the largest thousandth of all values.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
+from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
-from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
+from mixseq.sequence import Frames, SequenceHeader
 from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
 
@@ -139,13 +140,15 @@ def compare(a: Frames, b: Frames) -> Comparison:
         len(edges)
         for edges in (topology.boundary_edges, topology.non_manifold_edges, topology.inconsistent_edges)
     )
-    squares = variation = diagonal = 0.0
+    squares = variation = 0.0
+    unit = Diagonal(0.0, 0)
     largest: list[Float] = []
     volumes: list[Float] = []
     for x, y in paired_blocks(a, b, max(1, _BLOCK // header.vertex_count)):
         if not largest:
-            diagonal = bounding_diagonal(x[0])
-        distances = np.einsum("tvi,tvi->tv", x - y, x - y)
+            unit = Diagonal.of(x[0])
+        apart, x, y = (unit.shifted(lengths) for lengths in (x - y, x, y))
+        distances = np.einsum("tvi,tvi->tv", apart, apart)
         squares += float(distances.sum())
         variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
         largest.append(np.sqrt(distances.max(axis=1)))
@@ -160,16 +163,16 @@ def compare(a: Frames, b: Frames) -> Comparison:
     return Comparison(
         frames=header.frame_count,
         vertices=header.vertex_count,
-        diagonal=diagonal,
+        diagonal=unit.length,
         kg_percent=100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
-        rms_error=_ratio(np.sqrt(squares / count), diagonal),
-        max_error=_ratio(per_frame[worst], diagonal),
+        rms_error=_ratio(np.sqrt(squares / count), unit.fraction),
+        max_error=_ratio(per_frame[worst], unit.fraction),
         worst_frame=worst,
         worst_time=float(header.times[worst]),
         edge_strain=strains.result(),
         dihedral_degrees=angles.result(),
-        volume=_volume_error(np.concatenate(volumes, axis=1), diagonal) if closed else None,
-        per_frame_max=np.array([_ratio(value, diagonal) for value in per_frame]),
+        volume=_volume_error(np.concatenate(volumes, axis=1), unit.fraction) if closed else None,
+        per_frame_max=np.array([_ratio(value, unit.fraction) for value in per_frame]),
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray
+from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons, frozen
 from mixseq.sequence_header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
@@ -162,8 +163,7 @@ class Frames(Protocol):
 
 def bounding_diagonal(points: FloatArray) -> float:
     """Length of the diagonal of the bounding box of ``(V, 3)`` points."""
-    extent = points.max(axis=0).astype(np.float64) - points.min(axis=0).astype(np.float64)
-    return float(np.linalg.norm(extent))
+    return Diagonal.of(points).length
 
 
 def collect(header: SequenceHeader, blocks: Iterable[FloatArray]) -> MeshSequence:

@@ -12,7 +12,7 @@ from mixseq import disk_array
 from mixseq.arrays import FloatArray
 from mixseq.disk_array import DiskArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.frame_store import block_size, blocks_of, frame_store
+from mixseq.frame_store import block_size, blocks_of, finest, frame_store, largest_coordinate
 from mixseq.sequence import MeshSequence, SequenceHeader
 from tests.meshes import bar
 
@@ -66,6 +66,33 @@ def test_what_streams_is_read_once(dtype: type, limit: int, monkeypatch: pytest.
 def test_unsound_streams_are_refused(frames: list[FloatArray], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):
         frame_store(Streamed(BAR.header, frames))
+
+
+@pytest.mark.parametrize(
+    ("factor", "offset", "message"),
+    [
+        (1e-310, 0.0, "e-310 units across in its first frame, .* from 1e-60 to 1e.60 is expected"),
+        (1e-61, 0.0, "e-61 units across"),
+        (1e61, 0.0, r"e\+61 units across"),
+        (1e307, 0.0, "units across"),
+        (1.0, 1e200, r"coordinates are up to 1e\+200 units"),
+    ],
+)
+@pytest.mark.parametrize("streams", [False, True])
+def test_lengths_whose_squares_do_not_fit_are_refused(
+    factor: float, offset: float, message: str, streams: bool
+) -> None:
+    points = BAR.points.copy()
+    points[3] += offset
+    far = BAR.with_points(points * factor)
+    with pytest.raises(InvalidSequenceError, match=message):
+        frame_store(Streamed(far.header, [far.points]) if streams else far)
+
+
+def test_a_first_frame_that_is_one_point_may_be_anywhere() -> None:
+    point = BAR.with_points(np.full_like(BAR.points, 1e59))
+    assert frame_store(point).points is point.points
+    assert (largest_coordinate(point.points), finest(point.points)) == (1e59, 1e59 * 2.0**-40)
 
 
 def test_blocks_depend_on_the_mesh_only() -> None:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 LAYERS = (
     ("arrays", "choices"),
-    ("compiled", "errors", "pickling", "progress", "statistics", "threads", "version"),
+    ("compiled", "diagonal", "errors", "pickling", "progress", "statistics", "threads", "version"),
     ("dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("cluster", "surface"),
     ("sequence_header",),

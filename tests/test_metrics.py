@@ -214,6 +214,17 @@ def test_a_mesh_in_one_point() -> None:
     json.dumps(plain, allow_nan=False)
 
 
+@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
+def test_scale_does_not_matter(exponent: int) -> None:
+    bent = bar()
+    off = bent.with_points(bent.points * 1.01)
+    near, far = (
+        compare(bent.with_points(np.ldexp(bent.points, shift)), off.with_points(np.ldexp(off.points, shift)))
+        for shift in (0, exponent)
+    )
+    assert far.as_dict() == {**near.as_dict(), "diagonal": np.ldexp(near.diagonal, exponent)}
+
+
 def test_percentile_of_strain() -> None:
     points, faces = grid(20, 20)
     a = still(points, faces, frames=4)

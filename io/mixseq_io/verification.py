@@ -5,7 +5,8 @@ original's first frame, or 1 if that is a single point, the promise is
 
 .. math:: \max_{tv} |A_{tv} - B_{tv}| \le \epsilon\, d
 
-and the KG error is that of `mixseq.metrics`. Frames are decoded and compared a few at a time.
+and the KG error is that of `mixseq.metrics`. Frames are decoded and compared a few at a time, at any scale: see
+`mixseq.diagonal`.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import FloatArray
+from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
 from mixseq.progress import Progress, silent
-from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
+from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
 from mixseq_io.hdf5.compressed_reader import read_container, sequence_of
@@ -141,21 +143,23 @@ class _Checked:
 
 def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
     """Compare every vertex of every frame."""
-    squares = variation = diagonal = worst = 0.0
+    squares = variation = worst = 0.0
     first, where = 0, (0, 0)
+    unit = Diagonal(0.0, 0)
     for x, y in paired_blocks(original, frames, FRAMES):
         if first == 0:
-            diagonal = bounding_diagonal(x[0]) or 1.0
-        distances = np.square(x - y).sum(axis=2)
-        squares += float(distances.sum())
-        variation += float(np.square(x - x.mean(axis=1, keepdims=True)).sum())
+            unit = Diagonal.of(x[0])
+        with np.errstate(over="ignore"):  # what overflows is infinitely far
+            distances = np.square(unit.shifted(x - y)).sum(axis=2)
+            squares += float(distances.sum())
+            variation += float(np.square(unit.shifted(x - x.mean(axis=1, keepdims=True))).sum())
         if distances.max() > worst:
             worst = float(distances.max())
             frame, vertex = np.unravel_index(distances.argmax(), distances.shape)
             where = first + int(frame), int(vertex)
         first += len(x)
     return {
-        "max_error": _ratio(np.sqrt(worst), diagonal),
+        "max_error": _ratio(np.sqrt(worst), unit.fraction or 1.0),
         "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
         "worst_frame": where[0],
         "worst_vertex": where[1],
@@ -165,4 +169,4 @@ def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
 def _ratio(value: float, unit: float) -> float:
     if value == 0:
         return 0.0
-    return float(value / unit) if unit > 0 else float("inf")
+    return float(value / unit) if 0 < unit < np.inf else float("inf")

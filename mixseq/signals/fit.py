@@ -18,7 +18,7 @@ from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
-from mixseq.signals.tolerance import LOSSLESS_TO_THE_EYE, ROUNDS, within
+from mixseq.signals.tolerance import EXACT, LOSSLESS_TO_THE_EYE, ROUNDS, made_sure, within
 from mixseq.spaces.edge.edge_space import EdgeSettings
 from mixseq.spaces.making import (
     MAKING,
@@ -79,7 +79,8 @@ def fit(
     sequence : MeshSequence or SequenceReader
         The animation.
     exact : bool
-        Keep everything: the frames are reproduced up to rounding.
+        Keep everything: the frames are reproduced up to rounding. The model is decoded at all frames to make sure that
+        no vertex is off by more than 1e-8 of the diagonal.
     tolerance : float, optional
         Largest distance of a vertex from the original, as a fraction of the bounding box's diagonal in the first
         frame. The model is decoded at all frames to make sure; number of modes and knots follow.
@@ -122,11 +123,14 @@ def fit(
     Raises
     ------
     SettingsError
-        If a setting is out of range, two contradict each other, or the space has no use for one.
+        If a setting is out of range, two contradict each other, or the space has no use for one; or if the sequence is
+        so far from the origin, beside its size, that double precision has no digits for the tolerance.
+    ReconstructionError
+        If not even the most accurate model keeps the tolerance, for another reason.
     SegmentationError
         If given parts do not fit the mesh.
     FormatError, InvalidSequenceError
-        If a sequence that is read turns out to be damaged or unsound.
+        If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     OutputError
         If there is no room for a temporary file.
 
@@ -146,19 +150,21 @@ def fit(
     chosen = space_settings(space, placement=placement, parts=parts, joint_width=joint_width, **settings)
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
     few = rank is not None or knots is not None  # numbers: they do not tell lengths and angles well enough
-    direct = exact or few
     match chosen:
         case MixedSettings() if not few:
             chosen = replace(chosen, settling_from=FAR)
         case EdgeSettings(projection="dso", shell=None):
             chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _MARGIN))
-    stages = Stages(progress, STAGES + (0 if direct else ROUNDS), sequence.header.frame_count)
+    rounds = 1 if exact else 0 if few else ROUNDS
+    stages = Stages(progress, STAGES + rounds, sequence.header.frame_count)
     work = workers or on_threads()
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
         shape_space = make_space(frames, space, chosen, work, stages.at(1, MAKING))
         encoded = encode(frames, shape_space, pose, work, stages.at(1 + MAKING))
-        if direct:
+        if exact:
+            return made_sure(build(encoded, Detail()), frames, EXACT, work, stages.at(STAGES))
+        if few:
             return build(encoded, Detail(rank=rank, knots=knots))
         return within(encoded, frames, wanted, stages.at(STAGES, ROUNDS), work)
 

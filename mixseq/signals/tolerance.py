@@ -1,10 +1,14 @@
-"""The promise of a tolerance: search for the coarsest signals whose decoded frames are all within it."""
+"""Promises, of a tolerance and of exact models: no vertex of any decoded frame is off by more, measured.
+
+For a tolerance the coarsest signals are searched for that keep it. Where not even the finest do, nothing is promised.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mixseq.frame_store import FrameStore
+from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.frame_store import FrameStore, finest, largest_coordinate
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, bounding_diagonal
@@ -13,6 +17,9 @@ from mixseq.signals.model import Model
 
 LOSSLESS_TO_THE_EYE = 5e-4
 """Default tolerance in diagonals: half a pixel, where a mesh fills a picture of 1000 pixels."""
+
+EXACT = 1e-8
+"""What an exact model may be off by in diagonals: rounding. Near the origin it is off by some 1e-15."""
 
 ENOUGH = 0.6
 """A model is not made coarser if its error is above this fraction of the tolerance."""
@@ -50,6 +57,11 @@ def within(
     -------
     Model
         Within the tolerance, measured; if nothing coarser is, the exact model.
+
+    Raises
+    ------
+    SettingsError, ReconstructionError
+        If not even that is: see `made_sure`.
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
@@ -66,7 +78,50 @@ def within(
         scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
         slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
     progress(ROUNDS, ROUNDS, "choosing modes and knots")
-    return best if best is not None else build(encoded, Detail())
+    return made_sure(build(encoded, Detail()), sequence, tolerance, workers) if best is None else best
+
+
+def made_sure(
+    model: Model,
+    sequence: FrameStore | MeshSequence,
+    promise: float,
+    workers: Executor | None = None,
+    progress: Progress = silent,
+) -> Model:
+    """Return a model that keeps a promise at all frames.
+
+    Parameters
+    ----------
+    model : Model
+        A model of the sequence.
+    sequence : FrameStore or MeshSequence
+        The original.
+    promise : float
+        Largest distance of a vertex, in diagonals.
+    workers : Executor, optional
+        Who decodes blocks of frames.
+    progress : callable, optional
+        Told when it is done.
+
+    Raises
+    ------
+    SettingsError
+        If it does not, and coordinates are so large beside the mesh that double precision has not enough digits.
+    ReconstructionError
+        If it does not for another reason.
+    """
+    error = largest_error(model, sequence, workers=workers)
+    progress(1, 1, "checking")
+    if error <= promise:
+        return model
+    missed = f"a vertex of the most accurate model is off by {error:.3g} diagonals, more than {promise:g}"
+    unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
+    if promise * unit < finest(sequence.points):
+        raise SettingsError(
+            f"{missed}: coordinates are up to {largest_coordinate(sequence.points) / unit:.3g} diagonals, beside which "
+            "double precision has no digits for that; move the sequence to the origin, or give a larger tolerance"
+        )
+    raise ReconstructionError(f"{missed}; give a larger tolerance, or another space")
 
 
 def largest_error(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,6 +76,29 @@ def test_a_bound_is_met_to_the_last_digit(
         parameters = replace(coded.parameters, max_error=float(bound), promised=promised)
         mixseq.save(path, replace(coded, parameters=parameters))
         assert mixseq.verify(path, bent_bar).holds is holds
+
+
+@pytest.mark.parametrize("exponent", [-1030, -600, -100, 0, 100, 600, 1020])
+def test_nothing_is_said_to_hold_that_does_not_at_any_scale(
+    exponent: int, path: Path, bent_bar: MeshSequence, coded: CompressedSequence
+) -> None:
+    original = bent_bar.with_points(np.ldexp(bent_bar.points, exponent))
+    lengths: dict[str, Any] = {
+        name: float(np.ldexp(getattr(coded.parameters, name), exponent))
+        for name in ("step", "diagonal", "correction")
+    }
+    mixseq.save(path, replace(coded, parameters=replace(coded.parameters, **lengths)))
+    try:
+        found = mixseq.verify(path, original)
+    except FormatError as error:  # what decodes to infinite points
+        assert "finite" in str(error)
+        return
+    decoded = mixseq.load(path).sample().points.astype(np.longdouble)
+    apart = np.ldexp(decoded - original.points, -exponent)
+    largest = np.sqrt(np.square(apart).sum(axis=2)).max() / bent_bar.diagonal
+    assert found.max_error == pytest.approx(float(largest), rel=1e-12)
+    assert found.holds is bool(largest <= BOUND)
+    assert found.holds is (abs(exponent) <= 100)
 
 
 def test_originals_stream(path: Path, bent_bar: MeshSequence) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.errors import SettingsError
+from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.prediction.operator import with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, PoseMap, fit
+from mixseq.signals.tolerance import EXACT, made_sure
 from tests.meshes import SEQUENCES, bar
 
 pytestmark = pytest.mark.slow
@@ -123,6 +124,34 @@ def test_signals_must_fit_together() -> None:
 def test_vertex_models_have_no_parts() -> None:
     with pytest.raises(SettingsError, match="the vertex space has no parts"):
         _ = fit(LONG, rank=2, space="vertex").decomposition
+
+
+@pytest.mark.parametrize(
+    "settings", [{"exact": True}, {"tolerance": 1e-9}, {"tolerance": 1e-9, "space": "vertex"}]
+)
+def test_what_doubles_have_no_digits_for_is_refused(settings: dict[str, Any]) -> None:
+    far = MeshSequence.from_arrays(LONG.points[:4] + 1e9, LONG.polygons)
+    message = (
+        r"off by .* diagonals, more than 1e-0.: coordinates are up to .* move the sequence to the origin"
+    )
+    with pytest.raises(SettingsError, match=message):
+        fit(far, **settings)
+    assert mixseq.compare(far, fit(far, tolerance=1e-3).sample()).max_error <= 1e-3
+
+
+def test_growth_that_leaves_too_few_digits_is_refused() -> None:
+    growing = LONG.points * np.geomspace(1e-6, 1e6, 30)[:, None, None]
+    with pytest.raises(SettingsError, match=r"more than 0\.0001: coordinates are up to .* diagonals"):
+        fit(LONG.with_points(growing), tolerance=1e-4)
+
+
+def test_a_model_that_is_off_is_never_returned() -> None:
+    model = fit(LONG, rank=1, space="vertex")
+    with pytest.raises(
+        ReconstructionError, match="more than 1e-08; give a larger tolerance, or another space"
+    ):
+        made_sure(model, LONG, EXACT)
+    assert made_sure(model, LONG, 1.0) is model
 
 
 def test_one_frame() -> None:

@@ -169,7 +169,10 @@ def to_model(coded: CompressedSequence) -> Model:
     """
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
-    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore"):  # what is not finite is damaged
+    with (
+        one_blas_thread(),
+        np.errstate(divide="ignore", over="ignore", invalid="ignore"),
+    ):  # what is not finite is damaged
         basis = decode_basis(coded, graph)
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):

@@ -14,7 +14,7 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.search import ROUNDS, Search
 from mixseq.coding.encoder.trial import Trial, width
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.frame_store import FrameStore, blocks_of, frame_store
+from mixseq.frame_store import FrameStore, blocks_of, finest, frame_store, largest_coordinate
 from mixseq.progress import Progress, Stages, silent
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
 from mixseq.threads import one_blas_thread
@@ -51,7 +51,10 @@ def compress(
     Raises
     ------
     SettingsError
-        If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached.
+        If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached,
+        or `max_error` is beyond the digits of the coordinates.
+    FormatError, InvalidSequenceError
+        If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     """
     check_frames(sequence)
     _check(max_error, kg, size)
@@ -85,8 +88,7 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
 
 def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
-    largest = max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(sequence.points))
-    last = largest * 2.0**-40
+    largest, last = largest_coordinate(sequence.points), finest(sequence.points)
     if bound < last:
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
