@@ -12,7 +12,7 @@ import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -49,6 +49,14 @@ A script has a table for every edit:
 @click.argument("source", metavar="MODEL", type=FILE)
 @click.argument("target", metavar="OUT", type=FILE)
 @click.option("--script", required=True, type=FILE, metavar="FILE", help="The edits, a TOML file.")
+@setting(
+    "--files-from",
+    "folders",
+    type=FILE,
+    multiple=True,
+    metavar="FOLDER",
+    help="Let the script read files in this folder, too, besides its own; may be given several times.",
+)
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1_000_000),
@@ -68,6 +76,7 @@ def command(
     source: Path,
     target: Path,
     script: Path,
+    folders: tuple[Path, ...],
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
@@ -81,7 +90,7 @@ def command(
     Edits are applied in the order of the script, a TOML file. Operations are cut, repeat, loop, shift, speed,
     reverse, retime, concatenate, transition, blend, exaggerate, exaggerate_part, hold, smooth, sculpt, drag, sketch
     and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script are
-    relative to it.
+    relative to it, and lead to its folder or those below.
     """
     from mixseq.operations.arguments import Readers
     from mixseq.operations.script import read_script
@@ -102,6 +111,7 @@ def command(
         Readers(
             model=lambda path: mixseq.load(unlike_target(path)),
             mesh=lambda path: mixseq.read(unlike_target(path)),
+            folders=folders,
         ),
     )
     rows = []

@@ -20,10 +20,19 @@ from mixseq.signals.model import Model
 
 
 class Readers(NamedTuple):
-    """How to read files; the core knows no formats."""
+    """How to read files; the core knows no formats.
+
+    Attributes
+    ----------
+    model, mesh : callable
+        Read a file.
+    folders : tuple of Path
+        Where files may be besides the script's folder and those below.
+    """
 
     model: Callable[[Path], Model]
     mesh: Callable[[Path], MeshSequence]
+    folders: tuple[Path, ...] = ()
 
 
 Read = Callable[[Any, Path, Readers], Any]
@@ -104,18 +113,28 @@ def _fits(value: Any, hint: Any) -> bool:
     return type(value) is hint
 
 
-def _path(value: Any, folder: Path) -> Path:
-    if not isinstance(value, str):
+def _path(value: Any, folder: Path, readers: Readers) -> Path:
+    """Return a file that a script may read: what comes with it, not what else there is on the machine."""
+    if not isinstance(value, str) or "\0" in value:
         raise WrongTypeError
-    return folder / value
+    path = folder / value
+    found = path.resolve()  # links count as what they lead to
+    if not any(found.is_relative_to(each.resolve()) for each in (folder, *readers.folders)):
+        raise FormatError(
+            f"{value!r} is not in the script's folder, {folder.resolve()}, or below; if you trust the script, name "
+            "the folder where the file is: --files-from FOLDER"
+        )
+    if not path.is_file():
+        raise FormatError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
+    return path
 
 
 def _model(value: Any, folder: Path, readers: Readers) -> Model:
-    return readers.model(_path(value, folder))
+    return readers.model(_path(value, folder, readers))
 
 
 def _mesh(value: Any, folder: Path, readers: Readers) -> MeshSequence:
-    path = _path(value, folder)
+    path = _path(value, folder, readers)
     mesh = readers.mesh(path)
     if mesh.frame_count != 1:
         raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
@@ -129,7 +148,7 @@ def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
         if pairs is None:
             raise WrongTypeError
         return pairs
-    path = _path(value, folder)
+    path = _path(value, folder, readers)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -164,7 +183,11 @@ def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
 
 
 def _keys(value: Any, folder: Path, readers: Readers) -> Float:
-    return _pairs(value, folder, readers) if isinstance(value, list) else read_keys(_path(value, folder))
+    return (
+        _pairs(value, folder, readers)
+        if isinstance(value, list)
+        else read_keys(_path(value, folder, readers))
+    )
 
 
 FILES: Mapping[str, tuple[str, str, Read]] = {

@@ -89,12 +89,13 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
     path : Path
         A TOML file.
     readers : Readers
-        What reads models and meshes; paths in the script are relative to it.
+        What reads models and meshes; paths in the script are relative to it. They may lead to its folder and those
+        below, and to the folders that the readers name.
 
     Raises
     ------
     FormatError
-        If the script, or a file that it names, cannot be read.
+        If the script, or a file that it names, cannot be read, or the file is in another folder.
     SettingsError
         If an operation or a key is not known, is missing, or has a value of the wrong type. The message names the
         number of the table, from 1 on, and the key.

@@ -78,7 +78,11 @@ def test_files_are_found_from_the_script(run: Run, folder: Path, bar_model: Mode
     (folder / "scripts" / "over.toml").write_text(
         '[[edit]]\noperation = "transition"\nb = "../model.hdf5"\nat = 0.1\nduration = 0.2\n'
     )
-    assert run("edit", "model.h5", "new.h5", "--script", "scripts/over.toml").exit_code == 0
+    refused = run("edit", "model.h5", "new.h5", "--script", "scripts/over.toml")
+    assert refused.exit_code == 2
+    assert "'../model.hdf5' is not in the script's folder" in refused.stderr
+    allowed = run("edit", "model.h5", "new.h5", "--script", "scripts/over.toml", "--set", "files_from=.")
+    assert allowed.exit_code == 0
     expected = transition(bar_model, bar_model, 0.1, 0.2)
     np.testing.assert_allclose(mixseq.load("new.h5").times, expected.times)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable, Sequence
 from inspect import signature
@@ -39,6 +40,8 @@ def edits(tmp_path: Path) -> Callable[[str], list[Edit]]:
 
     def read_text(text: str) -> list[Edit]:
         (tmp_path / "edits.toml").write_text(text, encoding="utf-8")
+        for name in ("other.h5", "one.obj", "many.obj"):
+            (tmp_path / name).touch()
         return read_script(tmp_path / "edits.toml", Readers(load, read))
 
     return read_text
@@ -167,11 +170,11 @@ def test_what_is_wrong_is_told(edits: Edits, text: str, message: str) -> None:
         (table('operation = "concatenate"\nb = "none.h5"'), r"edit 1 \(concatenate\): b: .*none.h5 does not"),
         (
             table('operation = "retime"\nkeys = "none.csv"'),
-            r"edit 1 \(retime\): keys: .*none.csv cannot be read",
+            r"edit 1 \(retime\): keys: .*none.csv does not exist",
         ),
         (
             table('operation = "blend"\nb = "other.h5"\nweight = "none.csv"'),
-            "weight: .*none.csv cannot be read",
+            "weight: .*none.csv does not exist",
         ),
         (
             table('operation = "blend"\nb = "other.h5"\nweight = "edits.toml"'),
@@ -182,6 +185,46 @@ def test_what_is_wrong_is_told(edits: Edits, text: str, message: str) -> None:
 def test_files_that_cannot_be_read(edits: Edits, text: str, message: str) -> None:
     with pytest.raises(FormatError, match=message):
         edits(text)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        'operation = "retime"\nkeys = "{}"',
+        'operation = "concatenate"\nb = "{}"',
+        'operation = "blend"\nb = "other.h5"\nweight = "{}"',
+        'operation = "sculpt"\ntime = 0.1\nmesh = "{}"',
+        'operation = "sketch"\ncurve = "{}"',
+    ],
+)
+def test_files_elsewhere_are_not_read(tmp_path: Path, table: str) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    secret = tmp_path / "elsewhere" / "secret.csv"
+    secret.write_text("name,password\n")
+    (tmp_path / "script" / "below").mkdir(parents=True)
+    (tmp_path / "script" / "link.csv").symlink_to(secret)
+    (tmp_path / "script" / "other.h5").touch()
+    os.mkfifo(tmp_path / "script" / "pipe.csv")
+    script = tmp_path / "script" / "edits.toml"
+    for name in ("../elsewhere/secret.csv", str(secret), "below/../../elsewhere/secret.csv", "link.csv"):
+        script.write_text("[[edit]]\n" + table.format(name))
+        with pytest.raises(FormatError, match=r"is not in the script's folder, .*--files-from") as caught:
+            read_script(script, Readers(load, read))
+        assert "password" not in str(caught.value)
+    for name, message in (("pipe.csv", "pipe.csv is not a file"), ("below", "below is not a file")):
+        script.write_text("[[edit]]\n" + table.format(name))
+        with pytest.raises(FormatError, match=message):
+            read_script(script, Readers(load, read))
+
+
+def test_files_elsewhere_are_read_where_that_is_allowed(tmp_path: Path) -> None:
+    (tmp_path / "script").mkdir()
+    (tmp_path / "keys.csv").write_text("0,0\n1,2\n")
+    (script := tmp_path / "script" / "edits.toml").write_text(
+        '[[edit]]\noperation = "retime"\nkeys = "../keys.csv"\n'
+    )
+    (edit,) = read_script(script, Readers(load, read, (tmp_path,)))
+    np.testing.assert_array_equal(edit.arguments["keys"], [[0, 0], [1, 2]])
 
 
 def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
@@ -241,6 +284,8 @@ def test_keys_are_parameters_and_their_types(tmp_path: Path) -> None:
         "where": ("where", False, "'here' or 'there'"),
         "start": ("start", False, "a number"),
     }
+    for name in ("one.obj", "three.obj"):
+        (tmp_path / name).touch()
     readers = Readers(load, read)
     mesh = keys["mesh"].read("one.obj", tmp_path, readers)
     np.testing.assert_array_equal(mesh.points[0], bar(5, 15, frames=1).points[0])
