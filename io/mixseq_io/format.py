@@ -12,6 +12,9 @@ from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
+from mixseq_io.rounding import Rounding
+
+SINGLE = "float32"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +40,7 @@ class Holds:
 
     animation: str
     polygons: str = "any"
-    points: str = "float32"
+    points: str = SINGLE
     times: str = "any"
     uvs: bool = True
     hard_edges: bool = True
@@ -102,7 +105,11 @@ class Format:
     ) -> None:
         """Write a file, see `mixseq_io.write_blocks`."""
         self._check_options("written", self.write_options, options)
+        rounding = Rounding()
+        if self.holds.points == SINGLE:
+            blocks = rounding.watched(blocks)
         loaded(self.writer)(path, header, blocks, velocities, **options)
+        rounding.warn(path, self.name)
 
     def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
         for option in given:

@@ -1,0 +1,71 @@
+"""How far vertices move when points are rounded to single precision, as most formats do; told in a warning.
+
+A float32 has 24 binary digits. So a vertex at a distance of c diagonals from the origin moves by up to about 1e-7 c
+diagonals, which is nothing to worry about unless the mesh is far away, or hardly larger than zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.arrays import Float, FloatArray
+from mixseq.diagonal import Diagonal
+from mixseq_io.blocks import warn
+
+VISIBLE = 1e-4
+"""In diagonals, from where on it is told: a fifth of what is lossless to the eye; the value is ours."""
+
+_FRAMES = 8  # measured at once
+
+_HALF_DIGIT = 2.0**-24, 2.0**-150  # what rounding changes at most: relative to a coordinate, and near zero
+
+
+class Rounding:
+    """Watches points on their way to a file of single precision.
+
+    Attributes
+    ----------
+    error : float
+        Largest distance that a vertex has moved so far, in diagonals of the first frame.
+    frame : int
+        Where that was.
+    """
+
+    def __init__(self) -> None:
+        self.error, self.frame = 0.0, 0
+
+    def watched(self, blocks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Yield blocks ``(B, V, 3)``, and measure each when the writer, who checks them, comes back for more."""
+        unit, first = None, 0
+        for block in blocks:
+            yield block
+            points = np.asarray(block)
+            if points.dtype == np.float32 or not points.size:
+                continue
+            unit = unit or Diagonal.of(points[0])
+            for start in range(0, len(points), _FRAMES):
+                self._measure(points[start : start + _FRAMES], first + start, unit)
+            first += len(points)
+
+    def _measure(self, points: FloatArray, first: int, unit: Diagonal) -> None:
+        relative, least = _HALF_DIGIT
+        largest = max(float(points.max()), -float(points.min()))
+        if 2 * max(relative * largest, least) < VISIBLE * unit.length:
+            return  # the usual case: nothing can be that far off
+        with np.errstate(over="ignore", under="ignore"):
+            apart: Float = unit.shifted(points - points.astype(np.float32))
+            errors = np.sqrt(np.square(apart).sum(axis=2).max(axis=1)) / (unit.fraction or 1.0)
+        if errors.max() > self.error:
+            self.error, self.frame = float(errors.max()), first + int(errors.argmax())
+
+    def warn(self, path: Path, files: str) -> None:
+        """Warn of files of a kind ("USD") in which vertices are visibly off."""
+        if self.error > VISIBLE:
+            warn(
+                f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "
+                f"the diagonal, most in frame {self.frame}; write .npz, .h5 or .ply, which hold doubles, or move the "
+                "sequence to the origin"
+            )
