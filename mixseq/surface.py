@@ -92,12 +92,15 @@ class MeshObject:
         Where it is in the file it came from: the path of a USD prim, Alembic object or glTF node.
     vertex_count, polygon_count : int
         How many vertices and polygons are its own.
+    subdivision : str, optional
+        How renderers subdivide it, if otherwise than `Surface.subdivision` says.
     """
 
     name: str
     path: str
     vertex_count: int
     polygon_count: int
+    subdivision: str | None = None
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,7 @@ class Surface:
     objects : tuple of MeshObject
         The meshes that the sequence joins, in order; empty if nothing is known of them.
     subdivision : {"none", "catmullClark", "loop", "bilinear"}
-        How renderers subdivide the mesh.
+        How renderers subdivide the mesh, all objects that have no scheme of their own.
     origin : Origin, optional
         The file it was read from.
     """
@@ -150,10 +153,19 @@ class Surface:
         object.__setattr__(self, "objects", tuple(self.objects))
         if self.hard_edges is not None:
             object.__setattr__(self, "hard_edges", _flat(self.hard_edges, "hard edges"))
-        if self.subdivision not in SUBDIVISIONS:
-            raise InvalidSequenceError(
-                f"subdivision is {self.subdivision!r}; one of {', '.join(SUBDIVISIONS)} is expected"
-            )
+        for scheme in {self.subdivision: None} | dict.fromkeys(self.subdivisions):
+            if scheme not in SUBDIVISIONS:
+                raise InvalidSequenceError(
+                    f"subdivision is {scheme!r}; one of {', '.join(SUBDIVISIONS)} is expected"
+                )
+
+    @property
+    def subdivisions(self) -> tuple[str, ...]:
+        """How renderers subdivide each of the objects, or the mesh if nothing is known of them."""
+        own = tuple(
+            self.subdivision if each.subdivision is None else each.subdivision for each in self.objects
+        )
+        return own or (self.subdivision,)
 
     def __repr__(self) -> str:
         held = {
@@ -161,7 +173,8 @@ class Surface:
             "hard_edges": self.hard_edges is not None and "yes",
             "face_sets": self.face_sets and [each.name for each in self.face_sets],
             "objects": self.objects and [each.path or each.name for each in self.objects],
-            "subdivision": self.subdivision != "none" and repr(self.subdivision),
+            "subdivision": any(each != "none" for each in self.subdivisions)
+            and ", ".join(map(repr, dict.fromkeys(self.subdivisions))),
             "origin": self.origin is not None and repr(self.origin.path),
         }
         return f"Surface({', '.join(f'{name}={value}' for name, value in held.items() if value)})"

@@ -63,8 +63,24 @@ def test_a_mesh_is_its_own_object() -> None:
         ),
         ({"hard_edges": np.zeros(7)}, "hard edges have type float64; integers are expected"),
         ({"subdivision": "butterfly"}, "subdivision is 'butterfly'; one of none, catmullClark"),
+        (
+            {"objects": [MeshObject("a", "", 7, 2, subdivision="butterfly")]},
+            "subdivision is 'butterfly'; one of none, catmullClark",
+        ),
     ],
-    ids=["few", "range", "three", "hard", "negative", "polygon", "count", "astray", "floats", "scheme"],
+    ids=[
+        "few",
+        "range",
+        "three",
+        "hard",
+        "negative",
+        "polygon",
+        "count",
+        "astray",
+        "floats",
+        "scheme",
+        "own",
+    ],
 )
 def test_refusals(surface: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):

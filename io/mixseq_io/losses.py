@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq.surface import Surface
 from mixseq_io.blocks import warn
 
 
@@ -44,9 +45,15 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
         "hard_edges": surface.hard_edges is not None and "hard edges",
         "face_sets": bool(surface.face_sets) and "face sets",
         "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
-        "subdivision": surface.subdivision != "none" and f"{surface.subdivision} subdivision",
+        "subdivision": lost_subdivision(surface),
     }
     return [words for name, words in present.items() if words and name not in held]
+
+
+def lost_subdivision(surface: Surface) -> str:
+    """Return the words for subdivision that is lost, none if there is no scheme."""
+    schemes = [each for each in dict.fromkeys(surface.subdivisions) if each != "none"]
+    return f"{' and '.join(schemes)} subdivision" if schemes else ""
 
 
 def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:

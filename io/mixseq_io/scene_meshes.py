@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from mixseq.arrays import IntArray
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq_io.blocks import warn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,33 +50,22 @@ class SceneMesh:
         return int(self.vertices.stop - self.vertices.start)
 
 
-def join(path: Path, meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
+def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
     """Join meshes, whose vertices follow each other, into one.
 
     Parameters
     ----------
-    path : Path
-        The file, for warnings.
     meshes : sequence of SceneMesh
         The meshes, at least one.
     origin : Origin or None
         What the surface shall tell about the file.
-
-    Warns
-    -----
-    MixseqWarning
-        If some of the meshes are subdivided differently; the sequence has what most have.
     """
     polygons = Polygons(
         np.concatenate([mesh.polygons.counts for mesh in meshes]),
         np.concatenate([mesh.polygons.indices + mesh.vertices.start for mesh in meshes]),
     )
     first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
-    schemes = Counter(mesh.subdivision for mesh in meshes)
-    if len(schemes) > 1:
-        warn(
-            f"{path}: its meshes are subdivided differently; {schemes.most_common(1)[0][0]!r} is kept for all"
-        )
+    usual = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(
         uvs=_joined_uvs(meshes),
         hard_edges=_joined_hard_edges(meshes),
@@ -88,9 +75,16 @@ def join(path: Path, meshes: Sequence[SceneMesh], origin: Origin | None) -> tupl
             for each in mesh.face_sets
         ),
         objects=tuple(
-            MeshObject(mesh.name, mesh.path, mesh.vertex_count, len(mesh.polygons.counts)) for mesh in meshes
+            MeshObject(
+                mesh.name,
+                mesh.path,
+                mesh.vertex_count,
+                len(mesh.polygons.counts),
+                subdivision=None if mesh.subdivision == usual else mesh.subdivision,
+            )
+            for mesh in meshes
         ),
-        subdivision=schemes.most_common(1)[0][0],
+        subdivision=usual,
         origin=origin,
     )
     return polygons, surface
@@ -137,23 +131,34 @@ def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]
 
 
 def split(header: SequenceHeader) -> list[SceneMesh]:
-    """Return the meshes that a sequence joins, in order; their vertices follow each other."""
+    """Return the meshes that a sequence joins, in order; their vertices follow each other.
+
+    What `join` gave to meshes that had no texture coordinates or hard edges, beside others that had some, is taken off.
+    """
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
+    several = len(header.objects) > 1
     meshes, vertex, polygon = [], 0, 0
-    for each in header.objects:
+    for each, scheme in zip(header.objects, surface.subdivisions, strict=True):
         end = polygon + each.polygon_count
         inside = slice(int(corners[polygon]), int(corners[end]))
+        own = Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex)
+        uvs = None if surface.uvs is None else _used(surface.uvs.values, surface.uvs.indices[inside])
+        hard_edges = None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside])
+        if several and uvs is not None and not uvs.values.any():
+            uvs = None
+        if several and hard_edges is not None and _is_smooth(own, hard_edges):
+            hard_edges = None
         meshes.append(
             SceneMesh(
                 name=each.name,
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
-                polygons=Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex),
-                uvs=None if surface.uvs is None else _used(surface.uvs.values, surface.uvs.indices[inside]),
-                hard_edges=None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside]),
+                polygons=own,
+                uvs=uvs,
+                hard_edges=hard_edges,
                 face_sets=tuple(_inside(surface.face_sets, polygon, end)),
-                subdivision=surface.subdivision,
+                subdivision=scheme,
             )
         )
         vertex, polygon = vertex + each.vertex_count, end
@@ -167,6 +172,12 @@ def _used(values: NDArray[np.float32], indices: IntArray) -> CornerValues:
 
 def _renumbered(hard_edges: IntArray) -> IntArray:
     return np.unique(hard_edges, return_inverse=True)[1].astype(np.int32)
+
+
+def _is_smooth(polygons: Polygons, hard_edges: IntArray) -> bool:
+    """Whether all corners of every vertex, and no others, share a normal."""
+    pairs = np.unique(np.column_stack([polygons.indices, hard_edges]), axis=0)
+    return all(len(np.unique(column)) == len(pairs) for column in pairs.T)
 
 
 def _inside(face_sets: Sequence[FaceSet], first: int, end: int) -> list[FaceSet]:

@@ -13,7 +13,8 @@ array                     shape                 meaning
 ``object_names``          (M,) str              the meshes that the sequence joins
 ``object_paths``          (M,) str              where they are in the file they came from
 ``object_sizes``          (M, 2) int32          numbers of their vertices and polygons
-``subdivision``           (1,) str              how renderers subdivide, absent for "none"
+``object_subdivisions``   (M,) str              how renderers subdivide each, absent where all are alike
+``subdivision``           (1,) str              how they subdivide, or most of the meshes; absent for "none"
 ``origin``                (2,) str              format and path of the file that it was read from
 ========================  ====================  =====================================================
 
@@ -39,6 +40,7 @@ _GROUPS = (
     ("creases",),
     ("face_set_names", "face_set_materials", "face_set_sizes", "face_set_polygons"),
     ("object_names", "object_paths", "object_sizes"),
+    ("object_subdivisions",),
     ("subdivision",),
     ("origin",),
 )
@@ -69,6 +71,8 @@ def surface_arrays(surface: Surface) -> Arrays:
                 [(each.vertex_count, each.polygon_count) for each in objects], dtype=np.int32
             ),
         }
+    if len(set(surface.subdivisions)) > 1:
+        arrays["object_subdivisions"] = np.array(surface.subdivisions)
     if surface.subdivision != "none":
         arrays["subdivision"] = np.array([surface.subdivision])
     if surface.origin is not None:
@@ -138,11 +142,17 @@ def _face_sets(arrays: Mapping[str, NDArray[Any]]) -> tuple[FaceSet, ...]:
 def _objects(arrays: Mapping[str, NDArray[Any]]) -> tuple[MeshObject, ...]:
     names, paths = arrays["object_names"].reshape(-1), arrays["object_paths"].reshape(-1)
     sizes = _whole_numbers(arrays, "object_sizes")
-    if not len(names) == len(paths) == len(sizes) or sizes.shape[1:] != (2,):
-        raise InvalidSequenceError("the objects' names, paths and sizes do not fit each other")
+    usual = str(arrays["subdivision"].item()) if "subdivision" in arrays else "none"
+    schemes = arrays.get("object_subdivisions", np.full(len(names), usual)).reshape(-1)
+    if not len(names) == len(paths) == len(sizes) == len(schemes) or sizes.shape[1:] != (2,):
+        raise InvalidSequenceError(
+            "the objects' names, paths, sizes and schemes of subdivision do not fit each other"
+        )
     return tuple(
-        MeshObject(str(name), str(path), int(vertices), int(polygons))
-        for name, path, (vertices, polygons) in zip(names, paths, sizes, strict=True)
+        MeshObject(
+            str(name), str(path), int(vertices), int(polygons), None if scheme == usual else str(scheme)
+        )
+        for name, path, (vertices, polygons), scheme in zip(names, paths, sizes, schemes, strict=True)
     )
 
 

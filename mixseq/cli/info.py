@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,8 +88,9 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
                 "path": each.path,
                 "vertices": each.vertex_count,
                 "polygons": each.polygon_count,
+                "subdivision": scheme,
             }
-            for each in surface.objects
+            for each, scheme in zip(surface.objects, surface.subdivisions, strict=False)
         ],
         "face_sets": [
             {"name": each.name, "polygons": len(each.polygons), "material": each.material}
@@ -185,7 +187,12 @@ def _surface_rows(surface: dict[str, Any]) -> Rows:
         rows.append(("texture", f"{surface['uvs']:,} coordinates"))
     if surface["creases"]:
         rows.append(("hard edges", "yes"))
-    if surface["subdivision"] != "none":
+    schemes = Counter(each["subdivision"] for each in objects)
+    if len(schemes) > 1:
+        rows.append(
+            ("subdivision", ", ".join(f"{name} of {count:,}" for name, count in schemes.most_common()))
+        )
+    elif surface["subdivision"] != "none":
         rows.append(("subdivision", surface["subdivision"]))
     return rows
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -15,6 +16,7 @@ from click.testing import Result
 import mixseq
 from mixseq.cli import main
 from mixseq.sequence import MeshSequence
+from mixseq.surface import MeshObject, Surface
 
 pytestmark = pytest.mark.slow
 
@@ -100,6 +102,14 @@ def test_info_of_numbered_files(run: Run, folder: Path) -> None:
     for name in ("obj", "obj/bar_####.obj", "obj/bar_*.obj"):
         facts = json.loads(succeed(run("info", name, "--json", "--input-fps", "10")))
         assert (facts["frames"], facts["fps"], facts["bytes"]) == (4, 10, {"total": None})
+
+
+def test_info_of_meshes_that_are_subdivided_differently(run: Run, bent_bar: MeshSequence) -> None:
+    halves = MeshObject("body", "/body", 77, 150, "loop"), MeshObject("sword", "/sword", 0, 0)
+    mixseq.write("halves.npz", replace(bent_bar, surface=Surface(objects=halves)))
+    assert rows(succeed(run("info", "halves.npz")))["subdivision"].strip() == "loop of 1, none of 1"
+    surface = json.loads(succeed(run("info", "halves.npz", "--json")))["surface"]
+    assert [each["subdivision"] for each in surface["objects"]] == ["loop", "none"]
 
 
 def test_quiet_info(run: Run) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mixseq.errors import MixseqWarning
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, Origin
 from mixseq_io.scene_meshes import SceneMesh, join, split
+from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
 
 QUAD = SceneMesh(
     name="quad",
@@ -32,7 +32,7 @@ PAIR = SceneMesh(
 
 
 def joined() -> SequenceHeader:
-    polygons, surface = join(Path("walk.usd"), [QUAD, PAIR], Origin("USD", "/walk.usd"))
+    polygons, surface = join([QUAD, PAIR], Origin("USD", "/walk.usd"))
     return SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
 
 
@@ -75,13 +75,25 @@ def test_a_sequence_without_objects_is_one_piece() -> None:
     assert mesh.uvs is None and mesh.hard_edges is None and mesh.face_sets == ()
 
 
-def test_different_subdivision_is_told() -> None:
-    smooth = SceneMesh(
-        name="smooth",
-        path="/a/smooth",
-        vertices=slice(4, 8),
-        polygons=QUAD.polygons,
-        subdivision="catmullClark",
-    )
-    with pytest.warns(MixseqWarning, match="subdivided differently; 'none' is kept"):
-        assert join(Path("walk.usd"), [QUAD, smooth], None)[1].subdivision == "none"
+def test_meshes_keep_what_they_had() -> None:
+    """A body that is subdivided, with texture coordinates, and a sword with hard edges."""
+    body = replace(QUAD, subdivision="catmullClark")
+    polygons, surface = join([body, PAIR], None)
+    assert surface.subdivisions == ("catmullClark", "none")
+    header = SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
+    first, second = split(header)
+    assert (first.subdivision, second.subdivision) == ("catmullClark", "none")
+    assert first.uvs is not None and second.uvs is None
+    assert first.hard_edges is None and second.hard_edges is not None
+
+
+@pytest.mark.parametrize(("body", "sword"), [("none", "loop"), ("loop", "none"), ("loop", "bilinear")])
+def test_subdivision_through_arrays(body: str, sword: str) -> None:
+    _, surface = join([replace(QUAD, subdivision=body), replace(PAIR, subdivision=sword)], None)
+    assert surface_of_arrays(surface_arrays(surface)).subdivisions == (body, sword)
+
+
+def test_meshes_that_are_subdivided_alike_are_stored_as_before() -> None:
+    _, surface = join([replace(mesh, subdivision="loop") for mesh in (QUAD, PAIR)], None)
+    assert surface.subdivision == "loop" and {each.subdivision for each in surface.objects} == {None}
+    assert "object_subdivisions" not in surface_arrays(surface)

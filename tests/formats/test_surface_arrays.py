@@ -20,7 +20,7 @@ def full() -> Surface:
             FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"),
             FaceSet("empty", np.array([], dtype=int)),
         ),
-        objects=(MeshObject("a", "/w/a", 4, 1), MeshObject("ä", "/w/ä", 3, 1)),
+        objects=(MeshObject("a", "/w/a", 4, 1), MeshObject("ä", "/w/ä", 3, 1, subdivision="none")),
         subdivision="loop",
         origin=Origin("glTF", "/tmp/走る.glb"),
     )
@@ -66,10 +66,11 @@ def without(*names: str) -> Callable[[Arrays], Arrays]:
         (lambda a: a | {"face_set_sizes": np.array([1, 2])}, "do not fit each other"),
         (lambda a: a | {"face_set_sizes": np.array([3, -1])}, "do not fit each other"),
         (lambda a: a | {"object_sizes": np.zeros((2, 3), dtype=int)}, "do not fit each other"),
+        (lambda a: a | {"object_subdivisions": np.array(["loop"])}, "schemes of subdivision do not fit"),
         (lambda a: a | {"creases": np.zeros(7)}, "creases of the surface are float64; integers are expected"),
         (lambda a: a | {"origin": np.array(["USD"])}, "not a format and a path"),
     ],
-    ids=["half", "two", "sum", "negative", "columns", "floats", "origin"],
+    ids=["half", "two", "sum", "negative", "columns", "schemes", "floats", "origin"],
 )
 def test_refusals(change: Callable[[Arrays], Arrays], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):

@@ -65,9 +65,7 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         frames = _frames(meshes)
         room = path.stat().st_size
         animated_meshes = _animated_meshes(path, room, meshes, frames)
-        polygons, surface = join(
-            path, [read_scene_mesh(animated.source) for animated in animated_meshes], None
-        )
+        polygons, surface = join([read_scene_mesh(animated.source) for animated in animated_meshes], None)
         metadata = archive.getTop().getMetaData()
         header = SequenceHeader(
             polygons=polygons,

@@ -146,7 +146,7 @@ def _check_room(path: Path, size: int) -> None:
 def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
     """Return what Alembic has no place for."""
     lost = lost_scale(header, moving=False)
-    if header.surface.hard_edges is not None and header.surface.subdivision != "none":
+    if any(each.subdivided and each.scene_mesh.hard_edges is not None for each in targets):
         lost.append("hard edges of subdivided meshes")
     names = {header.name, *(target.scene_mesh.name for target in targets if len(targets) > 1)}
     changed = sorted(repr(name) for name in names if valid_name(name) != name)

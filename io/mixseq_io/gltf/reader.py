@@ -189,7 +189,7 @@ class _GltfReader(SequenceReader):
             for shape, first, flip in zip(shapes, ends, mirrored, strict=False)
         ]
         path = document.path
-        polygons, surface = join(path, scene_meshes, Origin("glTF", str(path.resolve())))
+        polygons, surface = join(scene_meshes, Origin("glTF", str(path.resolve())))
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=ends[-1],

@@ -19,7 +19,7 @@ from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
-from mixseq_io.losses import warn_of_losses
+from mixseq_io.losses import lost_subdivision, warn_of_losses
 from mixseq_io.reader import reading
 from mixseq_io.scene_meshes import SceneMesh, split
 
@@ -112,8 +112,9 @@ def lost_alone(header: SequenceHeader) -> list[str]:
     lost = []
     if not header.polygons.only_triangles:
         lost.append("polygons other than triangles (they are cut)")
-    if header.surface.subdivision != "none":
-        lost.append(f"{header.surface.subdivision} subdivision")
+    subdivision = lost_subdivision(header.surface)
+    if subdivision:
+        lost.append(subdivision)
     meshes = split(header)
     if any(_overlap(mesh) for mesh in meshes):
         lost.append("face sets that overlap")

@@ -172,7 +172,7 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
         scene_mesh_of(mesh, end - mesh.vertex_count, shot.codes, notes)
         for mesh, end in zip(shot.meshes, ends, strict=True)
     ]
-    polygons, surface = join(path, scene_meshes, Origin("USD", absolute(path)))
+    polygons, surface = join(scene_meshes, Origin("USD", absolute(path)))
     return SequenceHeader(
         polygons=polygons,
         vertex_count=ends[-1],

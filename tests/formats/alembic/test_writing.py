@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,14 @@ def test_losses_are_told(path: Path) -> None:
     )
     with pytest.warns(MixseqWarning, match="cannot hold hard edges of subdivided meshes"):
         save(path, caged)
+
+
+def test_a_sword_with_hard_edges_beside_a_subdivided_body(path: Path, joined: MeshSequence) -> None:
+    body, sword = joined.objects
+    hard_edges = np.concatenate([TRIANGLES.indices, 4 + np.arange(6)])
+    surface = Surface(objects=(replace(body, subdivision="loop"), sword), hard_edges=hard_edges)
+    save(path, replace(joined, surface=surface))
+    assert load(path).surface.subdivisions == ("loop", "none")
 
 
 def test_too_large_for_float32(path: Path) -> None:

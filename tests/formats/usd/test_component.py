@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import MeshSequence, Polygons, header_fields
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
-from mixseq_io import open_sequence, write
+from mixseq_io import open_sequence, read, write
 from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, paint, problems, save, shot
 
 
@@ -153,6 +154,18 @@ def test_normals_follow_the_hard_edges(path: Path) -> None:
     stage = save(path, shot(hard_edges=hard_edges, subdivision="catmullClark"))
     assert not mesh_at(stage, "/mesh/mesh").GetNormalsAttr().HasAuthoredValue()
     assert mesh_at(stage, "/mesh/mesh").GetSubdivisionSchemeAttr().Get() == "catmullClark"
+
+
+def test_meshes_keep_their_own_subdivision(path: Path, tmp_path: Path) -> None:
+    """A sword without subdivision leaves the body its own, also through HDF5."""
+    objects = (MeshObject("body", "", 5, 2, subdivision="catmullClark"), MeshObject("sword", "", 3, 1))
+    points = np.concatenate([lift(), 5 + lift()[:, :3]], axis=1)
+    plain = MeshSequence.from_arrays(points, FACES_OF_TWO)
+    write(tmp_path / "pair.h5", replace(plain, surface=Surface(objects=objects)))
+    stage = save(path, read(tmp_path / "pair.h5"))
+    schemes = [mesh_at(stage, f"/mesh/{name}").GetSubdivisionSchemeAttr().Get() for name in ("body", "sword")]
+    assert schemes == ["catmullClark", "none"]
+    assert load(path).surface.subdivisions == ("catmullClark", "none")
 
 
 def test_a_material_on_the_whole_mesh_is_bound_to_it(path: Path) -> None:
