@@ -1,0 +1,51 @@
+"""A fixed set of damaged files of every reader, each read in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="limits and watched files are Linux's"),
+]
+
+ROOT = Path(__file__).parents[2]
+LIMITS = {"MIXSEQ_READER_MEMORY": "1", "MIXSEQ_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def fuzz(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(ROOT), str(ROOT / "io")])
+    return subprocess.run(
+        [sys.executable, "-m", "scripts.fuzzing.campaign", *arguments],
+        cwd=folder,
+        env=os.environ | LIMITS | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+
+
+READERS = (
+    *("h5", "usdz", "abc", "npz", "pc2", "mdd", "obj", "ply", "stl", "off"),
+    *("markers", "maps", "contacts", "retiming"),
+)
+"""Those whose samples are made quickly."""
+
+
+def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
+    chosen = [word for reader in READERS for word in ("--reader", reader)]
+    done = fuzz(tmp_path, "--seed", "7", "--cases", "98", *chosen)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "| all | 98 |" in done.stdout
+
+
+def test_a_case_is_repeated(tmp_path: Path) -> None:
+    done = [fuzz(tmp_path, "--case", "7:contacts:3").stdout for _ in range(2)]
+    assert '"damage": "contacts.json:' in done[0]
+    assert [line for line in done[0].splitlines() if "seconds" not in line and "megabytes" not in line] == [
+        line for line in done[1].splitlines() if "seconds" not in line and "megabytes" not in line
+    ]
