@@ -51,7 +51,9 @@ def pick(
     first, second = b - a, c - a
     across = np.cross(along, second)
     volume = np.einsum("fi,fi->f", first, across)
-    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge on
+    with np.errstate(
+        divide="ignore", over="ignore", invalid="ignore"
+    ):  # triangles seen edge on, no direction
         offset = start - a
         u = np.einsum("fi,fi->f", offset, across) / volume
         turned = np.cross(offset, first)

@@ -15,7 +15,7 @@ from traceback import print_exception
 from typing import Protocol
 
 from mixseq.arrays import Float
-from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.errors import MixseqError, MixseqWarning, OutputError
 from mixseq.operations import retime
 from mixseq.scene.items import Scene
 from mixseq.signals import Model
@@ -41,6 +41,9 @@ class Save(Protocol):
 
 PATIENCE = 1.0
 """Seconds after which the next preview is made, though the last one was not seen."""
+
+MOST_WRITTEN = 8
+"""Files that are written at a time."""
 
 
 class SessionListener(Protocol):
@@ -185,8 +188,16 @@ class Session(Background):
             Whether a file that there is may be replaced.
         """
         writing = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
-        self._writing = [thread for thread in self._writing if thread.is_alive()] + [writing]
-        writing.start()
+        with self._changed:
+            self._writing = [thread for thread in self._writing if thread.is_alive()]
+            begins = len(self._writing) < MOST_WRITTEN
+            if begins:
+                self._writing.append(writing)
+                writing.start()
+        if not begins:
+            self._fail(
+                "save", OutputError(f"{MOST_WRITTEN} files are being written; save again when one is done")
+            )
 
     def _write(self, path: Path, index: int, model: Model, replace: bool) -> None:
         try:

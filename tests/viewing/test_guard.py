@@ -395,6 +395,23 @@ def test_two_hundred_pages_and_one_that_never_reads(running: Viewer, page: Page)
         eventually(lambda: page.control("File").value == "many.h5")
 
 
+def test_more_pages_than_there_is_room_for(
+    page: Page, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mixseq.viewing.live.guard.MOST", 2)
+    with page.open() as first:
+        with page.open():
+            with pytest.raises(InvalidStatus) as refused:
+                page.open()
+            assert refused.value.response.status_code == 503
+            assert page.get("/", Cookie=page.cookie).status == 200  # which takes no room
+        eventually(lambda: len(page._running._server.get_clients()) <= 1)
+        with page.open() as third:
+            check_it_hears(page, third)
+        check_it_hears(page, first)
+    assert "there are 2 already" in capfd.readouterr().err
+
+
 def test_read_only(model: Model, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     settings = ViewSettings(folder=tmp_path, threads=1, read_only=True)
     with viewer(SceneColours(Scene((SceneItem("fox.h5", model),))), settings, save) as running:

@@ -35,6 +35,7 @@ def test_the_distance_is_in_lengths_of_the_direction() -> None:
         ([0.2, 0.2, 3], [1, 0, 0]),  # along it
         ([-1.0, 0.2, 0], [1, 0, 0]),  # in its plane
         ([0.2, 0.2, 3], [0, 0, 0]),
+        ([0.2, 0.2, 3], [0, 0, -1e-310]),  # farther away than numbers go
         ([0.2, 0.2, 3], [np.nan, 0, 0]),
     ],
 )

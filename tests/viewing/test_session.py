@@ -17,7 +17,7 @@ from mixseq.scene.items import Scene, SceneItem
 from mixseq.signals import Model
 from mixseq.viewing import session as module
 from mixseq.viewing.playback import Playback
-from mixseq.viewing.session import Session
+from mixseq.viewing.session import MOST_WRITTEN, Session
 from tests.viewing.staged import PATIENCE, Stage, eventually, watched
 
 
@@ -52,6 +52,7 @@ class Room:
     def __init__(self, *motions: Model) -> None:
         self.stage, self.told = Stage(), Told()
         self.written: list[tuple[Path, Model]] = []
+        self.go_on = Event()
         items = [SceneItem(f"{k}.h5", motion) for k, motion in enumerate(motions)]
         self.playback = Playback(Scene((watched(3), *items)), self.stage, self._failed, threads=1)
         self.session = Session(self.playback, self.told, self._save)
@@ -68,6 +69,8 @@ class Room:
             raise OutputError("no room")
         if path.name == "worse.h5":
             raise ZeroDivisionError("a bug")
+        if path.name == "slow.h5":
+            assert self.go_on.wait(PATIENCE)
         self.written.append((path, model))
         return path.name
 
@@ -337,6 +340,17 @@ def test_save(room: Room, bar_model: Model, tmp_path: Path) -> None:
     eventually(lambda: len(room.told.files) == 2)
     assert room.written == [(tmp_path / "opened.h5", bar_model), (tmp_path / "edited.h5", session.model)]
     assert list(session.unsaved) == []
+
+
+def test_many_files_at_a_time_are_refused(room: Room, tmp_path: Path) -> None:
+    for _ in range(MOST_WRITTEN + 2):
+        room.session.save(tmp_path / "slow.h5")
+    assert [what for what, _ in room.told.failures] == ["save", "save"]
+    assert "save again when one is done" in room.told.failures[0][1]
+    room.go_on.set()
+    eventually(lambda: len(room.told.files) == MOST_WRITTEN)
+    room.session.save(tmp_path / "slow.h5")
+    eventually(lambda: len(room.told.files) == MOST_WRITTEN + 1)
 
 
 def test_what_counts_as_saved(room: Room, tmp_path: Path) -> None:

@@ -28,6 +28,9 @@ FAST = 1000.0, 2000.0
 BAD = 1.0, 20.0
 """Bad messages of a page a second, and at once; with more the connection is closed."""
 
+MOST = 256
+"""Websockets at a time; a page has one."""
+
 LINES = 0.5, 20.0
 """Lines on the terminal a second, and at once; more are left out."""
 
@@ -58,6 +61,7 @@ class Guard:
         self.controls: Mapping[str, Any] = {}
         self._lines = Rate(*LINES)
         self._refusals: set[str] = set()
+        self.connected = 0
         self._log = logging.Logger("mixseq.viewer")  # nobody else's
         self._log.addHandler(logging.NullHandler())
 
@@ -120,13 +124,22 @@ class Guard:
                 self.tell(f"a request was refused: {why}; further ones are not told")
             response = connection.respond(http.HTTPStatus.FORBIDDEN, f"{CLOSED}\n")
         else:
-            response = pages(connection, request)
+            response = pages(connection, request) or self._connected(connection)
         if response is not None:
             for name, value in HEADERS.items():
                 response.headers[name] = value
             if why is None and self.access.brings_token(request.path):
                 response.headers["Set-Cookie"] = self.access.cookie
         return response
+
+    def _connected(self, connection: Any) -> Any:
+        """Count a websocket, or refuse it."""
+        if self.connected >= MOST:
+            self.tell(f"a page was refused: there are {MOST} already")
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "Too many pages are open.\n")
+        self.connected += 1
+        connection.counted = True
+        return None
 
 
 class _Connection(sockets.ServerConnection):
@@ -136,6 +149,14 @@ class _Connection(sockets.ServerConnection):
         super().__init__(*args, **settings)
         self._guard = guard
         self._fast, self._bad = Rate(*FAST), Rate(*BAD)
+        self.counted = False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Make room for another one."""
+        super().connection_lost(exc)
+        if self.counted:
+            self.counted = False
+            self._guard.connected -= 1
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that is in order."""
