@@ -121,7 +121,7 @@ def made_sure(
             f"{missed}: coordinates are up to {largest_coordinate(sequence.points) / unit:.3g} diagonals, beside which "
             "double precision has no digits for that; move the sequence to the origin, or give a larger tolerance"
         )
-    raise ReconstructionError(f"{missed}; give a larger tolerance, or another space")
+    raise ReconstructionError(f"{missed}; give a larger tolerance, or another space or placement")
 
 
 def largest_error(

@@ -30,11 +30,8 @@ def main() -> int:
     outcomes = []
     for outcome in _outcomes(sys.argv[1:]):
         outcomes.append(outcome)
-        if outcome.kind != "kept":
-            print(
-                f"{outcome.sequence}, {outcome.way} {outcome.bound:g}: {outcome.kind}: {outcome.words}",
-                flush=True,
-            )
+        words = outcome.words or f"{outcome.error:.3g}"
+        print(f"{outcome.sequence}, {outcome.way} {outcome.bound:g}: {outcome.kind}: {words}", flush=True)
     if not outcomes:
         print("no sequence has such a name", file=sys.stderr)
         return 2

@@ -148,7 +148,7 @@ def test_growth_that_leaves_too_few_digits_is_refused() -> None:
 def test_a_model_that_is_off_is_never_returned() -> None:
     model = fit(LONG, rank=1, space="vertex")
     with pytest.raises(
-        ReconstructionError, match="more than 1e-08; give a larger tolerance, or another space"
+        ReconstructionError, match="more than 1e-08; give a larger tolerance, or another space or placement"
     ):
         made_sure(model, LONG, EXACT)
     assert made_sure(model, LONG, 1.0) is model
