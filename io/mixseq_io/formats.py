@@ -33,6 +33,7 @@ FORMATS: tuple[Format, ...] = (
             "flatten": _FLATTEN,
             "onto": _ONTO,
             "clips": "frames per file of value clips, for long shots; 0, the default, keeps all in one file",
+            "pack_from": "folder from which textures may be packed into .usdz, besides that of the original",
         },
         signatures=(b"PXR-USDC", b"#usda", b"#sdf", b"PK\x03\x04"),
         isolated=True,

@@ -105,11 +105,22 @@ def writer_options(command: Command) -> Command:
         metavar="N",
         help="Write USD as value clips of N frames per file.",
     )
+    @setting(
+        "--pack-from",
+        type=FILE,
+        metavar="FOLDER",
+        help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
+    )
     @wraps(command)
     def with_options(
-        *args: Any, flatten: bool, onto: Path | None, clips: int | None, **settings: Any
+        *args: Any,
+        flatten: bool,
+        onto: Path | None,
+        clips: int | None,
+        pack_from: Path | None,
+        **settings: Any,
     ) -> None:
-        given = {"flatten": flatten or None, "onto": onto, "clips": clips}
+        given = {"flatten": flatten or None, "onto": onto, "clips": clips, "pack_from": pack_from}
         command(*args, writing=_those_given(given), **settings)
 
     return with_options

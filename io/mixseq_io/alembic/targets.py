@@ -154,11 +154,13 @@ def unique_names(names: Iterable[str]) -> list[str]:
     >>> unique_names(["a", "a/b", "a", "a_2"])
     ['a', 'a_b', 'a_2', 'a_2_2']
     """
-    taken: list[str] = []
+    taken: dict[str, None] = {}
+    numbers: dict[str, int] = {}
     for name in map(valid_name, names):
-        number, free = 1, name
+        number, free = numbers.get(name, 1), name
         while free in taken:
             number += 1
             free = f"{name}_{number}"
-        taken.append(free)
-    return taken
+        numbers[name] = number
+        taken[free] = None
+    return list(taken)

@@ -10,7 +10,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,22 +65,29 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
     unused = np.setdiff1d(np.arange(mesh.vertex_count), mesh.polygons.indices)
     unused_keys = np.stack([unused, np.zeros_like(unused), np.zeros_like(unused)], axis=1)
     primitives: list[SplitPrimitive] = []
-    for number in np.unique(owner):
-        corners = np.flatnonzero(of_corner == number)
+    place = np.zeros(of_corner.size, dtype=np.uint32)  # each owner's are set before they are used
+    of_triangle = of_corner[triangles[:, 0]]
+    for (number, corners), (_, own) in zip(_by_owner(of_corner), _by_owner(of_triangle), strict=True):
         some = np.concatenate([keys[corners], unused_keys if not primitives else unused_keys[:0]])
         found, copies = np.unique(some, axis=0, return_inverse=True)
-        place = np.zeros(of_corner.size, dtype=np.uint32)
         place[corners] = copies.reshape(-1)[: corners.size]
         primitives.append(
             SplitPrimitive(
                 vertices=found[:, 0],
                 normals=found[:, 1],
                 uvs=None if mesh.uvs is None else mesh.uvs.values[found[:, 2]],
-                triangles=place[triangles[of_corner[triangles[:, 0]] == number]],
+                triangles=place[triangles[own]],
                 face_set=None if number < 0 else mesh.face_sets[number],
             )
         )
     return primitives
+
+
+def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield every owner, in ascending order, and the places where it is, in theirs."""
+    order = np.argsort(owner, kind="stable")
+    found, starts = np.unique(owner[order], return_index=True)
+    yield from zip(found.tolist(), np.split(order, starts[1:])[: len(found)], strict=True)
 
 
 def owners(mesh: SceneMesh) -> IntArray:
@@ -120,8 +127,10 @@ def new_meshes(header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
     layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
     scene_meshes = [scene_mesh for scene_mesh in split(header) if scene_mesh.polygons.counts.size]
     names = [header.name if len(scene_meshes) == 1 else scene_mesh.name for scene_mesh in scene_meshes]
+    materials: dict[str, int] = {}
     return layout, [
-        _new_mesh(layout, scene_mesh, name) for scene_mesh, name in zip(scene_meshes, names, strict=True)
+        _new_mesh(layout, scene_mesh, name, materials)
+        for scene_mesh, name in zip(scene_meshes, names, strict=True)
     ]
 
 
@@ -172,15 +181,17 @@ def material_name(face_set: FaceSet) -> str:
     return (name.rstrip("/").rpartition("/")[2] if name.startswith("/") else name) or face_set.name
 
 
-def _new_mesh(layout: Layout, scene_mesh: SceneMesh, name: str) -> MovingMesh:
-    primitives = [_new_primitive(layout, each, scene_mesh) for each in split_corners(scene_mesh)]
+def _new_mesh(layout: Layout, scene_mesh: SceneMesh, name: str, materials: dict[str, int]) -> MovingMesh:
+    primitives = [_new_primitive(layout, each, scene_mesh, materials) for each in split_corners(scene_mesh)]
     entries = [primitive.entry for primitive in primitives]
     mesh = append(layout.document, "meshes", {**named(name), "primitives": entries})
     node = append(layout.document, "nodes", {**named(name), "mesh": mesh})
     return MovingMesh(node, scene_mesh, primitives)
 
 
-def _new_primitive(layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneMesh) -> MovingPrimitive:
+def _new_primitive(
+    layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneMesh, materials: dict[str, int]
+) -> MovingPrimitive:
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
         upside_down = (primitive.uvs * (1, -1) + (0, 1)).astype(np.float32)
@@ -190,7 +201,7 @@ def _new_primitive(layout: Layout, primitive: SplitPrimitive, scene_mesh: SceneM
         "indices": layout.add_array(_narrow(primitive.triangles.reshape(-1)), target=INDICES),
     }
     if primitive.face_set is not None:
-        entry["material"] = _material(layout.document, material_name(primitive.face_set))
+        entry["material"] = _material(layout.document, material_name(primitive.face_set), materials)
     moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
     add_vertex_numbers(layout, moving, scene_mesh.vertex_count)
     return moving
@@ -211,15 +222,14 @@ def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count:
         primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=VERTICES)
 
 
-def _material(document: Json, name: str) -> int:
-    """Return the number of the material of that name, a new one if need be."""
-    materials: Sequence[Json] = document.get("materials", ())
-    for number, material in enumerate(materials):
-        if material.get("name", "") == name:
-            return number
+def _material(document: Json, name: str, materials: dict[str, int]) -> int:
+    """Return the number of the material of that name, a new one if need be; `materials` are those that are there."""
+    if name in materials:
+        return materials[name]
     plain = {
         **named(name),
         "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
         "doubleSided": True,
     }
-    return append(document, "materials", plain)
+    materials[name] = append(document, "materials", plain)
+    return materials[name]

@@ -29,6 +29,7 @@ Specification: https://paulbourke.net/dataformats/obj/
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -163,7 +164,8 @@ def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
     """Return the last part of every material's path, or all of it where two would be called the same."""
     materials = {each.material for each in sets if each.material}
     last = {material: _one_line(material.rstrip("/").rpartition("/")[2]) for material in materials}
-    several = {name for name in last.values() if not name or list(last.values()).count(name) > 1}
+    count = Counter(last.values())
+    several = {name for name in count if not name or count[name] > 1}
     return {material: _one_line(material) if name in several else name for material, name in last.items()}
 
 

@@ -22,7 +22,7 @@ from mixseq_io.blocks import warn
 from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.frame_values import Cast, Normals, Placed
 from mixseq_io.usd.materials import define_materials
-from mixseq_io.usd.paths import identifier
+from mixseq_io.usd.paths import Identifiers, identifier
 
 _LOOKS = "Looks"
 
@@ -55,10 +55,9 @@ def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, vel
     scene_meshes = split(header)
     wanted = [each.material for scene_mesh in scene_meshes for each in scene_mesh.face_sets if each.material]
     materials = define_materials(stage, target, f"/{name}/{_LOOKS}", wanted, header.surface.origin)
-    placed, taken = [], [_LOOKS]
+    placed, names = [], Identifiers(_LOOKS)
     for scene_mesh in scene_meshes:
-        taken.append(identifier(scene_mesh.name, taken))
-        path = f"/{name}/{taken[-1]}"
+        path = f"/{name}/{names.take(scene_mesh.name)}"
         _define_mesh(stage, path, scene_mesh)
         _bind(stage.GetPrimAtPath(path), target, scene_mesh, materials)
         placed.append(
@@ -112,11 +111,10 @@ def _bind(
     if whole:
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
     owners = [""] * count
-    taken: list[str] = []
+    names = Identifiers()
     for each in scene_mesh.face_sets:
         if each is whole:
             continue
-        taken.append(identifier(each.name, taken))
         faces = (
             _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
             if each.material
@@ -124,7 +122,7 @@ def _bind(
         )
         subset = UsdGeom.Subset.CreateGeomSubset(
             UsdGeom.Mesh(prim),
-            taken[-1],
+            names.take(each.name),
             UsdGeom.Tokens.face,
             Vt.IntArray(faces),
             UsdShade.Tokens.materialBind if each.material else "",

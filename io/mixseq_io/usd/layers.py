@@ -5,7 +5,9 @@ anew with every sample. Binary layers are saved every now and then while they ar
 the samples: of 400 frames of 50 000 vertices (240 MB) it held 34 MB at most when saved every 20 frames, against
 268 MB when saved once. Text layers are held in memory whole.
 
-A package is an uncompressed zip file of a layer and of the textures that it names.
+A package is an uncompressed zip file of a layer and of the textures that it names. It goes out of the house, and the
+names come from a file that may have come from elsewhere: only what lies in its folder, or in a folder that the user
+names, is packed.
 
 Specifications: https://openusd.org/release/api/class_sdf_layer.html, https://openusd.org/release/spec_usdz.html
 """
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -91,7 +93,7 @@ def attribute_in(
     return layer.GetAttributeAtPath(path)
 
 
-def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
+def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
     """Write a package of a saved layer.
 
     Parameters
@@ -102,6 +104,13 @@ def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
         The file to write.
     name : str
         What the layer is called in it.
+    folders : sequence of Path
+        Where textures may be, or files that they may be in.
+
+    Returns
+    -------
+    list of str
+        Files elsewhere, and scenes, which the layer names no longer.
 
     Raises
     ------
@@ -110,12 +119,47 @@ def pack(layer: Sdf.Layer, package: Path, name: str) -> None:
     OSError
         If that is because the disk is full.
     """
+    left_out: dict[str, None] = {}
+
+    def packed(asset: str, folder: Path) -> str:
+        files = _files_of(layer, asset)
+        # Of scenes USD would pack what they name, wherever that is.
+        refused = files if _is_scene(asset) else [file for file in files if not _within(file, folders)]
+        left_out.update(dict.fromkeys(refused))
+        return "" if refused else _unpacked(layer, asset, folder)
+
     with TemporaryDirectory(prefix=".mixseq.", dir=package.parent) as folder:
-        UsdUtils.ModifyAssetPaths(layer, lambda asset: _unpacked(layer, asset, Path(folder)))
+        UsdUtils.ModifyAssetPaths(layer, lambda asset: packed(asset, Path(folder)))
         save_layer(layer)
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
             raise_system_error("", package.parent)
             raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
+    return list(left_out)
+
+
+def _files_of(layer: Sdf.Layer, asset: str) -> list[str]:
+    """Return the files that USD finds for a name in a layer: one, none, or tiles of a texture."""
+    outer, _ = Ar.SplitPackageRelativePathOuter(asset)
+    named = layer.ComputeAbsolutePath(outer) if outer else ""
+    if TILES in named:
+        place = Path(named)
+        pattern = re.escape(place.name).replace(TILES, r"\d{4}")
+        beside = place.parent.iterdir() if place.parent.is_dir() else ()
+        return [str(file) for file in beside if re.fullmatch(pattern, file.name)]
+    found = str(Ar.GetResolver().Resolve(named))
+    return [found] if found else []
+
+
+def _is_scene(asset: str) -> bool:
+    """Whether what is called a texture is one of the files that USD makes a stage of."""
+    inner = Ar.SplitPackageRelativePathInner(asset)[1]
+    return Sdf.FileFormat.FindByExtension(Path(inner or asset).suffix.lstrip(".")) is not None
+
+
+def _within(file: str, folders: Sequence[Path]) -> bool:
+    """Whether a file, and not a pipe or a device, lies in one of some folders; links count as what they lead to."""
+    real = Path(file).resolve()
+    return real.is_file() and any(real.is_relative_to(folder.resolve()) for folder in folders)
 
 
 def _unpacked(layer: Sdf.Layer, asset: str, folder: Path) -> str:

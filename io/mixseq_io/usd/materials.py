@@ -17,7 +17,7 @@ from mixseq.errors import FormatError
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.usd.diagnostics import reading_usd
-from mixseq_io.usd.paths import TILES, identifier, is_prim_path, reference_to
+from mixseq_io.usd.paths import TILES, Identifiers, is_prim_path, reference_to
 from mixseq_io.usd.prims import lineage, open_stage, shortened
 
 _UV_READERS = {
@@ -63,10 +63,9 @@ def define_materials(
     UsdGeom.Scope.Define(stage, scope)
     source = _networks(Path(origin.path), wanted) if origin and origin.format == "USD" else None
     made: dict[str, UsdShade.Material] = {}
-    taken: list[str] = []
+    names_here = Identifiers()
     for name in wanted:
-        taken.append(identifier(name.rpartition("/")[2], taken))
-        path = Sdf.Path(scope).AppendChild(taken[-1])
+        path = Sdf.Path(scope).AppendChild(names_here.take(name.rpartition("/")[2]))
         if source and _is_material(source, name):
             _copy(source, name, stage.GetRootLayer(), path)
         made[name] = UsdShade.Material.Define(stage, path)

@@ -35,7 +35,7 @@ from mixseq_io.labels.markings import (
 )
 from mixseq_io.usd.mesh_motion import AnimatedMesh
 from mixseq_io.usd.mesh_surface import rows_of_corners, within
-from mixseq_io.usd.paths import identifier
+from mixseq_io.usd.paths import Identifiers
 from mixseq_io.usd.stage_meshes import display_name
 
 NUMBER = "mixseq:part"
@@ -191,10 +191,11 @@ def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
 def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> None:
     old = {each.GetPrim().GetName() for each in UsdGeom.Subset.GetGeomSubsets(mesh, "", FAMILY)}
     others = mesh.GetPrim().GetFilteredChildren(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
-    taken = [name for each in others if (name := each.GetName()) not in old]
+    kept = {name for each in others if (name := each.GetName()) not in old}
+    free = Identifiers(*kept)
     for part in np.unique(of_polygon).tolist():
-        name = identifier(names[part], taken)
-        taken.append(name)
+        name = free.take(names[part])
+        kept.add(name)
         faces = np.flatnonzero(of_polygon == part).astype(np.int32)
         subset = UsdGeom.Subset.CreateGeomSubset(
             mesh, name, UsdGeom.Tokens.face, Vt.IntArrayFromBuffer(faces), FAMILY
@@ -203,6 +204,6 @@ def _define(mesh: UsdGeom.Mesh, of_polygon: IntArray, names: Sequence[str]) -> N
         prim.SetCustomDataByKey(NUMBER, part)
         if names[part] != name or prim.GetDisplayName():
             prim.SetDisplayName(names[part])
-    for name in old.difference(taken):
+    for name in old.difference(kept):
         mesh.GetPrim().GetChild(name).SetActive(False)
     UsdGeom.Subset.SetFamilyType(mesh, FAMILY, UsdGeom.Tokens.partition)

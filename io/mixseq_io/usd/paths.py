@@ -6,7 +6,6 @@ Specification: https://openusd.org/release/api/class_sdf_asset_path.html
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -32,31 +31,48 @@ def time_codes(times: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
     return rounded if (np.diff(rounded) > 0).all() else codes
 
 
-def identifier(name: str, taken: Iterable[str] = ()) -> str:
+def identifier(name: str) -> str:
     """Return the closest name that a prim can have: letters of any script, digits, underscores.
-
-    Parameters
-    ----------
-    name : str
-        What it should be.
-    taken : iterable of str
-        Names that its siblings have.
 
     Examples
     --------
     >>> identifier("Männchen"), identifier("Cylinder.002"), identifier("2nd try"), identifier("")
     ('Männchen', 'Cylinder_002', '_2nd_try', 'mesh')
-    >>> identifier("leg", ["leg", "leg_1"])
-    'leg_2'
     """
     cleaned = (
         "".join(letter if Sdf.Path.IsValidIdentifier("_" + letter) else "_" for letter in name) or "mesh"
     )
-    free = cleaned if Sdf.Path.IsValidIdentifier(cleaned) else "_" + cleaned
-    used, number = set(taken), 0
-    while (numbered := f"{free}_{number}" if number else free) in used:
-        number += 1
-    return numbered
+    return cleaned if Sdf.Path.IsValidIdentifier(cleaned) else "_" + cleaned
+
+
+class Identifiers:
+    """Gives siblings names that prims can have, all different.
+
+    Parameters
+    ----------
+    *taken : str
+        Names that are taken.
+
+    Examples
+    --------
+    >>> names = Identifiers("leg_1")
+    >>> names.take("leg"), names.take("leg"), names.take("a b")
+    ('leg', 'leg_2', 'a_b')
+    """
+
+    def __init__(self, *taken: str) -> None:
+        self._taken = set(taken)
+        self._next: dict[str, int] = {}
+
+    def take(self, name: str) -> str:
+        """Return the closest name that is free, which is taken from here on."""
+        free = identifier(name)
+        number = self._next.get(free, 0)
+        while (numbered := f"{free}_{number}" if number else free) in self._taken:
+            number += 1
+        self._next[free] = number + 1
+        self._taken.add(numbered)
+        return numbered
 
 
 def is_prim_path(text: str) -> bool:

@@ -31,7 +31,7 @@ from mixseq_io.usd.original import Original, open_original
 from mixseq_io.usd.overlay import lay_over, put_over
 from mixseq_io.usd.part_labels import Parts, define_parts
 from mixseq_io.usd.paths import time_codes
-from mixseq_io.usd.prims import open_stage
+from mixseq_io.usd.prims import open_stage, shortened
 
 
 def write_usd(
@@ -42,6 +42,7 @@ def write_usd(
     flatten: bool = False,
     onto: str | PathLike[str] | None = None,
     clips: int = 0,
+    pack_from: str | PathLike[str] | None = None,
     parts: Parts | None = None,
 ) -> None:
     """Write a USD file; see `mixseq_io.write_blocks`.
@@ -57,6 +58,9 @@ def write_usd(
     clips : int
         Put the samples into files of this many frames each, in a folder ``<file>.clips`` beside the file; 0: into
         the file itself.
+    pack_from : path-like, optional
+        Folder from which textures may be packed into a .usdz, besides that of the file that the sequence was read from
+        and those below.
     parts : Parts, optional
         Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
 
@@ -72,10 +76,11 @@ def write_usd(
     -----
     MixseqWarning
         If the file that the sequence was read from is gone or does not fit, so that the new one stands alone; of
-        what is lost, see `lay_over` and `define_component`; and of clips that an older file has left.
+        what is lost, see `lay_over` and `define_component`; of textures elsewhere that are not packed; and of clips
+        that an older file has left.
     """
     packed = path.suffix.lower() == ".usdz"
-    _check_options(packed, flatten, onto, clips)
+    _check_options(packed, flatten, onto, clips, pack_from)
     if header.up_axis == "X":
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it first, or write .npz or .h5"
@@ -98,6 +103,7 @@ def write_usd(
             define_parts(layer, [each.path for each in cast.meshes], parts)
         return layer, cast, frames(cast, codes, header.times, numbered)
 
+    elsewhere: list[str] = []
     with (
         new_folder(path) as folder,
         replacing(path) as temporary,
@@ -109,7 +115,9 @@ def write_usd(
             try:
                 layer, _, samples = begun(unpacked)
                 save(layer, samples)
-                pack(layer, temporary, path.with_suffix(".usdc").name)
+                elsewhere = pack(
+                    layer, temporary, path.with_suffix(".usdc").name, _folders(header, pack_from)
+                )
             finally:
                 unpacked.unlink(missing_ok=True)
         elif clips:
@@ -119,6 +127,11 @@ def write_usd(
         else:
             layer, _, samples = begun(temporary)
             save(layer, samples)
+    if elsewhere:
+        warn(
+            f"{path}: what is no texture in the original's folder is not packed: {shortened(elsewhere)}; if textures "
+            "may be shared, name their folder with pack_from=... (--pack-from)"
+        )
     if not clips:
         folder.warn_if_unused()
 
@@ -148,13 +161,22 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
     return True
 
 
-def _check_options(packed: bool, flatten: bool, onto: object, clips: int) -> None:
+def _folders(header: SequenceHeader, pack_from: str | PathLike[str] | None) -> list[Path]:
+    """Return where textures may be that are packed, and the file itself, which may be a package."""
+    origin = header.surface.origin
+    file = [Path(origin.path)] if origin and origin.format == "USD" else []
+    return [*file, *(each.parent for each in file), *([] if pack_from is None else [Path(pack_from)])]
+
+
+def _check_options(packed: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:
     if clips < 0:
         raise SettingsError(f"clips is {clips}; give the number of frames per file, or 0 for a single file")
     if onto is not None and flatten:
         raise SettingsError("a flattened USD file stands alone; leave out either onto or flatten")
     if packed and (onto is not None or clips):
         raise SettingsError("a .usdz file has everything in itself; leave out onto and clips, or write .usdc")
+    if pack_from is not None and not packed:
+        raise SettingsError("only .usdz files have textures packed; leave out pack_from, or write .usdz")
 
 
 def _original(

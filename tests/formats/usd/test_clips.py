@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import warnings
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +15,7 @@ import pytest
 from pxr import Sdf, Tf, Usd, UsdGeom
 
 from mixseq.cli.console import announce, format_bytes
-from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq_io.usd.paths import clips_of
 from mixseq_io.usd.writer import write_usd
@@ -261,3 +263,65 @@ def test_a_package_has_its_textures(asset: Asset, tmp_path: Path) -> None:
         assert prim.GetAttribute("inputs:file").Get().resolvedPath == f"{moved}/{name}.usdz[{inside}]"
         np.testing.assert_array_equal(load(moved / f"{name}.usdz").points, before.points)
         shutil.rmtree(moved)
+
+
+def packed(asset: Asset, target: Path, texture: str, **options: Any) -> list[str]:
+    """Return what is in a package of an asset with a texture, besides its layer."""
+    paint(asset, texture)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixseqWarning)
+        save(target, asset.read(), flatten=True, **options)
+    return zipfile.ZipFile(target).namelist()[1:]
+
+
+@pytest.fixture
+def shelf(tmp_path: Path, asset: Asset) -> Path:
+    """Make a folder that is none of the asset's, with a file; and links to it in the asset's."""
+    shelf = tmp_path.parent / f"{tmp_path.name}-shelf"
+    shelf.mkdir()
+    for name in ("secret.png", "wool.1001.png"):
+        (shelf / name).write_bytes(b"of the user")
+    (asset.path.parent / "link.png").symlink_to(shelf / "secret.png")
+    (asset.path.parent / "wool.1001.png").symlink_to(shelf / "wool.1001.png")
+    (asset.path.parent / "wool.1002.png").write_bytes(b"of the asset")
+    os.mkfifo(asset.path.parent / "pipe.png")
+    return shelf
+
+
+@pytest.mark.parametrize(
+    "name", ["absolute", "../{}", "below/../../{}", "link.png", "wool.<UDIM>.png", "pipe.png"]
+)
+def test_files_elsewhere_are_not_packed(asset: Asset, tmp_path: Path, shelf: Path, name: str) -> None:
+    (asset.path.parent / "below").mkdir()
+    secret = shelf / "secret.png"
+    texture = str(secret) if name == "absolute" else name.format(f"{shelf.name}/secret.png")
+    paint(asset, texture if texture.startswith(("/", ".")) else f"./{texture}")
+    before = asset.read()
+    target = tmp_path / "out.usdz"
+    with pytest.warns(
+        MixseqWarning, match=r"not packed: .*(secret|link|pipe|wool\.1001)\.png; .*--pack-from"
+    ):
+        save(target, before, flatten=True)
+    assert len(zipfile.ZipFile(target).namelist()) == 1
+    assert (
+        not Usd.Stage.Open(str(target))
+        .GetPrimAtPath("/walker/Looks/wool/picture")
+        .GetAttribute("inputs:file")
+        .Get()
+    )
+
+
+def test_files_elsewhere_are_packed_where_that_is_allowed(asset: Asset, tmp_path: Path, shelf: Path) -> None:
+    for number, texture in enumerate((str(shelf / "secret.png"), "./link.png", "./wool.<UDIM>.png")):
+        target = tmp_path / f"out{number}.usdz"
+        names = packed(asset, target, texture, pack_from=shelf)
+        assert len(names) == (2 if "UDIM" in texture else 1)
+    with pytest.raises(SettingsError, match=r"only \.usdz files have textures packed"):
+        save(tmp_path / "out.usdc", asset.read(), flatten=True, pack_from=shelf)
+
+
+def test_a_scene_is_no_texture(asset: Asset, tmp_path: Path, shelf: Path) -> None:
+    (asset.path.parent / "scene.usda").write_text(
+        f'#usda 1.0\ndef "a" {{\nasset picture = @{shelf / "secret.png"}@\n}}\n'
+    )
+    assert packed(asset, tmp_path / "out.usdz", "./scene.usda") == []
