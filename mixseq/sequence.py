@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import FloatArray
 from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
+from mixseq.frame_rates import exact_rate
 from mixseq.polygons import Polygons, frozen
 from mixseq.sequence_header import DEFAULT_FPS, UP_AXES, SequenceHeader, header_fields
 
@@ -94,7 +95,7 @@ class MeshSequence(SequenceHeader):
         times : (T,) array_like, optional
             Seconds; without it frames follow each other at `fps`.
         fps : float, optional
-            Frames per second, 24 if nothing tells.
+            Frames per second, 24 if nothing tells; 23.976 means 24000/1001, see `mixseq.frame_rates`.
         up_axis, metres_per_unit, name
             See `SequenceHeader`.
 
@@ -109,6 +110,7 @@ class MeshSequence(SequenceHeader):
         rate = DEFAULT_FPS if fps is None else float(fps)
         if not (np.isfinite(rate) and rate > 0):
             raise InvalidSequenceError(f"fps is {fps}; a positive number is expected")
+        rate = exact_rate(rate) if times is None else _rate_beside(times, rate)
         return cls(
             points=array,
             polygons=faces if isinstance(faces, Polygons) else Polygons.from_triangles(faces),
@@ -228,6 +230,23 @@ def _check_velocities(points: FloatArray, velocities: FloatArray) -> None:
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
         raise InvalidSequenceError(f"frame {frame}: the velocity of vertex {vertex} is not finite")
+
+
+def _rate_beside(times: ArrayLike, fps: float) -> float:
+    """Return the rate that a typed number means beside frames at known times.
+
+    Examples
+    --------
+    >>> _rate_beside(np.arange(1001, 1097) / 23.976, 23.976)
+    23.976
+    >>> _rate_beside(np.arange(1001, 1097) * 1001 / 24000, 23.976) == 24000 / 1001
+    True
+    """
+    frames, exact = np.asarray(times, dtype=np.float64), exact_rate(fps)
+    typed, meant = (
+        float(np.abs(frames * rate - np.rint(frames * rate)).max(initial=0)) for rate in (fps, exact)
+    )
+    return fps if typed < min(meant, 1e-6) else exact
 
 
 def _as_points(points: ArrayLike) -> FloatArray:

@@ -16,7 +16,17 @@ ROOT = Path(__file__).parents[1]
 
 LAYERS = (
     ("arrays", "choices"),
-    ("compiled", "diagonal", "errors", "pickling", "progress", "statistics", "threads", "version"),
+    (
+        "compiled",
+        "diagonal",
+        "errors",
+        "frame_rates",
+        "pickling",
+        "progress",
+        "statistics",
+        "threads",
+        "version",
+    ),
     ("dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("cluster", "surface"),
     ("sequence_header",),

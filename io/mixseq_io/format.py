@@ -9,6 +9,7 @@ from typing import Any
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
 from mixseq.sequence import SequenceHeader
 from mixseq_io.isolation import loaded, open_isolated
 from mixseq_io.reader import SequenceReader
@@ -90,6 +91,8 @@ class Format:
     def open(self, path: Path, **options: Any) -> SequenceReader:
         """Open a file for reading, see `mixseq_io.open_sequence`."""
         self._check_options("read", self.read_options, options)
+        if options.get("fps") is not None:
+            options["fps"] = exact_rate(options["fps"])
         if self.isolated:
             return open_isolated(self.reader, path, options)
         reader: SequenceReader = loaded(self.reader)(path, **options)

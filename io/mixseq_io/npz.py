@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
+from mixseq.frame_rates import exact_rate
 from mixseq.sequence import DEFAULT_FPS, Polygons, SequenceHeader
 from mixseq_io.archives import Archive, ArrayHeader, finish, reading_archive
 from mixseq_io.atomic import replacing
@@ -120,6 +121,7 @@ def _header(
         polygons = Polygons(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
     rate = float(small["fps"].item()) if "fps" in small else fps if fps is not None else DEFAULT_FPS
     # A rate that is no rate is reported by the header; dividing by it here must not be an error of its own.
+    rate = rate if "times" in small else exact_rate(rate)
     times = small["times"] if "times" in small else np.arange(shape[0]) / (rate if rate > 0 else 1.0)
     if np.size(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {np.size(times)} times; it is damaged")

@@ -22,6 +22,7 @@ from mixseq.cli.files import (
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate, rate_text
 
 if TYPE_CHECKING:
     from mixseq.mapping import Executor
@@ -150,7 +151,7 @@ def command(
         print_table(
             [
                 ("frames", f"{header.frame_count}"),
-                ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
+                ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
             ]
         )
     announce(target)
@@ -212,7 +213,8 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
     if fps is not None:
         for time in (first, last):
             model.header_at([time], fps)  # refuses what could not be counted
-        return model.header_at(frame_times(first, last, fps), fps)
+        rate = exact_rate(fps, model.header.fps)
+        return model.header_at(frame_times(first, last, rate), rate)
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
         raise SettingsError(

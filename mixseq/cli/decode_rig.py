@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mixseq
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
     from mixseq.progress import Progress
@@ -76,9 +77,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
 
     found = measure(path, sequence)
     first, last = rig.header.times[[0, -1]]
-    frames = (
-        f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rig.header.fps:g} frames per second"
-    )
+    frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
     return [
         ("keys", frames),
         *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),

@@ -15,6 +15,7 @@ from mixseq.cli.console import format_bytes, print_json, print_table
 from mixseq.cli.files import is_model
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
+from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
     from mixseq.sequence import SequenceHeader
@@ -142,7 +143,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         ("triangles", f"{facts['triangles']:,}"),
         ("frames", f"{facts['frames']:,}"),
         ("time", f"{facts['first_time']:g} to {facts['last_time']:g} s"),
-        ("rate", f"{facts['fps']:g} frames per second"),
+        ("rate", f"{rate_text(facts['fps'])} frames per second"),
         ("up", facts["up_axis"]),
         ("units", f"{facts['metres_per_unit']:g} m"),
         ("diagonal", f"{facts['diagonal']:.6g}"),

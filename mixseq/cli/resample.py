@@ -21,6 +21,7 @@ from mixseq.cli.options import (
 )
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -165,7 +166,7 @@ def _rows(planned: Resampling) -> list[tuple[str, str]]:
     first, last = header.times[[0, -1]]
     rows = [
         ("frames", f"{header.frame_count:,}"),
-        ("time", f"{first:g} to {last:g} s at {header.fps:g} frames per second"),
+        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
         ("source", _span(planned.sources)),
     ]
     rest = 1e-3 / header.fps  # less is a matter of rounding

@@ -16,6 +16,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
 from mixseq.mapping import Executor
 from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
@@ -87,7 +88,7 @@ def plan(
         raise SettingsError(
             "a retiming tells the range, the speed and the direction; leave out start, end, speed and reverse"
         )
-    rate = model.header.fps if fps is None else float(fps)
+    rate = model.header.fps if fps is None else exact_rate(float(fps), model.header.fps)
     times = _frame_times(retiming.start, retiming.end, rate, SLACK / model.header.fps)
     shown = np.clip(times, retiming.start, retiming.end)
     try:

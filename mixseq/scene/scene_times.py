@@ -13,6 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
 from mixseq.sequence import SequenceHeader
 
 STILL = 4.0
@@ -47,7 +48,7 @@ def film_times(
     SettingsError
         If there would be fewer than 2 frames or more than `MOST_FRAMES`.
     """
-    rate = headers[0].fps if fps is None else fps
+    rate = headers[0].fps if fps is None else exact_rate(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
     lasting = seconds or period or STILL
     wanted = lasting * rate

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
 from mixseq.mapping import Executor, on_threads, serially
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence
@@ -97,7 +98,8 @@ class Decodable(ABC):
             Times in seconds, increasing; by default those of the sequence.
         fps : float, optional
             Frames per second: without `times` the whole sequence is sampled at this rate, from its first time
-            on. With `times` it only says which time line they are on.
+            on. With `times` it only says which time line they are on. 23.976 means 24000/1001, see
+            `mixseq.frame_rates`.
         progress : callable, optional
             Told about every frame.
         frames : iterable of int, optional
@@ -137,6 +139,7 @@ class Decodable(ABC):
         """Return the header of what `sample` returns, without decoding anything."""
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
+        fps = None if fps is None else exact_rate(fps, self.header.fps)
         if times is None and fps is not None:
             times = frame_times(self.times[0], self.times[-1], fps)
         return self.header.with_times(self.times if times is None else self.inside(times), fps)

@@ -17,6 +17,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
 from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
@@ -164,10 +165,11 @@ def _times(item: PageItem, settings: ExportSettings) -> Float:
     if not item.colourings:
         raise SettingsError(f"{item.mesh.name} has no colours; clay at least is needed")
     if settings.fps is not None:
+        rate = exact_rate(settings.fps)
         # the last one may be missed by what rounding does to times
-        count = np.floor(elapsed[-1] * settings.fps + 1e-6) + 1
+        count = np.floor(elapsed[-1] * rate + 1e-6) + 1
         _check_count(item, count)
-        elapsed = np.minimum(np.arange(int(count)) / settings.fps, elapsed[-1])
+        elapsed = np.minimum(np.arange(int(count)) / rate, elapsed[-1])
     chosen = elapsed[:: settings.every]
     _check_count(item, len(chosen))
     return np.asarray(chosen)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError
+from mixseq.frame_rates import NTSC_RATES
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors
 from mixseq.sequence import DEFAULT_FPS
@@ -28,7 +29,7 @@ SAME_TIME = 0.999e-6
 """Times closer than this count once, in seconds."""
 
 _MOST_SAMPLES = 1_000_000
-_USUAL_RATES = (24, 25, 30, 48, 50, 60, 24000 / 1001, 30000 / 1001, 60000 / 1001, 100, 120, 240)
+_USUAL_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:

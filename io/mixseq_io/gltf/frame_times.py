@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError, SettingsError
+from mixseq.frame_rates import NTSC_RATES, exact_rate
 from mixseq.sequence import DEFAULT_FPS
 from mixseq_io.key_times import MOST_PLAYED, SAME_TIME, on_grid, united
 
@@ -25,8 +26,7 @@ USUAL_RATES = (
     15.0,
     20.0,
     10.0,
-    24e3 / 1001,
-    30e3 / 1001,
+    *NTSC_RATES,
 )
 
 _MOST_FRAMES = 1_000_000
@@ -131,15 +131,20 @@ def played_rate(keys: NDArray[np.float64]) -> float:
 
 
 def rate_of(times: NDArray[np.float64]) -> float:
-    """Return the frames per second of the grid that times lie on, 24 if they lie on none.
+    """Return the frames per second of keys that are even, else of the grid that they lie on, 24 if they lie on none.
 
     Examples
     --------
+    >>> rate_of(np.arange(96) / np.float32(29.97)) == 30000 / 1001
+    True
     >>> rate_of(np.array([0.0, 1, 2, 5]) / 12), rate_of(np.array([0.0, 0.5, 0.6]))
     (12.0, 30.0)
     """
     if times.size < 2:
         return DEFAULT_FPS
+    even = _even_rate(times)
+    if even:
+        return even
     steps = times - times[0]
     own = 1 / float(np.median(np.diff(times)))
     likely = [rate for rate in USUAL_RATES if abs(rate - own) < 1e-3 * own] or [own]
@@ -149,3 +154,30 @@ def rate_of(times: NDArray[np.float64]) -> float:
         if np.abs(frames - np.rint(frames)).max() < _GRID:
             return rate
     return DEFAULT_FPS
+
+
+def _even_rate(times: NDArray[np.float64]) -> float | None:
+    """Return the rate of keys that are float32 times of even frames, None of others and of those far apart.
+
+    Of the rates that round to the same keys it is a usual one, or else that with the fewest digits.
+    """
+    count, span = times.size - 1, float(times[-1] - times[0])
+    rounding = 2 * float(np.spacing(np.float32(np.abs(times).max())))
+    rate = count / span if 0 < span < np.inf else 0.0
+    if not rate >= min(USUAL_RATES):
+        return None
+    if not np.abs(times - times[0] - np.arange(count + 1) / rate).max() <= rounding:
+        return None
+    whole = round(float(times[-1]) * rate)
+    if (
+        whole > count
+        and np.abs(times * (whole / times[-1]) - np.arange(whole - count, whole + 1)).max() < _GRID
+    ):
+        rate, span = whole / float(times[-1]), float(times[-1])  # of frames from 0 on, which tell it best
+    error = rate * rounding / span
+    usual = min((*USUAL_RATES, round(rate * 1.001) / 1.001), key=lambda usual: abs(usual - rate))
+    # also what was rounded when somebody typed it, 29.97, as long as that makes no difference
+    if abs(usual - rate) <= max(error, _GRID * rate / count if exact_rate(rate) == usual else 0.0):
+        return usual
+    rounded = (round(rate, digits) for digits in range(6))
+    return next((simple for simple in rounded if abs(simple - rate) <= error), rate)

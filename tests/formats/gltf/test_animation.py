@@ -86,6 +86,11 @@ def test_a_single_frame_without_animation(made: Callable[..., MeshSequence]) -> 
         (np.array([0.1, 0.3, 0.4, 0.7]), 30),
         (np.array([0, 1.25]), 24),
         (np.arange(5) / 90, 90),
+        (np.arange(1001, 1097) / (30 / 1.001), 30000 / 1001),
+        (np.arange(1001, 1097) / (60 / 1.001), 60000 / 1001),
+        (np.arange(1001, 1097) / (30 * 1.001), 30.03),  # as Blender writes a scene at 30/1.001
+        (np.arange(96) / (120 / 1.001), 120000 / 1001),
+        (np.arange(2) / (24 / 1.001), 24000 / 1001),
         (np.array([0, 0.1, 0.1333333]), 30),
         (np.array([0, 0.1, 0.137]), 24),
     ],
@@ -94,8 +99,8 @@ def test_the_rate_is_that_of_the_keys(
     made: Callable[..., MeshSequence], times: NDArray[np.float64], rate: float
 ) -> None:
     got = made(moving(times, np.outer(times, [1, 0, 0])))
-    assert got.fps == pytest.approx(rate, rel=1e-6)
-    np.testing.assert_allclose(got.times, times, rtol=0, atol=2e-7)
+    assert got.fps == pytest.approx(rate, rel=1e-12)
+    np.testing.assert_allclose(got.times, times, rtol=1e-7, atol=2e-7)
 
 
 def test_times_that_nearly_coincide_count_once(made: Callable[..., MeshSequence]) -> None:
