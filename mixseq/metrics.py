@@ -28,6 +28,7 @@ from mixseq.arrays import Float
 from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
+from mixseq.polygon_matching import match_triangles
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
@@ -197,7 +198,7 @@ def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | N
 
 
 def check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
-    """Check that two sequences have the same vertices, faces and times.
+    """Check that two sequences have the same vertices, polygons, in whatever order, and times.
 
     Raises
     ------
@@ -206,17 +207,14 @@ def check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
     """
     for what, one, other in (
         ("vertices", a.vertex_count, b.vertex_count),
-        ("triangles", len(a.faces), len(b.faces)),
         ("frames", a.frame_count, b.frame_count),
     ):
         if one != other:
             raise InvalidSequenceError(f"the reference has {one} {what}, the other sequence {other}")
-    if not np.array_equal(a.faces, b.faces):
-        face = int((a.faces != b.faces).any(axis=1).argmax())
-        raise InvalidSequenceError(
-            f"triangle {face} is {a.faces[face].tolist()} in the reference, {b.faces[face].tolist()} in the "
-            "other sequence; vertices and faces must be in the same order"
-        )
+    try:
+        match_triangles(a.polygons, b.polygons, ("the reference", "the other sequence"))
+    except InvalidSequenceError as error:
+        raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
     apart = np.abs(a.times - b.times) > SAME_TIME / a.fps
     if apart.any():
         frame = int(apart.argmax())

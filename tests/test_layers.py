@@ -28,7 +28,7 @@ LAYERS = (
         "version",
     ),
     ("dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
-    ("cluster", "surface"),
+    ("cluster", "polygon_matching", "surface"),
     ("sequence_header",),
     ("sequence",),
     ("topology", "geometry", "frame_store"),

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
+from mixseq.polygon_matching import difference
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq.signals.model import Model
@@ -98,9 +99,10 @@ def checked_points(points: ArrayLike | MeshSequence, header: SequenceHeader) -> 
         if points.frame_count != 1:
             raise SettingsError(f"the edited mesh has {points.frame_count} frames; one is expected")
         if points.vertex_count == header.vertex_count and not _same_surface(points.polygons, header.polygons):
+            what = difference(points.polygons, header.polygons, ("the edited mesh", "the model"))
             raise InvalidSequenceError(
-                "the edited mesh has other edges than the model: vertices must keep their order; look for such a "
-                "setting in the program that wrote it"
+                f"the edited mesh has other edges than the model, {what}: vertices must keep their order; look for "
+                "such a setting in the program that wrote it"
             )
         points = points.points[0]
     edited = np.asarray(points, dtype=np.float64)

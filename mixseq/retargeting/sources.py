@@ -13,6 +13,7 @@ from mixseq.disk_array import LargeArray
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.frame_store import frame_store
 from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.polygon_matching import match_triangles
 from mixseq.progress import Progress, silent
 from mixseq.segmentation import segment
 from mixseq.segmentation.methods import segment_by_labels
@@ -112,7 +113,7 @@ def source_motion(
     header = frames.header
     topology = Topology(header.faces, header.vertex_count)
     if isinstance(rest, MeshSequence):
-        shape = _shape_at_rest(rest, topology, frames.points)
+        shape = _shape_at_rest(rest, header, topology, frames.points)
     else:
         count = len(frames.points)
         if isinstance(rest, bool) or not isinstance(rest, int | np.integer) or not -count <= rest < count:
@@ -124,13 +125,20 @@ def source_motion(
     return SourceMotion(header, topology, frames.points, shape, parts)
 
 
-def _shape_at_rest(rest: MeshSequence, topology: Topology, points: LargeArray) -> Float:
+def _shape_at_rest(
+    rest: MeshSequence, header: SequenceHeader, topology: Topology, points: LargeArray
+) -> Float:
     """Return the first frame of a mesh at rest, as large as it is in the motion."""
-    if not np.array_equal(rest.faces, topology.faces):
+    if rest.vertex_count != header.vertex_count:
         raise InvalidSequenceError(
-            f"the mesh at rest has {rest.vertex_count} vertices and {len(rest.faces)} triangles, the motion "
-            f"{topology.vertex_count} and {len(topology.faces)}, or they are in another order; give the same mesh"
+            f"the mesh at rest has {rest.vertex_count} vertices, the motion {header.vertex_count}; give the same mesh"
         )
+    try:
+        match_triangles(header.polygons, rest.polygons, ("the motion", "the mesh at rest"))
+    except InvalidSequenceError as error:
+        raise InvalidSequenceError(
+            f"{error}; give the same mesh, with its vertices in the same order"
+        ) from None
     shape = rest.points[0].astype(np.float64)
     some = points[frames_to_look_at(len(points))].astype(np.float64)
     still, moving = edge_lengths(shape, topology.edges), edge_lengths(some, topology.edges)

@@ -17,11 +17,15 @@ import json
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import Index
 from mixseq.errors import FormatError
+from mixseq.polygon_matching import difference, matched
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
@@ -61,16 +65,19 @@ class Place:
         How the vertices of the node's mesh are welded.
     mirrored : bool
         Whether the sequence's triangles are turned around relative to the file's.
+    corners : (C,) int
+        The sequence's corner for every corner of the file's triangles, which may be in another order.
     """
 
     scene_mesh: SceneMesh
     node: int
     weld: Weld
     mirrored: bool
+    corners: Index
 
     def triangles(self, primitive: Primitive) -> NDArray[np.int32]:
         """Return the triangles of a primitive as the sequence has them, by the primitive's vertices."""
-        return primitive.triangles[:, [0, 2, 1]] if self.mirrored else primitive.triangles
+        return _turned(primitive.triangles, self.mirrored)
 
 
 def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
@@ -91,28 +98,45 @@ def find_places(document: Document, scene: Scene, header: SequenceHeader) -> lis
                 f"{document.path} has no mesh at {scene_mesh.path!r}, which is where {scene_mesh.name!r} was"
             )
         welded = weld(document, mesh)
-        either = [Place(scene_mesh, node, welded, mirrored) for mirrored in (False, True)]
-        fitting = [place for place in either if _fits(place)]
-        if not fitting:
+        place = _fitted(scene_mesh, node, welded)
+        if place is None:
             raise FormatError(
                 f"{document.path}: the mesh {scene_mesh.path!r} has other vertices or triangles than the sequence"
+                + _difference(scene_mesh, welded)
             )
-        places.append(fitting[0])
+        places.append(place)
     return places
 
 
-def _fits(place: Place) -> bool:
-    polygons = place.scene_mesh.polygons
-    triangles = [
-        vertices[place.triangles(each)]
-        for each, vertices in zip(place.weld.primitives, place.weld.of_primitive, strict=True)
-    ]
-    return (
-        place.weld.count == place.scene_mesh.vertex_count
-        and polygons.only_triangles
-        and all(map(len, place.weld.of_primitive))
-        and np.array_equal(np.concatenate(triangles), polygons.triangles)
-    )
+def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
+    """Lay a mesh of the sequence over one of the file; None if it has other vertices or triangles."""
+    same_count = welded.count == scene_mesh.vertex_count
+    if not (same_count and scene_mesh.polygons.only_triangles and all(map(len, welded.of_primitive))):
+        return None
+    theirs = _triangles(welded)
+    for mirrored in (False, True):
+        match = matched(Polygons.from_triangles(_turned(theirs, mirrored)), scene_mesh.polygons)
+        if match is not None:
+            return Place(scene_mesh, node, welded, mirrored, match.corners)
+    return None
+
+
+def _difference(scene_mesh: SceneMesh, welded: Weld) -> str:
+    if welded.count != scene_mesh.vertex_count:
+        return f", {welded.count} vertices and {scene_mesh.vertex_count}"
+    theirs = Polygons.from_triangles(_triangles(welded))
+    what = difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
+    return f": {what}" if what else ""
+
+
+def _triangles(welded: Weld) -> NDArray[np.int64]:
+    """Return the triangles ``(F, 3)`` of all primitives by vertices of the mesh."""
+    both = zip(welded.primitives, welded.of_primitive, strict=True)
+    return np.concatenate([vertices[each.triangles] for each, vertices in both if len(vertices)])
+
+
+def _turned(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
+    return triangles[:, [0, 2, 1]] if mirrored else triangles
 
 
 def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
@@ -201,9 +225,8 @@ def _groups(place: Place, primitive: Primitive, corners: slice) -> NDArray[np.in
     """Return for every vertex of a primitive its group of corners that share a normal."""
     polygons, hard_edges = place.scene_mesh.polygons, place.scene_mesh.hard_edges
     groups = np.zeros(len(primitive.positions), dtype=np.int32)
-    groups[place.triangles(primitive).reshape(-1)] = (polygons.indices if hard_edges is None else hard_edges)[
-        corners
-    ]
+    of_corner = polygons.indices if hard_edges is None else hard_edges
+    groups[place.triangles(primitive).reshape(-1)] = of_corner[place.corners[corners]]
     return groups
 
 

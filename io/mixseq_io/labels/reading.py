@@ -19,6 +19,7 @@ count only where they are asked for.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import FloatArray, IntArray
-from mixseq.errors import AmbiguousError, FormatError, SettingsError
+from mixseq.arrays import FloatArray, Index, IntArray
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, SettingsError
+from mixseq.polygon_matching import match_triangles
 from mixseq.polygons import Polygons
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq_io.archives import opened_archive
@@ -204,20 +206,28 @@ def _within(values: NDArray[Any], count: int) -> bool:
 
 
 def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> Sources:
-    """Return the labels that a file's markings make, for a mesh with the same faces."""
+    """Return the labels that a file's markings make, for a mesh with the same faces, which may be in another order."""
     from mixseq_io.labels.from_markings import labels_of_sets, labels_of_skinning
 
     if not 0 <= smallest <= 1:
         raise SettingsError(f"smallest_joint is {smallest}; a share of the faces, from 0 to 1, is expected")
     file, polygons = reader.path, reader.header.polygons
-    _check_same_faces(file, header, reader.header)
+    face = _same_faces(file, header, reader.header)
     markings = reader.markings()
     sources: Sources = {name: partial(labels_of_sets, sets, polygons) for name, sets in markings.sets.items()}
     if markings.colours is not None:
         sources[COLOURS] = partial(_colours, file, markings.colours, polygons)
     if markings.skinning is not None:
         sources[SKELETON] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
-    return sources
+    if face is None:
+        return sources
+    return {name: partial(_carried, make, face) for name, make in sources.items()}
+
+
+def _carried(make: Callable[[], Labels], face: Index) -> Labels:
+    """Return the labels of faces that are listed elsewhere; all triangles of a polygon have the polygon's label."""
+    labels = make()
+    return replace(labels, part_of_face=labels.part_of_face[face])
 
 
 def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
@@ -229,19 +239,24 @@ def _colours(file: Path, colours: FloatArray, polygons: Polygons) -> Labels:
         raise FormatError(f"{file} {error}") from None
 
 
-def _check_same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> None:
-    """Refuse labels of another mesh; whether its vertices are split or welded otherwise does not matter."""
+def _same_faces(file: Path, header: SequenceHeader, found: SequenceHeader) -> Index | None:
+    """Return which of the file's triangles each of the sequence's is, None if they are in the same order.
+
+    Labels of another mesh are refused. In the same order it does not matter whether vertices are split or welded
+    otherwise; in another one vertices have to be the same.
+    """
     ours, theirs = header.faces, found.faces
     if len(ours) != len(theirs):
         raise FormatError(
             f"{file} has {len(theirs)} triangles, the sequence {len(ours)}; labels need a file of the same mesh"
         )
     a, b = ours.reshape(-1), theirs.reshape(-1)
-    if not (np.array_equal(a, b) or _follows(a, b) or _follows(b, a)):
-        raise FormatError(
-            f"{file} has as many triangles as the sequence, but in another order; labels need the same faces in the "
-            "same order"
-        )
+    if np.array_equal(a, b) or _follows(a, b) or _follows(b, a):
+        return None
+    try:
+        return match_triangles(header.polygons, found.polygons, ("the sequence", str(file)))
+    except InvalidSequenceError as error:
+        raise FormatError(f"{error}; labels need a file of the same mesh") from None
 
 
 def _follows(a: IntArray, b: IntArray) -> bool:

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from mixseq.arrays import IntArray
+from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError, OutputError
-from mixseq.polygons import reversed_corners
+from mixseq.polygon_matching import PolygonMatch, difference, matched
+from mixseq.polygons import Polygons, reversed_corners
 from mixseq.sequence import SequenceHeader
 from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.diagnostics import reading_usd
@@ -35,8 +36,10 @@ class Fit:
         The mesh.
     corner_points : (C,) int
         The point at every corner of the mesh.
-    order : (C,) int
-        Which of its corners each corner of the mesh is.
+    match : PolygonMatch
+        Which of its polygons and corners those of the mesh are, which may be in another order.
+    turned : bool
+        Whether the mesh lists its corners the other way round.
     weld : Weld
         Which of its vertices each point of the mesh is.
     """
@@ -44,7 +47,8 @@ class Fit:
     scene_mesh: SceneMesh
     mesh: UsdGeom.Mesh
     corner_points: IntArray
-    order: IntArray
+    match: PolygonMatch
+    turned: bool
     weld: Weld
 
 
@@ -103,26 +107,54 @@ def _fit(path: Path, stage: Usd.Stage, scene_mesh: SceneMesh) -> Fit:
     fitting = [fit for mesh in meshes if (fit := _fit_to(mesh, scene_mesh)) is not None]
     if len(fitting) != 1:
         what = f"{len(fitting)} meshes" if fitting else "no mesh"
-        raise OutputError(f"{path} has {what} with the faces of {scene_mesh.path or scene_mesh.name!r}")
+        why = _difference(meshes[0], scene_mesh) if len(meshes) == 1 and not fitting else ""
+        raise OutputError(f"{path} has {what} with the faces of {scene_mesh.path or scene_mesh.name!r}{why}")
     return fitting[0]
+
+
+def _difference(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> str:
+    """Return what the first difference is to the only mesh that could have been meant."""
+    stored, places = _stored(mesh)
+    if stored is None:
+        return ""
+    for seams in (weld(mesh, places), unwelded(len(places))):
+        if seams.vertex_count == scene_mesh.vertex_count:
+            theirs = Polygons(stored.counts, seams.of_point[stored.indices])
+            what = difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
+            return f": {what}" if what else ""
+    return f": it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 
 def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
     """Lay a mesh of the sequence over one of the file; None if it has other faces."""
+    stored, places = _stored(mesh)
+    polygons = scene_mesh.polygons
+    if stored is None:
+        return None
+    points = stored.indices
+    # The sequence may have come from elsewhere, with a vertex for every point.
+    for seams in (weld(mesh, places), unwelded(len(places))):
+        if seams.vertex_count != scene_mesh.vertex_count:
+            continue
+        theirs = Polygons(stored.counts, seams.of_point[points])
+        # Readers reverse left-handed faces.
+        for turned in (False, True):
+            order = reversed_corners(polygons.counts, keep_first=True) if turned else slice(None)
+            match = matched(theirs, Polygons(polygons.counts, polygons.indices[order]))
+            if match is not None:
+                corners = np.arange(points.size)[order][match.corners]
+                return Fit(scene_mesh, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
+    return None
+
+
+def _stored(mesh: UsdGeom.Mesh) -> tuple[Polygons | None, FloatArray]:
+    """Return the faces of a mesh by its points, None if they are no faces on them, and the points."""
     earliest = Usd.TimeCode.EarliestTime()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(earliest) or (), dtype=np.int32)
     points = np.array(mesh.GetFaceVertexIndicesAttr().Get(earliest) or (), dtype=np.int32)
     places = np.array(mesh.GetPointsAttr().Get(earliest) or (), dtype=np.float32).reshape(-1, 3)
-    if not np.array_equal(counts, scene_mesh.polygons.counts) or not _within(points, len(places)):
-        return None
-    # The sequence may have come from elsewhere, with a vertex for every point.
-    for seams in (weld(mesh, places), unwelded(len(places))):
-        # Readers reverse left-handed faces.
-        for order in (np.arange(points.size), reversed_corners(counts, keep_first=True)):
-            same = np.array_equal(seams.of_point[points], scene_mesh.polygons.indices[order])
-            if same and seams.vertex_count == scene_mesh.vertex_count:
-                return Fit(scene_mesh, mesh, points, order, seams)
-    return None
+    sound = counts.min(initial=3) >= 3 and counts.sum() == points.size and _within(points, len(places))
+    return (Polygons(counts, points) if sound else None), places
 
 
 def _within(indices: IntArray, count: int) -> bool:

@@ -159,16 +159,18 @@ def _normals(fit: Fit) -> Normals | None:
     groups = scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
     if interpolation == UsdGeom.Tokens.faceVarying:
         return Normals(
-            attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.order]
+            attribute=attribute, interpolation=interpolation, groups=groups, order=groups[fit.match.corners]
         )
     if interpolation == UsdGeom.Tokens.uniform:
         faces = np.arange(len(scene_mesh.polygons.counts))
         groups = np.repeat(faces, scene_mesh.polygons.counts)
-        return Normals(attribute=attribute, interpolation=interpolation, groups=groups)
+        return Normals(
+            attribute=attribute, interpolation=interpolation, groups=groups, order=fit.match.polygons
+        )
     if fit.weld.is_identity:
         return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex)
     of_point = np.zeros(len(fit.weld.of_point), dtype=np.int64)  # all corners of a point share their normal
-    of_point[fit.corner_points] = groups[fit.order]
+    of_point[fit.corner_points] = groups[fit.match.corners]
     return Normals(attribute=attribute, interpolation=UsdGeom.Tokens.vertex, groups=groups, order=of_point)
 
 
@@ -201,14 +203,12 @@ def _is_of_skeletons(name: str) -> bool:
 
 def _orient(layer: Sdf.Layer, fit: Fit, placed: Placed, start: float) -> None:
     """Turn faces that would be inside out: those of a mesh that its skeleton mirrored, or its transform does not."""
-    if not fit.order.size:
+    if not fit.corner_points.size:
         return
     tokens, orientation = UsdGeom.Tokens, fit.mesh.GetOrientationAttr()
     mirrored = np.linalg.det(placed.space(start).to_world[:3, :3]) < 0
-    clockwise = (
-        fit.order[1] != 1
-    )  # of the sequence, whose faces are counter-clockwise, the mesh has the reverse
-    left_handed = clockwise != mirrored
+    # of the sequence, whose faces are counter-clockwise, the mesh has the reverse if it is turned
+    left_handed = fit.turned != mirrored
     if left_handed != (orientation.Get() == tokens.leftHanded):
         turned = attribute_in(
             layer, str(orientation.GetPath()), orientation.GetTypeName(), orientation.GetVariability()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -100,7 +101,7 @@ def write_usd(
         )
         declare(layer, cast)
         if parts is not None:
-            define_parts(layer, [each.path for each in cast.meshes], parts)
+            define_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
         return layer, cast, frames(cast, codes, header.times, numbered)
 
     elsewhere: list[str] = []
@@ -156,7 +157,7 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
         layer = Sdf.Layer.CreateNew(str(temporary))
         _author_times(layer, header, time_codes(header.times, header.fps), original)
         put_over(layer, path, original)
-        define_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], parts)
+        define_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], _laid(parts, original))
         save_layer(layer)
     return True
 
@@ -166,6 +167,14 @@ def _folders(header: SequenceHeader, pack_from: str | PathLike[str] | None) -> l
     origin = header.surface.origin
     file = [Path(origin.path)] if origin and origin.format == "USD" else []
     return [*file, *(each.parent for each in file), *([] if pack_from is None else [Path(pack_from)])]
+
+
+def _laid(parts: Parts, original: Original | None) -> Parts:
+    """Return parts by the polygons of the file that they are laid over."""
+    if original is None:
+        return parts
+    own = zip(parts.of_polygon, original.fits, strict=True)
+    return replace(parts, of_polygon=tuple(of_polygon[fit.match.polygons] for of_polygon, fit in own))
 
 
 def _check_options(packed: bool, flatten: bool, onto: object, clips: int, pack_from: object) -> None:

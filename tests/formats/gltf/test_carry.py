@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mixseq.errors import MixseqWarning
+from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
 from tests.formats.conftest import lossy
 from tests.formats.gltf_files import IMAGE, Gltf, Json, read, rigged, write_glb, written
@@ -42,6 +44,22 @@ def test_every_copy_of_a_vertex_moves_with_it(lifted: MeshSequence, tmp_path: Pa
         np.testing.assert_array_equal(file.played("body", time), points[[0, 1, 2, 0, 2, 3]])
     tilted = np.array([0, -3, 1]) / np.sqrt(10)
     np.testing.assert_allclose(file.played("body", 1, "NORMAL"), [tilted] * 6, atol=1e-6)
+
+
+def test_triangles_in_another_order(rig: Path, lifted: MeshSequence, tmp_path: Path) -> None:
+    hard = np.array([0, 1, 2, 3, 4, 5])  # triangle by triangle
+    shuffled = Polygons.from_triangles(np.roll(lifted.faces[::-1], 1, axis=1))
+    order = [5, 3, 4, 2, 0, 1]
+    assert lifted.polygons.indices[order].tolist() == shuffled.indices.tolist()
+    same = replace(lifted, surface=replace(lifted.surface, face_sets=(), uvs=None, hard_edges=hard))
+    other = replace(
+        same, polygons=shuffled, surface=replace(same.surface, hard_edges=hard[order].astype(np.int32))
+    )
+    one, two = (
+        written(tmp_path / name, each, onto=rig) for name, each in (("1.glb", same), ("2.glb", other))
+    )
+    for attribute in ("POSITION", "NORMAL"):
+        np.testing.assert_array_equal(two.played("body", 1, attribute), one.played("body", 1, attribute))
 
 
 def test_what_is_written_onto_a_file_is_read_again(lifted: MeshSequence, tmp_path: Path) -> None:

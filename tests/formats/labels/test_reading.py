@@ -126,13 +126,23 @@ def test_a_sequence_may_bring_its_labels_along(tmp_path: Path) -> None:
         read_labels(path, read(path), "groups")
 
 
-def test_another_file_may_split_or_weld_vertices_but_not_order_faces_otherwise(tmp_path: Path) -> None:
+def test_another_file_may_order_its_faces_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_text(OBJ + "g arm\nf 5 3 2\ng leg\nf 3 4 1 2\n")
+    assert told(read_labels(path, mesh())) == ["leg", "leg", "arm"]
+    path.write_text(OBJ + "g arm\nf 5 3 2\ng leg\nf 3 4 1\nf 3 1 2\n")  # and be cut into triangles
+    assert told(read_labels(path, mesh())) == ["leg", "leg", "arm"]
+
+
+def test_another_file_may_split_or_weld_vertices_if_its_faces_are_in_the_same_order(tmp_path: Path) -> None:
     split = mesh(Polygons(np.array([3, 3]), np.array([0, 1, 2, 3, 1, 4])))
     welded = tmp_path / "a.obj"
     welded.write_text(OBJ + "g leg\nf 1 2 3\ng arm\nf 1 2 4\n")  # 3 is 0
     assert told(read_labels(welded, split)) == ["leg", "arm"]
     welded.write_text(OBJ + "g leg\nf 1 2 3\ng arm\nf 4 1 3\n")
-    with pytest.raises(FormatError, match="in another order"):
+    with pytest.raises(
+        FormatError, match=r"polygon 1 of the sequence \(vertices 3 1 4\) is not in .*a\.obj; labels"
+    ):
         read_labels(welded, split)
 
 

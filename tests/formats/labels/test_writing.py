@@ -89,6 +89,19 @@ def test_over_a_usd_file_nothing_but_subsets_is_written(tmp_path: Path) -> None:
     assert told(read_labels(tmp_path / "out.usda", old, "limbs")) == ["leg", "leg", "arm"]
 
 
+def test_over_a_file_with_its_faces_in_another_order(tmp_path: Path) -> None:
+    asset = subsets(tmp_path / "in.usda")
+    before = asset.read()
+    asset.mesh.GetFaceVertexCountsAttr().Set([3, 4])
+    asset.mesh.GetFaceVertexIndicesAttr().Set([4, 2, 1, 1, 2, 3, 0])
+    asset.stage.Save()
+    write_labels(tmp_path / "out.usda", before, Labels(np.array([0, 0, 1]), ("body", "tail")))
+    found = read(tmp_path / "out.usda")
+    assert found.polygons.counts.tolist() == [3, 4]
+    assert told(read_labels(tmp_path / "out.usda", found)) == ["tail", "body", "body"]
+    assert told(read_labels(tmp_path / "out.usda", before)) == ["body", "body", "tail"]
+
+
 def test_parts_of_before_give_way(tmp_path: Path) -> None:
     asset = subsets(tmp_path / "in.usda", "mixseq")
     with open_sequence(asset.path) as reader:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ from pxr import Sdf, UsdUtils
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence import MeshSequence, Polygons, header_fields
-from mixseq.surface import Origin
+from mixseq.surface import Origin, Surface
 from tests.formats.usd_maker import (
     FACES,
     Asset,
     lift,
     load,
+    mesh_at,
     paint,
     points_at,
     save,
@@ -54,13 +56,43 @@ def test_onto_a_file_that_the_sequence_did_not_come_from(asset: Asset, path: Pat
     np.testing.assert_array_equal(points_at(stage, "/set/walker", 2), lift()[2] + 1)
 
 
+@pytest.mark.parametrize("interpolation", ["uniform", "vertex", "faceVarying"])
+@pytest.mark.parametrize("left_handed", [False, True])
+def test_onto_a_file_with_its_faces_in_another_order(
+    asset: Asset, path: Path, interpolation: str, left_handed: bool
+) -> None:
+    rows = [[4, 2, 1], [1, 2, 3, 0]]
+    rows = [row[::-1] for row in rows] if left_handed else rows
+    asset.mesh.GetFaceVertexCountsAttr().Set([3, 4])
+    asset.mesh.GetFaceVertexIndicesAttr().Set([*rows[0], *rows[1]])
+    asset.mesh.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+    counts = {"uniform": 2, "vertex": 5, "faceVarying": 7}
+    asset.mesh.CreateNormalsAttr([(0, 0, 1)] * counts[interpolation])
+    asset.mesh.SetNormalsInterpolation(interpolation)
+    asset.stage.Save()
+    like = MeshSequence.from_arrays(lift(), FACES, up_axis="Z", metres_per_unit=0.01)
+    sharp = replace(like, surface=Surface(hard_edges=np.arange(7)))
+    stage = save(path, sharp, onto=str(asset.path))
+    # The quad is flat; in the last frame the tip of the triangle is two higher.
+    quad, triangle = np.array([0, 0, 1]), np.array([-2, 0, 1]) / np.sqrt(5)
+    got = np.array(mesh_at(stage, "/set/walker").GetNormalsAttr().Get(12.5))
+    if interpolation == "vertex":  # of the corners of a point, one counts
+        np.testing.assert_allclose(got[[0, 3, 4]], [quad, quad, triangle], atol=1e-6)
+    else:
+        expected = [triangle, quad] if interpolation == "uniform" else [triangle] * 3 + [quad] * 4
+        np.testing.assert_allclose(got, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"up_axis": "Y"}, "has Z up, the sequence Y"),
         ({"metres_per_unit": 1.0}, "has units of 0.01 m, the sequence of 1 m"),
-        ({"polygons": Polygons(np.array([3]), np.array([0, 1, 2]))}, "has no mesh with the faces of 'mesh'"),
-        ({"vertex_count": 6}, "has no mesh with the faces of 'mesh'"),
+        (
+            {"polygons": Polygons(np.array([3]), np.array([0, 1, 2]))},
+            r"no mesh with the faces of 'mesh': polygon 0 of the sequence \(vertices 0 1 2\) is not in /set/walker",
+        ),
+        ({"vertex_count": 6}, "faces of 'mesh': it has 5 points, the sequence 6 vertices"),
     ],
 )
 def test_onto_a_file_that_does_not_fit(
