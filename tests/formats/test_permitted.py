@@ -154,6 +154,22 @@ def test_groups_and_attributes(file: Path, what: str) -> None:
     assert_refused(file, message)
 
 
+def test_the_same_bytes_are_not_claimed_twice(tmp_path: Path) -> None:
+    path = tmp_path / "twice.h5"
+    with h5py.File(path, "w", libver="earliest") as file:  # whose structure has no checksums
+        first = file.create_dataset("first", data=np.arange(100_000))
+        file.create_dataset("second", (100_000,), "i8")
+        place = first.id.get_offset().to_bytes(8, "little")
+    data = path.read_bytes()
+    nowhere, size = b"\xff" * 8, (800_000).to_bytes(8, "little")
+    assert data.count(nowhere + size) == 1
+    path.write_bytes(data.replace(nowhere + size, place + size))
+    with pytest.raises(
+        FormatError, match=r"twice\.h5: /second and what is before it claim more bytes than the file has"
+    ):
+        mixseq.load(path)
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("shape", [(500, 5000), (3, 200000), (1, 3), (2000, 50)])
 def test_a_mesh_that_stands_still_is_no_bomb(

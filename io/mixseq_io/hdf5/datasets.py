@@ -22,6 +22,9 @@ from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.h5_files import CHECKED, put_array, put_text
 
 _CHUNK_ELEMENTS = 1 << 17
+_LARGEST = 1e20
+"""Nothing sound comes near, and products of several are still finite."""
+
 _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
 
 
@@ -62,6 +65,15 @@ def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...])
     if not np.isfinite(array).all():
         raise FormatError(f"{path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}")
     return array.astype(np.float64)
+
+
+def diagonals(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
+    """Read lengths or places in diagonals: numbers as `floats` reads them, none of them absurdly large."""
+    array = floats(path, file, name, shape)
+    if array.size and np.abs(array).max() > _LARGEST:
+        row = np.argwhere(np.abs(array) > _LARGEST)[0, 0]
+        raise FormatError(f"{path}: {name} is above {_LARGEST:g} diagonals in row {row}; it is damaged")
+    return array
 
 
 def increasing(path: Path, file: Contents, name: str) -> Float:

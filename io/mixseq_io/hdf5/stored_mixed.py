@@ -16,7 +16,16 @@ from mixseq.sequence import SequenceHeader
 from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.datasets import floats, get_lists, integers, put, put_lists, read_relaxation, read_scale
+from mixseq_io.hdf5.datasets import (
+    diagonals,
+    floats,
+    get_lists,
+    integers,
+    put,
+    put_lists,
+    read_relaxation,
+    read_scale,
+)
 from mixseq_io.hdf5.h5_files import put_text
 
 _SUM = 1e-9  # how far the shares of a vertex may be from one
@@ -59,8 +68,8 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
         return read_free(path, file, header)
     topology, scale = Topology(header.faces, header.vertex_count), read_scale(path, file)
     decomposition = read_segmentation(path, file, topology)
-    shapes = floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
-    reference = floats(path, file, "space/reference", (header.vertex_count, 3))
+    shapes = diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
+    reference = diagonals(path, file, "space/reference", (header.vertex_count, 3))
     shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
     return AnchoredSpace(
         topology=topology,
@@ -98,9 +107,9 @@ def read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
         topology=topology,
         decomposition=decomposition,
         scale=read_scale(path, file),
-        shapes=floats(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
-        reference=floats(path, file, "space/reference", (header.vertex_count, 3)),
-        reference_lengths=floats(path, file, "space/reference_lengths", (None,)),
+        shapes=diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
+        reference=diagonals(path, file, "space/reference", (header.vertex_count, 3)),
+        reference_lengths=diagonals(path, file, "space/reference_lengths", (None,)),
         relaxation=read_relaxation(path, file),
     )
     if len(space.reference_lengths) != len(space.edge_ids):

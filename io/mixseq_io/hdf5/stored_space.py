@@ -25,7 +25,15 @@ from mixseq.spaces import (
 from mixseq.spaces.basis import BasisSpace
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.datasets import floats, put, read_scale, read_settings, read_shell, write_settings
+from mixseq_io.hdf5.datasets import (
+    diagonals,
+    floats,
+    put,
+    read_scale,
+    read_settings,
+    read_shell,
+    write_settings,
+)
 from mixseq_io.hdf5.h5_files import put_text
 from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mixed_space
 
@@ -129,7 +137,7 @@ def read_space(path: Path, file: Contents, header: SequenceHeader) -> StoredSpac
     if kind == BasisSpace.name:
         return _read_basis_space(path, file, header.vertex_count, scale)
     topology = Topology(header.faces, header.vertex_count)
-    reference = floats(path, file, "space/reference", (header.vertex_count, 3))
+    reference = diagonals(path, file, "space/reference", (header.vertex_count, 3))
     if kind == GradientSpace.name:
         return GradientSpace(topology, scale, reference)
     if kind == LRISpace.name:
@@ -148,7 +156,7 @@ def _read_basis_space(path: Path, file: Contents, vertices: int, scale: float) -
 def _read_edge_space(
     path: Path, file: Contents, topology: Topology, scale: float, reference: Float
 ) -> EdgeSpace:
-    lengths = floats(path, file, "space/reference_lengths", (len(topology.edges),))
+    lengths = diagonals(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
         raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
     return EdgeSpace(topology, scale, reference, lengths, _edge_settings(path, file))

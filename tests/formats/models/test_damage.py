@@ -123,6 +123,16 @@ def test_numbers_that_are_not_finite_are_refused(copy: Path, name: str, row: int
         mixseq.load(copy)
 
 
+def test_numbers_that_are_absurd_are_refused(copy: Path) -> None:
+    def with_too_large(array: Any) -> Any:
+        array[1] = 1e308
+        return array
+
+    replace(copy, "space/reference", with_too_large)
+    with pytest.raises(FormatError, match=r"bar\.h5: space/reference is above 1e\+20 diagonals in row 1"):
+        mixseq.load(copy)
+
+
 @pytest.mark.parametrize(("space", "name"), EACH_DATASET)
 def test_missing_datasets_are_refused(files: Path, tmp_path: Path, space: str, name: str) -> None:
     copy = shutil.copy(files / f"{space}.h5", tmp_path / "bar.h5")
