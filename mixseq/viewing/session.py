@@ -178,7 +178,7 @@ class Session(Background):
             self._add(_Job("settle", self._index, lambda history: history))
 
     def save(self, path: Path, replace: bool = False) -> None:
-        """Write the model to a file, on a thread of its own.
+        """Write the model to a file, on a thread of its own; does nothing once the session is closed.
 
         Parameters
         ----------
@@ -189,6 +189,8 @@ class Session(Background):
         """
         writing = Thread(target=self._write, args=(path, self._index, self.model, replace), daemon=True)
         with self._changed:
+            if self._closed:  # nobody would wait for it, and a process that ends while HDF5 writes may hang
+                return
             self._writing = [thread for thread in self._writing if thread.is_alive()]
             begins = len(self._writing) < MOST_WRITTEN
             if begins:

@@ -5,7 +5,7 @@ Usage: scripts/fuzz kills [--count N] [--seed S] [--command C ...]
 Every command writes over outputs of an earlier run. It gets SIGKILL, SIGTERM or SIGINT; then every file in its folder
 must be what it was before or what the command makes of it, the exit code must be 137, 143 or 130 (the viewer ends by
 Ctrl-C with 0), no process of it may go on, and there is no traceback. Temporary files may be left by SIGKILL only, and
-none after the next run.
+the next run takes them away.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from pathlib import Path
 import mixseq
 from mixseq.creature import walk_cycle
 
-OUT = Path("out/kills").absolute()
+ROOT = Path(__file__).parents[2]
+OUT = ROOT / "out" / "kills"
 MIXSEQ = str(Path(sys.executable).with_name("mixseq"))
 PATIENCE = 60.0
 """Seconds until a command must have ended that got a signal."""
@@ -65,7 +66,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Prepared:
-    """A command with what it writes over, and what it makes of that: contents of files by their names."""
+    """A command, contents of the files that it writes over and of those that it makes, and how long it takes."""
 
     name: str
     words: tuple[str, ...]
@@ -104,9 +105,9 @@ def _inputs() -> Path:
         making = OUT / "making"
         shutil.rmtree(making, ignore_errors=True)
         making.mkdir(parents=True)
-        walk = walk_cycle(24)
+        walk = walk_cycle(10)
         mixseq.write(making / "walk.npz", walk)
-        mixseq.write(making / "short.npz", walk_cycle(5))
+        mixseq.write(making / "short.npz", walk_cycle(4))
         mixseq.write(making / "walk.usdc", walk, flatten=True)
         mixseq.save(making / "model.h5", mixseq.fit(walk))
         making.rename(folder)
@@ -114,15 +115,12 @@ def _inputs() -> Path:
 
 
 def _prepare(name: str, inputs: Path) -> Prepared:
-    """Run a command twice: what it makes, and over what another motion's outputs it writes."""
+    """Run a command for what it makes."""
     program = (sys.executable, "-m", "scripts.fuzzing.saving") if name == "view" else (MIXSEQ,)
     words = (*program, *(word.replace("{in}", str(inputs)) for word in COMMANDS[name]))
     work = _empty(OUT / "work")
     start = time.monotonic()
-    if name == "view":
-        _view_once(words, work)
-    else:
-        subprocess.run(words, cwd=work, check=True, env=_environment(), stdout=subprocess.DEVNULL)
+    _run(words, name, work)
     seconds = time.monotonic() - start
     new = _contents(work)
     # What was there before is told apart by what follows it; reports are read again, and say when they were made.
@@ -130,16 +128,21 @@ def _prepare(name: str, inputs: Path) -> Prepared:
     return Prepared(name, words, old, new, seconds)
 
 
-def _view_once(words: Sequence[str], work: Path) -> None:
+def _run(words: Sequence[str], name: str, work: Path) -> None:
+    """Run a command to its end; the viewer until it has saved."""
+    if name != "view":
+        subprocess.run(words, cwd=work, check=True, env=_environment(), stdout=subprocess.DEVNULL)
+        return
     running = subprocess.Popen(words, cwd=work, env=_environment(), stdout=subprocess.DEVNULL)
     try:
         end = time.monotonic() + PATIENCE
         while not (work / "out.h5").exists() and time.monotonic() < end:
             time.sleep(0.1)
         time.sleep(1)
-    finally:
         running.send_signal(signal.SIGINT)
         running.wait(PATIENCE)
+    finally:
+        running.kill()
 
 
 def _killed(each: Prepared, sent: signal.Signals, moment: float) -> list[str]:
@@ -177,16 +180,9 @@ def _killed(each: Prepared, sent: signal.Signals, moment: float) -> list[str]:
     found = _contents(work)
     wrong += [f"{file} is neither old nor new" for file in found if not _sound(each, file, found[file])]
     wrong += [f"{file} is gone" for file in each.old if file not in found]
-    if sent != signal.SIGKILL:
-        wrong += [f"{file} was left" for file in _left(each, work)]
-    if each.name == "view":
-        _view_once(each.words, work)
-    else:
-        subprocess.run(
-            each.words, cwd=work, env=_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-    wrong += [f"{file} is left after the next run" for file in _left(each, work)]
-    return wrong
+    if sent == signal.SIGKILL and _left(each, work):
+        _run(each.words, each.name, work)
+    return wrong + [f"{file} was left" for file in _left(each, work)]
 
 
 def _sound(each: Prepared, file: str, data: bytes) -> bool:
@@ -247,7 +243,8 @@ def _empty(folder: Path) -> Path:
 
 
 def _environment() -> dict[str, str]:
-    return {**os.environ, "TMPDIR": str(OUT / "tmp"), "MIXSEQ_THREADS": "2"}
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "TMPDIR": str(OUT / "tmp"), "MIXSEQ_THREADS": "2", "PYTHONPATH": path}
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

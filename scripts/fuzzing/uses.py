@@ -49,13 +49,11 @@ def decode(file: Path) -> int:
 
 
 def decode_compressed(file: Path) -> int:
-    """Verifying and salvaging may end as they like; what `decode` says counts."""
+    """What cannot be decoded is salvaged, what can is verified; either may end as it likes."""
     code = decode(file)
-    for words in (("verify", file), ("decode", file, "salvaged.npz", "--salvage", "-q")):
-        other = _command(*words)
-        if other not in (0, 1, 2):
-            return other
-    return code
+    words = ("decode", file, "salvaged.npz", "--salvage", "-q") if code else ("verify", file)
+    other = _command(*words)
+    return code if other in (0, 1, 2) else other
 
 
 def segment(file: Path) -> int:

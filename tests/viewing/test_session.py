@@ -353,6 +353,13 @@ def test_many_files_at_a_time_are_refused(room: Room, tmp_path: Path) -> None:
     eventually(lambda: len(room.told.files) == MOST_WRITTEN + 1)
 
 
+def test_nothing_is_written_once_it_is_closed(room: Room, tmp_path: Path) -> None:
+    room.session.close()
+    room.session.save(tmp_path / "late.h5")
+    assert not room.session._writing
+    assert not room.told.failures
+
+
 def test_what_counts_as_saved(room: Room, tmp_path: Path) -> None:
     session = room.session
     session.edit("loop", same)
