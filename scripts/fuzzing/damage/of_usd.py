@@ -12,6 +12,14 @@ from scripts.fuzzing.damage.of_text import ESCAPES, damaged_text
 
 _KINDS = ("references", "payload", "inherits", "specializes")
 
+_TEXTURE = """
+def Shader "picture"
+{{
+    uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @{}@
+}}
+"""
+
 
 def damage_usd(case: Case) -> str:
     """Change one to three things in a layer."""
@@ -59,6 +67,10 @@ def _arc(text: str, case: Case) -> tuple[str, str]:
     target = rng.choice(targets)
     if target == "pipe.usda":
         os.mkfifo(case.file.with_name(target))
+    materials = list(re.finditer(r'def Material "[^"]*"\s*{', text))
+    if materials and rng.random() < 0.3:
+        end = rng.choice(materials).end()
+        return f"a texture {target[:80]!r}", text[:end] + _TEXTURE.format(target) + text[end:]
     prims = list(re.finditer(r'(def|over) *\w* *"([^"]*)" *\(?', text))
     if rng.random() < 0.4 or not prims:
         line = rng.choice(
