@@ -4,7 +4,8 @@ Usage: scripts/fuzz --minutes N [--seed S] [--reader R ...] [--cases K] [--worke
        scripts/fuzz --case SEED:READER:INDEX
 
 Cases follow from the seed. Every defect is printed at once with the command that repeats it, and at the end a table of
-what became of all; they are in out/fuzz/SEED.jsonl. `--case` leaves the damaged file in out/fuzz/case/work.
+what became of all. They are in out/fuzz/SEED.jsonl, from which the same command goes on; delete it to begin anew.
+`--case` leaves the damaged file in out/fuzz/case/work.
 """
 
 from __future__ import annotations
@@ -45,24 +46,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     readers = options.reader or list(READERS)
     prepare(readers, CORPUS, OUT / "room-0")
     log = OUT / f"{options.seed}.jsonl"
-    log.write_text("")
+    known = {outcome.case for outcome in _outcomes(log)}
     end = time.monotonic() + 60 * options.minutes
     foremen = []
     for number in range(options.workers):
         process = os.fork()
         if process == 0:
-            names = (
+            every = (
                 Name(options.seed, readers[count % len(readers)], count // len(readers))
                 for count in range(number, options.cases, options.workers)
             )
-            _work(names, OUT / f"room-{number}", log, end)
+            _work((name for name in every if str(name) not in known), OUT / f"room-{number}", log, end)
             os._exit(0)
         foremen.append(process)
     for process in foremen:
         os.waitpid(process, 0)
-    outcomes = [Outcome(**json.loads(line)) for line in log.read_text().splitlines()]
+    outcomes = _outcomes(log)
     print(table(outcomes))
     return int(any(outcome.kind not in GOOD for outcome in outcomes))
+
+
+def _outcomes(log: Path) -> list[Outcome]:
+    lines = log.read_text().splitlines() if log.exists() else []
+    return [Outcome(**json.loads(line)) for line in lines]
 
 
 def _work(names: Iterable[Name], room: Path, log: Path, end: float) -> None:
