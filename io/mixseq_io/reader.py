@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -235,8 +236,11 @@ def check_regular(path: Path | str, what: str) -> None:
     FormatError
         If the path is there, and is one of these.
     """
-    file = Path(path)
-    if file.exists() and not (file.is_file() or file.is_dir()):
+    try:
+        mode = Path(path).stat().st_mode
+    except (OSError, ValueError):  # not there, or no name that a file can have: its reader will tell
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path} is a pipe, a socket or a device, not {what}; give the name of a file")
 
 

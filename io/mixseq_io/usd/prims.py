@@ -15,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 from mixseq.errors import FormatError
 from mixseq_io.blocks import warn
+from mixseq_io.reader import check_regular
 
 _MOST_PRIMS = 1_000_000
 """Instances of instances can be more than atoms in the universe, in a file of a few lines."""
@@ -28,7 +29,8 @@ def open_stage(path: Path) -> Usd.Stage:
     Raises
     ------
     FormatError
-        If it is missing, damaged or of another type.
+        If it is missing, damaged or of another type, or a layer that it names is a pipe or a device: USD would wait
+        for it.
     """
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
@@ -37,6 +39,8 @@ def open_stage(path: Path) -> Usd.Stage:
     layer = Sdf.Layer.FindOrOpen(absolute(path), {"mixseq": token_hex(8)})
     if not layer:
         raise FormatError(f"{path} cannot be read as USD; it is damaged, truncated or of another type")
+    for asset in layer.GetCompositionAssetDependencies():
+        check_regular(layer.ComputeAbsolutePath(asset), f"a layer for {path}")
     return Usd.Stage.Open(layer, Usd.Stage.LoadAll)
 
 

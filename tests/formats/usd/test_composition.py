@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,17 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq_io.usd.reader import open_usd
 from tests.formats.usd.stage_maker import INDICES, Make, paths, raised, saved
+
+
+@pytest.mark.parametrize("arc", ["subLayers = [@./pipe.usda@]", "references"])
+def test_a_pipe_is_no_layer(tmp_path: Path, arc: str) -> None:
+    os.mkfifo(tmp_path / "pipe.usda")
+    layer, prim = (arc, "") if arc != "references" else ("", "references = @./pipe.usda@")
+    (tmp_path / "scene.usda").write_text(f'#usda 1.0\n(\n{layer}\n)\ndef "a" ({prim}) {{}}\n')
+    with pytest.raises(
+        FormatError, match=r"pipe\.usda is a pipe, a socket or a device, not a layer for .*scene\.usda"
+    ):
+        open_usd(tmp_path / "scene.usda")
 
 
 class TestComposition:
