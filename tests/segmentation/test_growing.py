@@ -85,7 +85,7 @@ def random_landscape(seed: int) -> tuple[Topology, Float, Passes]:
 @given(seed=seeds)
 def test_the_tree_is_minimal(seed: int) -> None:
     topology, heights, passes = random_landscape(seed)
-    i, j = topology.hinge_faces.T
+    i, j = topology.hinge_faces.T.astype(np.int32)  # all that older SciPy takes
     graph = coo_array((heights + 1.0, (i, j)), shape=(len(topology.faces),) * 2)
     best = minimum_spanning_tree(graph.tocsr())
     assert len(passes.hinges) == best.nnz == len(topology.faces) - 2
