@@ -9,8 +9,9 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import check_target, counted, write_sequence
+from mixseq.cli.files import counted, write_sequence
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 
 
@@ -27,9 +28,15 @@ from mixseq.cli.settings import CommandWithSettings
 @click.argument("target", type=FILE)
 @reader_options
 @writer_options
+@overwrite_option
 @quiet_option
 def command(
-    source: Path, target: Path, reading: dict[str, Any], writing: dict[str, Any], quiet: bool
+    source: Path,
+    target: Path,
+    reading: dict[str, Any],
+    writing: dict[str, Any],
+    claim: Claim,
+    quiet: bool,
 ) -> None:
     """Write a sequence in another format.
 
@@ -41,7 +48,7 @@ def command(
     it is, glTF as a copy with new points, so that materials and everything else stay. --flatten writes meshes that
     stand alone.
     """
-    check_target(target, source)
+    claim(target)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
         blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
         write_sequence(target, reader.header, blocks, reader.velocity_blocks(), writing)

@@ -14,12 +14,12 @@ from mixseq.cli.decode_rig import RigSettings, rows
 from mixseq.cli.files import (
     MODEL_EXTENSIONS,
     check_origin,
-    check_target,
     is_model,
     read_sequence,
     write_frames,
 )
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 from mixseq.frame_rates import exact_rate, rate_text
@@ -100,6 +100,7 @@ def _as_seconds(
 @setting("--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most.")
 @writer_options
 @workers_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -117,6 +118,7 @@ def command(
     max_targets: int | None,
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Turn a model back into a sequence, at any frame rate.
@@ -128,7 +130,7 @@ def command(
     """
     settings = RigSettings(kind, bones, correctives, max_error, max_targets)
     settings.check(velocities, writing)
-    check_target(target, source)
+    claim(target)
     if kind is not None:
         from mixseq_io.rig_files import check_rig_target
 

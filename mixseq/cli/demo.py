@@ -16,6 +16,7 @@ from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import read_sequence
 from mixseq.cli.info import dimension_rows
 from mixseq.cli.options import FILE, examples, quiet_option
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 
 if TYPE_CHECKING:
@@ -39,8 +40,9 @@ if TYPE_CHECKING:
     metavar="N",
     help="Frames of the walk.",
 )
+@overwrite_option
 @quiet_option
-def command(out: Path, frames: int, quiet: bool) -> None:
+def command(out: Path, frames: int, claim: Claim, quiet: bool) -> None:
     """Encode and decode a walking fox, and compare.
 
     Leaves in the folder: creature.usdc, the walk cycle; model.h5, the same in the mixed shape space;
@@ -53,6 +55,7 @@ def command(out: Path, frames: int, quiet: bool) -> None:
     creature, stored, decoded, sheet = (
         out / name for name in ("creature.usdc", "model.h5", "decoded.usdc", "contact_sheet.png")
     )
+    claim(creature, stored, decoded, sheet)
     clock = _Clock()
     with progress_bar(quiet) as progress:
         with clock("make"):

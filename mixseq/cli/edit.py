@@ -12,6 +12,7 @@ import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 
@@ -71,6 +72,7 @@ A script has a table for every edit:
 )
 @writer_options
 @workers_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -81,6 +83,7 @@ def command(
     velocities: bool,
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Edit the motion of a model by a script.
@@ -101,13 +104,15 @@ def command(
         named = next(name for name, value in of_sequences.items() if value)
         raise SettingsError(f"--{named} is for sequences; OUT is a model, decode or resample it then")
 
+    claim(target)
+
     def unlike_target(path: Path) -> Path:
         check_target(target, path)
         return path
 
-    model = mixseq.load(unlike_target(source))
+    model = mixseq.load(source)
     edits = read_script(
-        unlike_target(script),
+        script,
         Readers(
             model=lambda path: mixseq.load(unlike_target(path)),
             mesh=lambda path: mixseq.read(unlike_target(path)),

@@ -13,7 +13,7 @@ import mixseq
 from mixseq.choices import POSE_FORMS, PoseForm
 from mixseq.cli.compressed import aim_options, coding_facts, coding_rows
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
-from mixseq.cli.files import Decoded, check_model_target
+from mixseq.cli.files import Decoded, check_model_name
 from mixseq.cli.info import dimension_rows
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
@@ -25,6 +25,7 @@ from mixseq.cli.options import (
     reader_options,
     workers_options,
 )
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 )
 @workers_options
 @reader_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -86,6 +88,7 @@ def command(
     check: bool,
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Turn a sequence into a model.
@@ -97,7 +100,8 @@ def command(
     fits into that many bytes. An error that --max-error asks for is guaranteed, the
     others are measured; see "mixseq verify".
     """
-    check_model_target(target, source)
+    check_model_name(target)
+    claim(target)
     start = perf_counter()
     error: Comparison | None = None
     with (

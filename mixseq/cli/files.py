@@ -102,9 +102,14 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
 
 def check_target(path: Path, source: Path) -> None:
     """Refuse a file that could not be written or would replace the source, before the work and not after it."""
-    folder = path.parent
     if (path.exists() and source.exists() and path.samefile(source)) or _share_files(path, source):
         raise OutputError(f"{path} is the source itself and would be lost; give another name")
+    check_place(path)
+
+
+def check_place(path: Path) -> None:
+    """Refuse a file that could not be written where it shall be, before the work and not after it."""
+    folder = path.parent
     if path.is_dir():
         raise OutputError(f"{path} is a folder; give the name of a file")
     if not folder.is_dir():
@@ -126,11 +131,10 @@ def _share_files(target: Path, source: Path) -> bool:
     return not ours.isdisjoint(file.resolve() for file in of_source)
 
 
-def check_model_target(path: Path, source: Path) -> None:
-    """Refuse what is no place for a model; a model named .usdc would only confuse."""
+def check_model_name(path: Path) -> None:
+    """Refuse what is no name of a model; a model named .usdc would only confuse."""
     if path.suffix.lower() not in MODEL_EXTENSIONS:
         raise OutputError(f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
-    check_target(path, source)
 
 
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import click
 
 from mixseq.choices import COLOURS, Colour
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import check_target, scene_items
+from mixseq.cli.files import scene_items
 from mixseq.cli.options import FILE
+from mixseq.cli.overwriting import Claim
 from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
@@ -126,6 +127,7 @@ def make_film(
     options: FilmOptions,
     against: Path | None,
     reading: Mapping[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Make the film of `files` that the options ask for."""
@@ -140,8 +142,7 @@ def make_film(
     }
     settings = FilmSettings(**chosen)
     check_film(form, settings.size, settings.fps)
-    for file in (*files, *([against] if against else [])):
-        check_target(target, file)
+    claim(target)
     names = _names(files, options.names)
     with ExitStack() as stack, progress_bar(quiet) as progress:
         shown, original = scene_items(files, names, against, reading, stack)

@@ -12,7 +12,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target, write_sequence
+from mixseq.cli.files import write_sequence
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
     FILE,
@@ -24,6 +24,7 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import SettingsError
 
@@ -90,6 +91,7 @@ def pose_of(text: str) -> Pose:
 @reader_options
 @writer_options
 @workers_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -102,6 +104,7 @@ def command(
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Blend poses of a mesh in a shape space.
@@ -112,7 +115,7 @@ def command(
     With --steps OUT is a sequence from the first --pose to the second, evenly; IN with two frames needs no --pose.
     """
     _check(poses, steps)
-    check_target(target, source)
+    claim(target)
     from mixseq.operations.interpolation import PoseInterpolator
 
     with (

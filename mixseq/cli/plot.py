@@ -11,9 +11,10 @@ import click
 import mixseq
 from mixseq.choices import PICTURES, PictureKind
 from mixseq.cli.console import announce, progress_bar
-from mixseq.cli.files import check_target, read_sequence
+from mixseq.cli.files import read_sequence
 from mixseq.cli.filmed import FilmOptions, film_options, make_film
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import MixseqWarning, SettingsError
 
@@ -69,6 +70,7 @@ def _as_kind(context: click.Context, option: click.Parameter, value: str | None)
 @click.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
 @film_options
 @reader_options
+@overwrite_option
 @quiet_option
 def command(
     files: tuple[Path, ...],
@@ -78,6 +80,7 @@ def command(
     tolerance: float | None,
     filming: FilmOptions,
     reading: dict[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Draw a model: its signals, its parts, and how far it is from the original. Or make a film.
@@ -90,7 +93,7 @@ def command(
     """
     if filming.video is not None:
         _refuse_in_films(files, kind, frames, tolerance)
-        make_film(filming.video, files, filming, against, reading, quiet)
+        make_film(filming.video, files, filming, against, reading, claim, quiet)
         return
     filming.refuse()
     source, target = _model_and_target(files)
@@ -98,17 +101,16 @@ def command(
     from mixseq_io.atomic import replacing
 
     picture_format(target)
-    check_target(target, source)
     check_settings(kind, against is not None, frames, tolerance)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
         )
+    claim(target)
     model = mixseq.load(source)
     with progress_bar(quiet) as progress:
         original = None
         if against is not None:
-            check_target(target, against)
             original = read_sequence(against, reading, progress)
         with replacing(target) as temporary:
             plot_model(

@@ -10,7 +10,7 @@ import click
 
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
-from mixseq.cli.files import check_target, is_model, write_sequence
+from mixseq.cli.files import is_model, write_sequence
 from mixseq.cli.options import (
     FILE,
     examples,
@@ -19,6 +19,7 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 from mixseq.frame_rates import rate_text
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
 @reader_options
 @writer_options
 @workers_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -105,6 +107,7 @@ def command(
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Change the frame rate, speed or direction of a sequence.
@@ -119,7 +122,7 @@ def command(
         raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
     if linear and retime is None:
         raise SettingsError("--linear is about the points of --retime; give both, or neither")
-    check_target(target, source)
+    claim(target)
     from mixseq.operations.resampling import plan
     from mixseq.operations.retiming_files import read_retiming
     from mixseq_io import in_step

@@ -13,9 +13,9 @@ import click
 import mixseq
 from mixseq.choices import SEGMENTATIONS
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
-from mixseq.cli.files import check_target
 from mixseq.cli.labelled import chosen_labels, connected
 from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import OutputError, SettingsError
 
@@ -74,6 +74,7 @@ METHODS = (*SEGMENTATIONS, *_GIVEN)
 @click.option("--flatten", is_flag=True, help="Write USD that does not build on the original file.")
 @json_option
 @reader_options
+@overwrite_option
 @quiet_option
 def command(
     path: Path,
@@ -89,6 +90,7 @@ def command(
     flatten: bool,
     as_json: bool,
     reading: dict[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Cut a sequence into near-rigid parts.
@@ -105,9 +107,7 @@ def command(
     if picture is not None and no_picture:
         raise SettingsError("--picture and --no-picture exclude each other")
     drawn = None if no_picture else picture or _picture_beside(target)
-    for each in filter(None, (target, drawn)):
-        for source in filter(None, (path, labels)):
-            check_target(each, source)
+    claim(target, drawn)
     if drawn is not None:
         _check_picture(drawn)
     with progress_bar(quiet) as progress, mixseq.open_sequence(path, **reading) as reader:

@@ -22,10 +22,10 @@ from mixseq.cli.options import (
     workers_options,
     writer_options,
 )
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.cli.transfer_files import (
     READ_OF_ALL,
-    check_files,
     check_formats,
     chosen_contacts,
     chosen_map,
@@ -106,6 +106,7 @@ if TYPE_CHECKING:
 @reader_options
 @writer_options
 @workers_options
+@overwrite_option
 @quiet_option
 def command(
     source: Path,
@@ -129,6 +130,7 @@ def command(
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Move a mesh as another one moves.
@@ -156,14 +158,7 @@ def command(
     _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
     frame, rest_file = chosen_rest(rest, source)
     drawn = None if no_picture else picture or picture_beside(out)
-    check_files(
-        [each for each in (out, drawn, save_map) if each is not None],
-        [
-            each
-            for each in (source, target, markers, map_file, labels, contacts, rest_file)
-            if each is not None
-        ],
-    )
+    claim(out, drawn, save_map, read=[rest_file])
     check_formats(out, drawn, save_map)
     common = {name: value for name, value in reading.items() if name in READ_OF_ALL}
     notes: list[str] = []

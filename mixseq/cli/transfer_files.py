@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.cli.files import check_target, is_model, options_of
+from mixseq.cli.files import is_model, options_of
 from mixseq.cli.labelled import parts_given
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 
@@ -56,16 +56,6 @@ def picture_beside(out: Path) -> Path:
     """Return a name for the picture; that of numbered files has no number."""
     stem = re.sub(r"[-_. ]*(#+|\*+|%\d*d)", "", out.stem)
     return out.with_name(f"{stem}-transfer.png" if stem else "transfer.png")
-
-
-def check_files(written: Sequence[Path], read: Sequence[Path]) -> None:
-    """Refuse what cannot be written, or would replace what is read or written, before the work."""
-    for number, each in enumerate(written):
-        for source in read:
-            check_target(each, source)
-        for other in written[:number]:
-            if each.resolve() == other.resolve():
-                raise OutputError(f"{each} is to be written twice; give another name")
 
 
 def check_formats(out: Path, picture: Path | None, save_map: Path | None) -> None:

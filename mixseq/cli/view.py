@@ -19,6 +19,7 @@ import mixseq
 from mixseq.cli.console import announce, needed, progress_bar
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.progress import Progress, silent
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
 @setting("--every", type=click.IntRange(min=1), metavar="N", help="Of the frames of PAGE, keep every N-th.")
 @setting("--largest", type=float, metavar="MB", help="PAGE may be so large.  [default: 200]")
 @reader_options
+@overwrite_option
 @quiet_option
 def command(
     files: tuple[Path, ...],
@@ -99,6 +101,7 @@ def command(
     every: int | None,
     largest: float | None,
     reading: dict[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Look at models and sequences in a browser, and edit models in place.
@@ -119,7 +122,7 @@ def command(
         "shading": shading,
     }
     only_page = {"every": every, "largest": largest}
-    for name, value in (only_live if page else only_page).items():
+    for name, value in (only_live if page else only_page | {"overwrite": claim.overwrite}).items():
         if value is not None:
             about = (
                 "the viewer in a browser; leave it out, or --export"
@@ -128,7 +131,8 @@ def command(
             )
             raise SettingsError(f"--{name} is about {about}")
     if page is not None:
-        _check_page(page, [*files, *([against] if against else [])])
+        _check_page(page)
+        claim(page)
     else:
         from mixseq.viewing.live import check_viser
 
@@ -248,11 +252,9 @@ def _save(sources: Sequence[Path], path: Path, model: Model, replace: bool) -> s
 # Pages that play on their own -----------------------------------------------------------------------------
 
 
-def _check_page(page: Path, sources: Sequence[Path]) -> None:
+def _check_page(page: Path) -> None:
     if page.suffix.lower() not in (".html", ".htm"):
         raise SettingsError(f"{page}: pages end in .html")
-    for source in sources:
-        check_target(page, source)
 
 
 def _export(

@@ -124,7 +124,7 @@ def test_a_skeleton_and_how_motion_agrees_with_it(run: Run, skin: Path) -> None:
         ("bar.npz out.npz --method skeleton --source colours", "takes labels from the skeleton"),
         ("bar.npz out.npz --seed 3", "the method motion has no random numbers"),
         ("bar.npz out.npz --picture a.png --no-picture", "exclude each other"),
-        ("bar.npz out.npz --picture out.npz", "end the name in .png"),
+        ("bar.npz out.npz --picture out.npz", "written twice"),
         ("bar.npz out.npz --picture out.svg", "end the name in .png"),
         ("bar.npz out.npz --method labels", "has no labels of faces"),
         ("bar.npz out.npz --method skeleton", "has no 'skeleton' to label faces by"),

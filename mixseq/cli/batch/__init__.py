@@ -11,6 +11,7 @@ import click
 from mixseq.cli.console import print_table, progress_bar
 from mixseq.cli.files import options_of
 from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
+from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import OutputError, SettingsError
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 @fit_options
 @workers_options
 @reader_options
+@overwrite_option
 @quiet_option
 @click.pass_context
 def command(
@@ -43,6 +45,7 @@ def command(
     fitting: dict[str, Any],
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
+    claim: Claim,
     quiet: bool,
 ) -> None:
     """Turn many sequences into models, with one report.
@@ -50,7 +53,8 @@ def command(
     CACHES are sequences in any format, or folders of them. Each becomes a model in the folder, is decoded and compared.
     The report, report.json and report.md there, is up to date after every asset. A failure does not stop the others.
 
-    The same command goes on where it was interrupted, and does again only what failed or has changed.
+    The same command goes on where it was interrupted, and does again only what failed or has changed. Files in the
+    folder that no batch has made are not replaced unless --overwrite says so, or you on a terminal.
     """
     if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
@@ -71,6 +75,7 @@ def command(
     for name in reading:
         if not any(name in options_of(asset.source, reading) for asset in assets):
             raise SettingsError(f"none of the sequences is read with an option {name!r}")
+    claim.permit(earlier.of_others(assets, out), unasked=False)
     _make(out)
     with workers as mapped, progress_bar(quiet) as progress:
         work = on_cluster(mapped, progress) if isinstance(mapped, Cluster) else in_turn(mapped, progress)

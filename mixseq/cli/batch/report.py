@@ -101,6 +101,23 @@ class Report:
             self, entries={key: entry for key, entry in self.entries.items() if files_of(Path(key))}
         )
 
+    def of_others(self, assets: Iterable[Asset], folder: Path) -> list[Path]:
+        """Return the files that a batch would replace in a folder, and that it did not make or somebody changed."""
+        found = [
+            folder / asset.target.name for asset in assets if asset.target.exists() and not self._made(asset)
+        ]
+        table = folder / "report.md"
+        return found + [table] * (table.exists() and not (folder / "report.json").exists())
+
+    def _made(self, asset: Asset) -> bool:
+        """Whether the model of an asset is as a batch left it."""
+        entry = self.entries.get(str(asset.source))
+        return (
+            entry is not None
+            and entry.target == str(asset.target)
+            and (entry.state != "done" or asset.target.stat().st_size == entry.bytes)
+        )
+
     def count(self, state: str) -> int:
         """Return how many entries are in a state."""
         return sum(entry.state == state for entry in self.entries.values())

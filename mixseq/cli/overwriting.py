@@ -1,0 +1,136 @@
+"""Files that a command is about to write: none that it reads is among them, and none is replaced unasked.
+
+What is asked for by name is replaced after a question on a terminal, which comes before the work. Without a terminal
+nobody can answer: then it is replaced, as the tools beside which mixseq stands in scripts do, so that a script may run
+twice. ``--overwrite`` says yes and ``--no-overwrite`` says no before anybody is asked.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mixseq.cli.files import check_place, check_target
+from mixseq.errors import OutputError
+
+_CACHES = (".pc2", ".mdd")
+_FOLDERS = ("folders", "pack_from")
+"""Parameters that say where a command may read, not what."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What claims files for writing.
+
+    Attributes
+    ----------
+    overwrite : bool or None
+        What the user said; None for nothing.
+    given : tuple of Path
+        All files that the command was given, to read or to write.
+    clips : bool
+        Whether USD is written with value clips.
+    """
+
+    overwrite: bool | None
+    given: tuple[Path, ...] = ()
+    clips: bool = False
+
+    def __call__(self, *targets: Path | None, read: Iterable[Path | None] = ()) -> None:
+        """Claim targets, `None` is none of them; `read` are more files that they must not be.
+
+        Raises
+        ------
+        OutputError
+            If one could not be written, is among the files that are read, or exists and is to stay.
+        """
+        written = [target for target in targets if target is not None]
+        sources = [*self.given, *(path for path in read if path is not None)]
+        for number, target in enumerate(written):
+            if target.resolve() in (other.resolve() for other in written[:number]):
+                raise OutputError(f"{target} is to be written twice; give another name")
+            if target in sources:
+                sources.remove(target)  # once: whoever is given twice is read, too
+        for path in (file for target in written for file in (target, *_beside(target))):
+            check_place(path)
+            for source in sources:
+                check_target(path, source)
+        self.permit([file for target in written for file in files_in_the_way(target, self.clips)])
+
+    def permit(self, files: Sequence[Path], unasked: bool = True) -> None:
+        """See that files may be replaced; `unasked` says what holds if nothing was said and nobody can be asked.
+
+        Raises
+        ------
+        OutputError
+            If they may not.
+        """
+        if not files or self.overwrite:
+            return
+        asked = self.overwrite is None and on_terminal()
+        exist = f"{_named(files)} {'exists' if len(files) == 1 else 'exist'}"
+        if asked and not click.confirm(f"{exist}; replace {'it' if len(files) == 1 else 'them'}?", err=True):
+            raise OutputError(f"{_named(files)} stayed as before; give another name")
+        if not asked and (self.overwrite is False or not unasked):
+            raise OutputError(f"{exist}; give another name, or --overwrite")
+
+
+def overwrite_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Add ``--overwrite``; the command gets a `Claim` as ``claim``, to be called before the work."""
+
+    @click.option(
+        "--overwrite/--no-overwrite",
+        default=None,
+        help="Replace files that exist, or refuse to.  [default: ask, on a terminal]",
+    )
+    @wraps(command)
+    def with_option(*args: Any, overwrite: bool | None, **settings: Any) -> None:
+        given = click.get_current_context().params
+        files = [value for name, value in given.items() if name not in _FOLDERS]
+        claim = Claim(overwrite, tuple(_paths(files)), bool(given.get("clips")))
+        command(*args, claim=claim, **settings)
+
+    return with_option
+
+
+def on_terminal() -> bool:
+    """Whether somebody can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def files_in_the_way(target: Path, clips: bool = False) -> list[Path]:
+    """Return what exists of the files that writing to a target replaces: numbered files, and those beside it, too."""
+    from mixseq_io import FORMATS
+    from mixseq_io.numbered.names import files_of_pattern
+
+    numbered = any(form.numbered and target.suffix.lower() in form.extensions for form in FORMATS)
+    found = [file for _, file in sorted(files_of_pattern(target))] if numbered else []
+    folder = [target.with_name(f"{target.name}.clips")] if clips else []
+    return [file for file in (*found, target, *_beside(target), *folder) if file.exists()]
+
+
+def _beside(target: Path) -> list[Path]:
+    """Return what is written beside a target: the mesh of a point cache."""
+    return [target.with_suffix(".obj")] if target.suffix.lower() in _CACHES else []
+
+
+def _paths(values: Iterable[Any]) -> Iterator[Path]:
+    for value in values:
+        if isinstance(value, Path):
+            yield value
+        elif isinstance(value, tuple):
+            yield from _paths(value)
+
+
+def _named(files: Sequence[Path]) -> str:
+    """Name files for a message: all of a few, the ends of many."""
+    names = [click.format_filename(file) for file in files]
+    if len(names) > 4:
+        return f"{names[0]} ... {names[-1]} ({len(names)} files)"
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
