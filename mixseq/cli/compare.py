@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import print_json, print_table, progress_bar
+from mixseq.cli.console import print_json, print_table, progress_bar, say
 from mixseq.cli.files import counted, options_of
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
@@ -61,7 +61,7 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
     elif not quiet:
         if shared is not b:
             there = b.header.frame_count
-            click.echo(f"compared at the {result.frames} times that {other} shares, out of {there}")
+            say(f"compared at the {result.frames} times that {other} shares, out of {there}")
         print_table(_rows(result))
 
 

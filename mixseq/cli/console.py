@@ -1,8 +1,13 @@
-"""What commands print: tables and finished files on stdout, progress on stderr."""
+"""What commands print: tables and finished files on stdout, progress on stderr.
+
+Names in files are data: whatever they say, they must not move the cursor, colour or rename the terminal, or turn the
+rest of a line around. So all that is printed goes through `printable`; JSON has escapes of its own.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,10 +18,32 @@ import click
 
 from mixseq.progress import Progress, silent
 
+_CONTROLS = re.compile(
+    "[\x00-\x1f\x7f-\x9f"  # C0, DEL and C1
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # of bidirectional text
+    "\u2028\u2029\ud800-\udfff]"  # ends of lines and paragraphs; halves of characters
+)
+
+
+def printable(text: str) -> str:
+    r"""Return text with everything escaped that a terminal would obey instead of showing it.
+
+    Examples
+    --------
+    >>> printable("café \x1b[31m\n\u202egpj.exe")
+    'café \\x1b[31m\\n\\u202egpj.exe'
+    """
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print a line, on stdout or stderr."""
+    click.echo(printable(text), err=err)
+
 
 def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = None) -> None:
     """Print rows of text in columns: coloured on a terminal, aligned plain text elsewhere."""
-    lines = [list(row) for row in rows]
+    lines = [[printable(cell) for cell in row] for row in rows]
     if sys.stdout.isatty():
         _print_rich(lines, heading)
         return
@@ -25,7 +52,7 @@ def print_table(rows: Iterable[Sequence[str]], heading: Sequence[str] | None = N
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        click.echo("  ".join(cells).rstrip())
+        say("  ".join(cells).rstrip())
 
 
 def _print_rich(rows: list[list[str]], heading: Sequence[str] | None) -> None:
@@ -50,7 +77,7 @@ def print_json(data: dict[str, Any]) -> None:
 def announce(path: Path) -> None:
     """Tell that a file is finished, and which others it needs, if there are some."""
     size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    click.echo(f"wrote {click.format_filename(path)}{size}{needed(path)}")
+    say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
 
 
 def needed(path: Path) -> str:
@@ -91,11 +118,16 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def tell(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
+            bar.update(task, completed=done, total=total, description=printable(what))
 
         yield tell

@@ -29,6 +29,7 @@ from typing import Any, NoReturn
 
 import click
 
+from mixseq.cli.console import say
 from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.warned import warnings_heard
 
@@ -122,7 +123,7 @@ def _hint(error: click.ClickException) -> str:
 def _say(message: str) -> None:
     """Print a message on one line of stderr; the lines of a list become an enumeration."""
     head, *rest = (line.strip() for line in message.splitlines())
-    click.echo(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
+    say(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 
+from mixseq.cli.console import printable
 from mixseq.cli.files import check_place, check_target
 from mixseq.errors import OutputError
 
@@ -75,7 +76,8 @@ class Claim:
             return
         asked = self.overwrite is None and on_terminal()
         exist = f"{_named(files)} {'exists' if len(files) == 1 else 'exist'}"
-        if asked and not click.confirm(f"{exist}; replace {'it' if len(files) == 1 else 'them'}?", err=True):
+        question = f"{exist}; replace {'it' if len(files) == 1 else 'them'}?"
+        if asked and not click.confirm(printable(question), err=True):
             raise OutputError(f"{_named(files)} stayed as before; give another name")
         if not asked and (self.overwrite is False or not unasked):
             raise OutputError(f"{exist}; give another name, or --overwrite")

@@ -12,7 +12,7 @@ import click
 
 import mixseq
 from mixseq.choices import SEGMENTATIONS
-from mixseq.cli.console import announce, print_json, print_table, progress_bar
+from mixseq.cli.console import announce, print_json, print_table, progress_bar, say
 from mixseq.cli.labelled import chosen_labels, connected
 from mixseq.cli.options import FILE, examples, json_option, labels_options, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
@@ -133,7 +133,7 @@ def command(
     if not quiet:
         print_table(found.rows, ("part", "faces", "area", "near-rigid error"))
     if agreement is not None and not quiet:
-        click.echo(str(agreement))
+        say(str(agreement))
     for each in filter(None, (target, drawn)):
         announce(each)
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.cli.console import announce, needed, progress_bar
+from mixseq.cli.console import announce, needed, progress_bar, say
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
@@ -201,7 +201,7 @@ def _run(
         **{name: value for name, value in given.items() if value is not None},
     )
     with viewer(colours, settings, partial(_save, files)) as running:
-        click.echo(f"mixseq view: {running.address} (Ctrl-C ends it)")
+        say(f"mixseq view: {running.address} (Ctrl-C ends it)")
         if browser or (browser is None and _has_screen()):
             webbrowser.open(running.address)
         try:
@@ -274,4 +274,4 @@ def _export(
         report = export_page(temporary, page_items(colours), settings, progress, on_threads(threads))
     announce(page)
     off = max(item.error for item in report.items)
-    click.echo(f"no coordinate is off by more than {off:.2g}, of the meshes' own units")
+    say(f"no coordinate is off by more than {off:.2g}, of the meshes' own units")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mixseq.cli.console import print_table, progress_bar
+from mixseq.cli.console import print_table, progress_bar, say
 from mixseq.cli.files import options_of
 from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
 from mixseq.cli.overwriting import Claim, overwrite_option
@@ -83,7 +83,7 @@ def command(
     ours = report.of(assets)
     if not quiet:
         print_table(rows(ours.entries.values()), HEADING)
-    click.echo(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
+    say(f"wrote {click.format_filename(out / 'report.md')} ({ours.summary()})")
     if ours.count("done") < len(assets):
         context.exit(1)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mixseq.cli.batch.plan import Asset, files_of
-from mixseq.cli.console import format_bytes
+from mixseq.cli.console import format_bytes, printable
 from mixseq.cli.formats import as_markdown
 from mixseq.errors import FormatError
 from mixseq.version import __version__
@@ -196,7 +196,7 @@ def in_markdown(report: Report) -> str:
     """Return the report in Markdown."""
     entries = list(report.entries.values())
     again = "" if report.finished else " Not finished: the same command goes on with what is left."
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in rows(entries)]
+    cells = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows(entries)]
     lines = [
         "# Batch",
         "",
@@ -207,5 +207,5 @@ def in_markdown(report: Report) -> str:
         "Times are those of encoding. Errors are of all decoded frames: the largest of a vertex in diagonals, and the",
         "one of Karni and Gotsman. Bits are per vertex and frame.",
     ]
-    told = [f"- {Path(entry.target).stem}: {each}" for entry in entries for each in entry.warnings]
+    told = [printable(f"- {Path(entry.target).stem}: {each}") for entry in entries for each in entry.warnings]
     return "\n".join([*lines, *(["", "## Warnings", "", *told] if told else [])]) + "\n"
