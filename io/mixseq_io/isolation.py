@@ -3,7 +3,8 @@
 A damaged file can make such a library crash, hang, or ask for all memory; none of that can be caught where it
 happens. So these readers run in a worker (`mixseq_io.worker`), a second Python with limits on its memory
 (`mixseq_io.memory`) and on the time of each answer. When it dies, the file is to blame and the user gets an error as
-from any other format. Workers are reused, because starting one takes half a second.
+from any other format. Workers are reused, because starting one takes half a second, and they are few
+(`mixseq_io.worker_pool`).
 
 The limit of time can be raised by the environment variable ``MIXSEQ_READER_SECONDS`` (120 of processor time; four
 times as long by the clock, for files that never answer).
@@ -11,30 +12,20 @@ times as long by the clock, for files that never answer).
 
 from __future__ import annotations
 
-import atexit
-import os
-import pickle
-import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from importlib import import_module
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
-from mixseq_io.blocks import warn
 from mixseq_io.labels.markings import Markings
-from mixseq_io.memory import gigabytes, max_memory
+from mixseq_io.memory import max_memory
 from mixseq_io.reader import SequenceReader
-
-_MOST_IDLE = 2
+from mixseq_io.worker_pool import OpenFile, dismiss, hire
 
 
 def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceReader:
@@ -60,10 +51,10 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
         reader_here: SequenceReader = loaded(reader)(path, **options)
         return reader_here
     with ExitStack() as resources:
-        worker = _hire()
-        resources.callback(_dismiss, worker)
-        header, moving = worker.ask(path, "open", reader, str(path), options, str(Path.cwd()), max_memory())
-        return _IsolatedReader(path, _frozen(header), worker, resources.pop_all(), moving)
+        file = OpenFile(path, reader, options)
+        resources.callback(file.close)
+        header, moving = file.opened
+        return _IsolatedReader(path, _frozen(header), file, resources.pop_all(), moving)
 
 
 def call_isolated(function: str, path: Path, *arguments: Any) -> Any:
@@ -80,11 +71,11 @@ def call_isolated(function: str, path: Path, *arguments: Any) -> Any:
     """
     if not can_isolate():
         return loaded(function)(path, *arguments)
-    worker = _hire()
+    worker = hire()
     try:
         return worker.ask(path, "call", function, str(path), arguments, str(Path.cwd()), max_memory())
     finally:
-        _dismiss(worker)
+        dismiss(worker)
 
 
 clocks: list[Callable[[float], None]] = []
@@ -111,148 +102,21 @@ def can_isolate() -> bool:
 
 class _IsolatedReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, worker: _Worker, resources: ExitStack, moving: bool
+        self, path: Path, header: SequenceHeader, file: OpenFile, resources: ExitStack, moving: bool
     ) -> None:
         super().__init__(path, header, resources, moving)
-        self._worker = worker
-        self._numbers = count()
+        self._file = file
 
     def markings(self) -> Markings:
         """Return what tells parts of the mesh apart."""
-        found: Markings = self._worker.ask(self.path, "markings")
+        found: Markings = self._file.ask("markings")
         return found
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._read("points", size)
+        return self._file.iterate("points", size)
 
     def _read_velocities(self, size: int) -> Iterator[FloatArray]:
-        return self._read("velocities", size)
-
-    def _read(self, what: str, size: int) -> Iterator[FloatArray]:
-        number = next(self._numbers)
-        self._worker.ask(self.path, "iterate", number, what, size)
-        while True:
-            block = self._worker.ask(self.path, "next", number)
-            if block is None:
-                return
-            yield block
-
-
-class _Worker:
-    """A child process that answers one question at a time."""
-
-    def __init__(self) -> None:
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mixseq_io.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
-            env=environment,
-        )
-        self._lock = threading.Lock()
-
-    def ask(self, path: Path, *question: Any) -> Any:
-        """Return the answer to a question about a file; raise the error, and repeat the warnings, that it made."""
-        try:
-            with self._lock:
-                pickle.dump(question, self._stdin)
-                self._stdin.flush()
-                answer, error, warnings = pickle.load(self._stdout)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            raise FormatError(self._obituary(path)) from None
-        except BaseException:
-            # Ctrl-C: the answer that is on its way must not be taken for that to another question.
-            self._process.kill()
-            raise
-        for message in warnings:
-            warn(message)
-        if error is not None:
-            raise error
-        return answer
-
-    def close(self) -> None:
-        """Let the process end."""
-        with suppress(OSError):
-            self._stdin.close()
-        self._stdout.close()
-        try:
-            self._process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    @property
-    def alive(self) -> bool:
-        """Whether it can be asked again."""
-        return self._process.poll() is None
-
-    @property
-    def _stdin(self) -> Any:
-        return self._process.stdin
-
-    @property
-    def _stdout(self) -> Any:
-        return self._process.stdout
-
-    def _obituary(self, path: Path) -> str:
-        try:
-            code = self._process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            code = self._process.wait()
-        if -code in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
-            return (
-                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of time, must be "
-                "raised"
-            )
-        return (
-            f"{path}: the library that reads it crashed; it is damaged, export it again (or it needs more than "
-            f"{gigabytes(max_memory())} of memory: --max-memory)"
-        )
-
-
-_idle: list[_Worker] = []
-_of_parent: list[_Worker] = []
-_lock = threading.Lock()
-
-
-def _hire() -> _Worker:
-    with _lock:
-        while _idle:
-            worker = _idle.pop()
-            if worker.alive:
-                return worker
-            worker.close()
-    return _Worker()
-
-
-def _dismiss(worker: _Worker) -> None:
-    """Keep a worker for the next file, if it is well and there are not enough already."""
-    with suppress(FormatError):
-        if worker.alive:
-            worker.ask(Path(), "close")
-    with _lock:
-        if worker.alive and len(_idle) < _MOST_IDLE:
-            _idle.append(worker)
-            return
-    worker.close()
-
-
-def _leave_to_parent() -> None:
-    """Let a forked process start workers of its own: two askers at one pipe would get each other's answers."""
-    _of_parent.extend(_idle)
-    _idle.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_leave_to_parent)
-
-
-@atexit.register
-def _dismiss_all() -> None:
-    while _idle:
-        _idle.pop().close()
+        return self._file.iterate("velocities", size)
 
 
 def _frozen(header: SequenceHeader) -> SequenceHeader:

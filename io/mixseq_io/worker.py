@@ -2,7 +2,8 @@
 
 Questions and answers are pickles on stdin and stdout: ``("open", reader, path, options, folder, limit)`` gives the
 header and whether there are velocities, ``("markings",)`` what tells parts of the mesh apart, ``("iterate", number,
-what, size)`` starts an iteration over points or velocities, ``("next", number)`` gives its next block or None,
+what, size, start)`` starts an iteration over points or velocities, at the block `start`, ``("next", number)`` gives its
+next block or None,
 ``("close",)`` ends with the file. ``("call", function, path, arguments, folder, limit)`` gives what a function of a
 file returns. The limit is that of memory, in bytes. An answer is a triple of the value, the exception that was raised
 or None, and the warnings. The process ends when stdin does.
@@ -64,10 +65,13 @@ class Worker:
         assert self._reader is not None
         return self._reader.markings()
 
-    def _iterate(self, number: int, what: str, size: int) -> None:
+    def _iterate(self, number: int, what: str, size: int, start: int) -> None:
         assert self._reader is not None
         read = self._reader._read_blocks if what == "points" else self._reader._read_velocities
-        self._iterations[number] = iter(read(size))
+        self._iterations[number] = blocks = iter(read(size))
+        for _ in range(start):
+            next(blocks, None)
+            limit_time(1)  # each had as much
 
     def _next(self, number: int) -> Any:
         block = next(self._iterations[number], None)

@@ -13,7 +13,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import FormatError
-from mixseq_io import isolation
+from mixseq_io import isolation, worker_pool
 from mixseq_io.hdf5.contents import read_attributes, read_contents
 from tests.formats.models.model_cases import GOLDEN
 
@@ -23,10 +23,10 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True)
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let no worker of another test answer, and end those of this one."""
-    monkeypatch.setattr(isolation, "_idle", [])
+    monkeypatch.setattr(worker_pool, "idle", [])
     monkeypatch.setenv("MIXSEQ_READER_SECONDS", "60")  # of which attributes have a second
     yield monkeypatch
-    isolation._dismiss_all()
+    worker_pool.dismiss_all()
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
-from mixseq_io import isolation
+from mixseq_io import isolation, worker_pool
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
 
@@ -25,9 +25,9 @@ def opened(how: str = "well", when: str = "opening") -> SequenceReader:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """Let no worker of another test answer, and end those of this one."""
-    monkeypatch.setattr(isolation, "_idle", [])
+    monkeypatch.setattr(worker_pool, "idle", [])
     yield monkeypatch
-    isolation._dismiss_all()
+    worker_pool.dismiss_all()
 
 
 def test_the_same_sequence_comes_through() -> None:
@@ -50,20 +50,20 @@ def test_iterations_and_files_do_not_disturb_each_other() -> None:
 
 def test_a_worker_is_used_again(new_workers: pytest.MonkeyPatch) -> None:
     with opened() as reader:
-        process = reader._worker._process.pid  # type: ignore[attr-defined]
+        process = reader._file.worker._process.pid  # type: ignore[attr-defined]
     with opened() as reader:
-        assert reader._worker._process.pid == process  # type: ignore[attr-defined]
+        assert reader._file.worker._process.pid == process  # type: ignore[attr-defined]
 
 
 def test_a_forked_process_has_workers_of_its_own(new_workers: pytest.MonkeyPatch) -> None:
     with opened():
         pass
-    assert len(isolation._idle) == 1
+    assert len(worker_pool.idle) == 1
     child = os.fork()
     if not child:
-        os._exit(len(isolation._idle))
+        os._exit(len(worker_pool.idle))
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    assert len(isolation._idle) == 1
+    assert len(worker_pool.idle) == 1
 
 
 @pytest.mark.parametrize("when", ["opening", "reading"])

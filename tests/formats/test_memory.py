@@ -13,7 +13,7 @@ import pytest
 import mixseq
 from mixseq.errors import FormatError, SettingsError
 from mixseq.sequence import MeshSequence
-from mixseq_io import isolation, memory
+from mixseq_io import memory, worker_pool
 from mixseq_io.memory import VARIABLE, check_memory, max_memory, memory_limit
 from tests.formats.conftest import Target
 
@@ -64,9 +64,9 @@ def test_the_error_tells_what_would_help() -> None:
 @pytest.fixture
 def new_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the workers of this test, which have been short of memory."""
-    monkeypatch.setattr(isolation, "_idle", [])
+    monkeypatch.setattr(worker_pool, "idle", [])
     yield
-    isolation._dismiss_all()
+    worker_pool.dismiss_all()
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import FormatError
+from mixseq.frame_store import LARGEST, SMALLEST
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
 from mixseq_io.hdf5.contents import Contents
@@ -60,7 +61,17 @@ def integers(
 
 
 def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
-    """Read finite numbers; None in the shape stands for any length."""
+    """Read numbers that can be computed with, as those of a mesh; None in the shape stands for any length."""
+    array = _finite(path, file, name, shape)
+    if array.size and (large := np.abs(array)).max() > LARGEST:
+        row = np.argwhere(large > LARGEST)[0, 0]
+        raise FormatError(
+            f"{path}: {name} has {large.max():g} in row {row}, beyond {LARGEST:g}; it is damaged"
+        )
+    return array
+
+
+def _finite(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
     array = _of_kind(path, file, name, shape, "floats")
     if not np.isfinite(array).all():
         raise FormatError(f"{path}: {name} is not finite in row {np.argwhere(~np.isfinite(array))[0, 0]}")
@@ -69,7 +80,7 @@ def floats(path: Path, file: Contents, name: str, shape: tuple[int | None, ...])
 
 def diagonals(path: Path, file: Contents, name: str, shape: tuple[int | None, ...]) -> Float:
     """Read lengths or places in diagonals: numbers as `floats` reads them, none of them absurdly large."""
-    array = floats(path, file, name, shape)
+    array = _finite(path, file, name, shape)
     if array.size and np.abs(array).max() > _LARGEST:
         row = np.argwhere(np.abs(array) > _LARGEST)[0, 0]
         raise FormatError(f"{path}: {name} is above {_LARGEST:g} diagonals in row {row}; it is damaged")
@@ -108,8 +119,10 @@ def _of_kind(
 def read_scale(path: Path, file: Contents) -> float:
     """Read the length of the space's unit."""
     scale = float(file.attributes["space"]["scale"])
-    if not (np.isfinite(scale) and scale > 0):
-        raise FormatError(f"{path}: the scale of the space is {scale}; a positive number is expected")
+    if not SMALLEST <= scale <= LARGEST:
+        raise FormatError(
+            f"{path}: the scale of the space is {scale:g}; a number from {SMALLEST:g} to {LARGEST:g} is expected"
+        )
     return scale
 
 

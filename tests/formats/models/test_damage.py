@@ -133,6 +133,29 @@ def test_numbers_that_are_absurd_are_refused(copy: Path) -> None:
         mixseq.load(copy)
 
 
+@pytest.mark.parametrize("name", ["signals/placement/rotations", "signals/pose/offset"])
+def test_numbers_that_overflow_are_refused(copy: Path, name: str) -> None:
+    def enlarged(values: Any) -> Any:
+        values[1] = -1e300
+        return values
+
+    replace(copy, name, enlarged)
+    with pytest.raises(
+        FormatError, match=rf"bar\.h5: {name} has 1e\+300 in row 1, beyond 1e\+60; it is damaged"
+    ):
+        mixseq.load(copy)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, 1e-320, 1e300, np.inf, np.nan])
+def test_scales_that_no_mesh_has_are_refused(copy: Path, scale: float) -> None:
+    with h5py.File(copy, "r+") as file:
+        file["space"].attrs["scale"] = scale
+    with pytest.raises(
+        FormatError, match=r"bar\.h5: the scale of the space is .* 1e-60 to 1e\+60 is expected"
+    ):
+        mixseq.load(copy)
+
+
 @pytest.mark.parametrize(("space", "name"), EACH_DATASET)
 def test_missing_datasets_are_refused(files: Path, tmp_path: Path, space: str, name: str) -> None:
     copy = shutil.copy(files / f"{space}.h5", tmp_path / "bar.h5")

@@ -1,0 +1,279 @@
+"""Processes that answer questions about files: started when they are needed, used again, and never many.
+
+A file that is open has a worker of its own. Where more than `MOST` are, the one that was not asked for longest gives
+its worker to others: it is opened again when it is asked next, and what was being read goes on where it was.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+from weakref import WeakSet, finalize
+
+from mixseq.errors import FormatError
+from mixseq_io.blocks import warn
+from mixseq_io.memory import gigabytes, max_memory
+
+MOST = 8
+"""So many files have workers at the same time, unless more are read by as many threads. Ours."""
+
+_MOST_IDLE = 2
+
+
+class OpenFile:
+    """A file that is open in a worker.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    reader : str
+        ``"module:function"`` that opens it.
+    options : dict
+        The function's options.
+
+    Attributes
+    ----------
+    opened
+        What the worker answered when it opened the file.
+    """
+
+    def __init__(self, path: Path, reader: str, options: dict[str, Any]) -> None:
+        self.path = path
+        self.worker: Worker | None = None
+        self.asked = 0
+        self._question = ("open", reader, str(path), options, str(Path.cwd()), max_memory())
+        self._signature = _signature(path)
+        self._times = 0  # that it was opened
+        self._numbers = count()
+        self.lock = threading.RLock()
+        with self.lock:
+            self.opened = self._open()
+        _files.add(self)
+
+    def ask(self, *question: Any) -> Any:
+        """Return the answer to a question; see `mixseq_io.worker`."""
+        with self.lock:
+            return self._ready().ask(self.path, *question)
+
+    def iterate(self, what: str, size: int) -> Iterator[Any]:
+        """Yield what a worker iterates over."""
+        number, done, times = next(self._numbers), 0, 0
+        while True:
+            with self.lock:
+                worker = self._ready()
+                if times != self._times:
+                    worker.ask(self.path, "iterate", number, what, size, done, again=done > 0)
+                    times = self._times
+                block = worker.ask(self.path, "next", number)
+            if block is None:
+                return
+            yield block
+            done += 1
+
+    def close(self) -> None:
+        """Close the file, and keep its worker for others."""
+        with self.lock:
+            worker, self.worker = self.worker, None
+        if worker is not None:
+            dismiss(worker)
+
+    def give_up(self) -> bool:
+        """Leave the worker to others, if there is one and nobody waits for its answer; return whether that was so."""
+        if not self.lock.acquire(blocking=False):
+            return False
+        try:
+            held = self.worker is not None
+            self.close()
+        finally:
+            self.lock.release()
+        return held
+
+    def _ready(self) -> Worker:
+        if self.worker is None:
+            if _signature(self.path) != self._signature:
+                raise FormatError(f"{self.path} has changed since it was opened; open it again")
+            self._open()
+        assert self.worker is not None
+        self.asked = next(_questions)
+        return self.worker
+
+    def _open(self) -> Any:
+        _make_room()
+        self.worker = hire()
+        try:
+            answer = self.worker.ask(self.path, *self._question, again=self._times > 0)
+        except BaseException:
+            self.close()
+            raise
+        self._times += 1
+        self.asked = next(_questions)
+        return answer
+
+
+class Worker:
+    """A child process that answers one question at a time."""
+
+    def __init__(self) -> None:
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mixseq_io.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # where C++ libraries grumble; their reports come with the answers
+            env=environment,
+        )
+        # Whoever drops a reader without closing it leaves no process; without locks, which the same thread may hold.
+        finalize(self, _end, self._process).atexit = False
+        self._lock = threading.Lock()
+
+    def ask(self, path: Path, *question: Any, again: bool = False) -> Any:
+        """Return the answer to a question about a file; raise the error, and repeat the warnings, that it made.
+
+        Those of a question that is asked `again` are known.
+        """
+        try:
+            with self._lock:
+                pickle.dump(question, self._stdin)
+                self._stdin.flush()
+                answer, error, warnings = pickle.load(self._stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            raise FormatError(self._obituary(path)) from None
+        except BaseException:
+            # Ctrl-C: the answer that is on its way must not be taken for that to another question.
+            self._process.kill()
+            raise
+        for message in () if again else warnings:
+            warn(message)
+        if error is not None:
+            raise error
+        return answer
+
+    def close(self) -> None:
+        """Let the process end."""
+        with suppress(OSError):
+            self._stdin.close()
+        self._stdout.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked again."""
+        return self._process.poll() is None
+
+    @property
+    def _stdin(self) -> Any:
+        return self._process.stdin
+
+    @property
+    def _stdout(self) -> Any:
+        return self._process.stdout
+
+    def _obituary(self, path: Path) -> str:
+        try:
+            code = self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        if -code in (getattr(signal, name, None) for name in ("SIGPROF", "SIGALRM")):
+            return (
+                f"{path}: reading takes too long; it is damaged, or MIXSEQ_READER_SECONDS, the limit of time, must be "
+                "raised"
+            )
+        return (
+            f"{path}: the library that reads it crashed; it is damaged, export it again (or it needs more than "
+            f"{gigabytes(max_memory())} of memory: --max-memory)"
+        )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process that nobody will ask any more."""
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()
+
+
+_files: WeakSet[OpenFile] = WeakSet()
+_questions = count(1)
+idle: list[Worker] = []
+_of_parent: list[Worker] = []
+_lock = threading.Lock()
+
+
+def hire() -> Worker:
+    """Return a worker without a file."""
+    with _lock:
+        while idle:
+            worker = idle.pop()
+            if worker.alive:
+                return worker
+            worker.close()
+    return Worker()
+
+
+def dismiss(worker: Worker) -> None:
+    """Keep a worker for the next file, if it is well and there are not enough already."""
+    with suppress(FormatError):
+        if worker.alive:
+            worker.ask(Path(), "close")
+    with _lock:
+        if worker.alive and len(idle) < _MOST_IDLE:
+            idle.append(worker)
+            return
+    worker.close()
+
+
+def _make_room() -> None:
+    """Let a file give up its worker, if one more would be too many."""
+    held = sorted((file for file in list(_files) if file.worker is not None), key=lambda file: file.asked)
+    many = len(held) - MOST + 1
+    for file in held:
+        if many > 0:
+            many -= file.give_up()
+
+
+def _signature(path: Path) -> tuple[int, int, int] | None:
+    """Return by what a file is known again; None if there is none."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    return state.st_ino, state.st_size, state.st_mtime_ns
+
+
+def _leave_to_parent() -> None:
+    """Let a forked process start workers of its own: two askers at one pipe would get each other's answers."""
+    _of_parent.extend(idle)
+    idle.clear()
+    for file in list(_files):
+        if file.worker is not None:
+            _of_parent.append(file.worker)
+        file.worker, file.lock = None, threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_to_parent)
+
+
+@atexit.register
+def dismiss_all() -> None:
+    """End the workers that wait for files."""
+    while idle:
+        idle.pop().close()
