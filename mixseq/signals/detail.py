@@ -16,13 +16,14 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, blocks_of
 from mixseq.geometry.rotations import continued
 from mixseq.mapping import Executor, serially
-from mixseq.prediction.operator import chosen, with_middles
+from mixseq.prediction.operator import Rows, chosen, with_middles
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import Modes, choose_keys, key_map, principal_modes
+from mixseq.signals.modes import Modes, principal_modes
+from mixseq.signals.pose import choose_keys, key_map
 from mixseq.spaces.base import ShapeSpace
 
 SAMPLED = 256
@@ -36,14 +37,14 @@ class Between(NamedTuple):
     ----------
     times : (2T - 1,) float64
         Times in seconds.
-    scores : (2T - 1, r) float64
-        Points of pose space.
+    rows : Rows
+        Weights of the frames there.
     placement : (2T - 1, P) float64
         Placements.
     """
 
     times: Float
-    scores: Float
+    rows: Rows
     placement: Float
 
 
@@ -85,7 +86,7 @@ class Encoded:
         operator = chosen(self.header.times, self.samples)
         times = with_middles(self.header.times)
         placement = self.space.predicted_placements(operator, self.placement, times)
-        return Between(times, operator.at(times).of(self.modes.scores), placement)
+        return Between(times, operator.at(times), placement)
 
     @cached_property
     def shape_measure(self) -> Measure:
@@ -193,8 +194,8 @@ def build(encoded: Encoded, detail: Detail) -> Model:
         time = least_squares_curve(times, modes.scores, inner)
         placement = least_squares_curve(times, encoded.placement, inner)
     else:
-        sites, scores, whole = encoded.between
-        time, placement = Curve(sites, scores[:, :rank]), Curve(sites, whole)
+        sites, rows, whole = encoded.between
+        time, placement = Curve(sites, rows.of(modes.scores)), Curve(sites, whole)
         if detail.slack > 0:
             time = fit_curve(sites, time.values, detail.slack, encoded.shape_measure)
             placement = fit_curve(sites, whole, detail.slack, encoded.placement_measure)
@@ -206,9 +207,13 @@ def _rank(encoded: Encoded, detail: Detail) -> int:
     scores = encoded.modes.scores
     if detail.rank is not None:
         return min(detail.rank, len(encoded.modes.sizes))
-    tails = np.sqrt(np.cumsum(np.square(scores[:, ::-1]), axis=1)[:, ::-1])  # norm of all modes from each on
-    worst = tails.max(axis=0, initial=0.0) / np.sqrt(encoded.header.vertex_count)
-    return int(np.count_nonzero(worst > detail.slack))
+    tails, rank = np.zeros(len(scores)), int(scores.shape[1])  # squared norms of all modes from the rank on
+    while rank:
+        tails += np.square(scores[:, rank - 1])
+        if np.sqrt(tails.max()) / np.sqrt(encoded.header.vertex_count) > detail.slack:
+            break
+        rank -= 1
+    return rank
 
 
 def _inner_knots(knots: int | ArrayLike, times: Float) -> Float:

@@ -65,8 +65,8 @@ def fit(
 
     The sequence may be larger than memory: give what `mixseq.open_sequence` returns. Its points are read once, and are
     kept in a temporary file as long as the work lasts, like their vectors. In memory are a few frames at a time, the
-    signals, and matrices of as many rows and columns as there are frames. The model is the same, to the last bit, as of
-    a `MeshSequence`.
+    signals, and matrices of as many rows and columns as there are frames, or coordinates of a shape if these are fewer.
+    The model is the same, to the last bit, as of a `MeshSequence`.
 
     Without `exact`, `tolerance`, `rank` or `knots` the model is lossless to the eye: no vertex of any frame is off by
     more than 0.0005 of the diagonal, half a pixel where the mesh fills a picture of 1000 pixels.

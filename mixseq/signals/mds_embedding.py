@@ -83,7 +83,10 @@ def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plan
     centred = shapes - shapes.mean(axis=0)  # weights that add up to zero do not see the mean
     gram = (centred * np.square(metric)) @ centred.T
     spread = weights - origin
-    sizes, frames = np.linalg.eigh(spread @ gram @ spread.T)
+    if len(points) <= shapes.shape[1]:
+        sizes, frames = np.linalg.eigh(spread @ gram @ spread.T)
+    else:
+        sizes, frames = _of_many(spread, gram)
     axes, directions = np.zeros((len(origin), 2)), np.zeros((points.shape[1], 2))
     for column in range(min(2, len(sizes))):
         size, frame = sizes[-1 - column], frames[:, -1 - column]
@@ -93,3 +96,15 @@ def plane_of(points: Float, pose: PoseMap, shapes: Float, metric: Float) -> Plan
             if size > FLAT**2 * max(sizes[-1], len(points)):
                 directions[:, column] = (points - points.mean(axis=0)).T @ frame / np.sqrt(size)
     return Plane(origin, axes, directions)
+
+
+def _of_many(spread: Float, gram: Float) -> tuple[Float, Float]:
+    """Return what `eigh` of the frames' products does, as many as there are key shapes, without a matrix of T x T.
+
+    With ``gram = L L^T`` it is that of ``(spread L)^T (spread L)``, ``(K, K)``.
+    """
+    squares, axes = np.linalg.eigh(gram)
+    placed = spread @ (axes * np.sqrt(np.maximum(squares, 0.0)))
+    sizes, vectors = np.linalg.eigh(placed.T @ placed)
+    lengths = np.sqrt(np.maximum(sizes, np.finfo(np.float64).tiny))
+    return sizes, placed @ (vectors / lengths)

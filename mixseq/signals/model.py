@@ -182,10 +182,14 @@ class Model(Decodable, PickledWithoutCaches):
         """Frames ``(K,)`` that are a key shape and nothing else, -1 for key shapes that are no frame."""
         weights = self.pose.weights(self.time(self.times))
         frames = np.full(len(self.shapes), -1, dtype=np.int64)
-        for key, only in enumerate(np.eye(len(self.shapes))):
-            apart = np.abs(weights - only).max(axis=1)
+        keys = weights.argmax(axis=1)  # nothing else can be the only one
+        for key in np.unique(keys):
+            candidates = np.flatnonzero(keys == key)
+            only = np.zeros(len(self.shapes))
+            only[key] = 1.0
+            apart = np.abs(weights[candidates] - only).max(axis=1)
             if apart.min() < 1e-6:
-                frames[key] = apart.argmin()
+                frames[key] = candidates[apart.argmin()]
         return frames
 
     def embedding(self, times: ArrayLike, plane: Plane | None = None) -> Float:

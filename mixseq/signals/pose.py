@@ -20,12 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from mixseq.arrays import Float, Index
-from mixseq.disk_array import LargeArray, column_blocks
 from mixseq.errors import SettingsError
 from mixseq.polygons import frozen
-
-NEGLIGIBLE = 1e-15
-"""Modes below this fraction of the largest are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,94 +76,6 @@ class PoseMap:
     def of_weights(cls, count: int) -> PoseMap:
         """Make the map whose coordinates are the weights of all key shapes but the first."""
         return cls(np.eye(count)[0], np.eye(count)[1:] - np.eye(count)[0])
-
-
-@dataclass(frozen=True, eq=False)
-class Modes:
-    """Principal components of T vectors.
-
-    Attributes
-    ----------
-    scores : (T, r) float64
-        Coordinates of the vectors, in the metric's unit.
-    sizes : (r,) float64
-        Singular values, decreasing: norms of the columns of the scores.
-    mean : (D,) float64
-        Mean vector.
-    directions : (r, T) float64
-        Unit vectors: how much of every vector is in a mode.
-    vectors : (T, D) array, perhaps on disk, of float64
-        The vectors.
-    """
-
-    scores: Float
-    sizes: Float
-    mean: Float
-    directions: Float
-    vectors: LargeArray
-
-    def first(self, rank: int) -> Modes:
-        """Return the first modes only."""
-        return Modes(
-            self.scores[:, :rank], self.sizes[:rank], self.mean, self.directions[:rank], self.vectors
-        )
-
-    def pose_map(self) -> PoseMap:
-        """Return the map from scores to the weights of the mean and of the mean plus one deviation each."""
-        rank, root = len(self.sizes), np.sqrt(len(self.scores))
-        steps = np.diag(root / self.sizes) if rank else np.zeros((0, 0))
-        return PoseMap(np.eye(rank + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
-
-    def key_shapes(self) -> Float:
-        """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and it plus one deviation along every mode."""
-        shapes = np.empty((1 + len(self.sizes), len(self.mean)))
-        shapes[0] = self.mean
-        for columns, block in column_blocks(self.vectors) if len(self.sizes) else ():
-            mean = self.mean[columns]
-            shapes[1:, columns] = mean + _deviations(self.directions, block - mean)
-        return shapes
-
-
-def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
-    r"""Find all modes of vectors.
-
-    From the Gram matrix :math:`G = Y Y^T = U \Sigma^2 U^T` of the centred, weighted vectors (T x T, which is
-    small). The deviations are :math:`U^T X / \sqrt{T}`, so that the modes reproduce the vectors to rounding
-    however small the singular values are. Only blocks of columns are in memory.
-
-    Parameters
-    ----------
-    vectors : (T, D) array, perhaps on disk, of float64
-        Vectors of a shape space.
-    metric : (D,) float64
-        Weight of every coordinate in distances between vectors.
-    """
-    count, dim = vectors.shape
-    mean = np.empty(dim)
-    gram = np.zeros((count, count))
-    for columns, block in column_blocks(vectors):
-        mean[columns] = block.mean(axis=0)
-        weighted = (block - mean[columns]) * metric[columns]
-        gram += weighted @ weighted.T
-    # The direction (1, ..., 1) of the mean has the eigenvalue zero, and would mix with directions that are nearly so.
-    gram += 2.0 * (np.trace(gram) or 1.0) / count
-    directions = np.linalg.eigh(gram)[1][:, -2::-1].T
-    largest = np.abs(directions).argmax(axis=1)
-    directions = directions * np.sign(directions[np.arange(count - 1), largest])[:, None]
-    squares = np.zeros(count - 1)
-    for columns, block in column_blocks(vectors):
-        deviations = _deviations(directions, block - mean[columns])
-        squares += np.einsum("rd,rd,d->r", deviations, deviations, np.square(metric[columns]))
-    sizes = np.sqrt(count) * np.sqrt(squares)
-    there = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
-    order = np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]
-    directions = directions[order]
-    return Modes((directions * sizes[order, None]).T, sizes[order], mean, directions, vectors)
-
-
-def _deviations(directions: Float, centred: Float) -> Float:
-    """One standard deviation along every mode ``(r, C)``, of centred vectors ``(T, C)``."""
-    return np.asarray(directions @ centred / np.sqrt(directions.shape[1]))
 
 
 def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseMap, Float]:

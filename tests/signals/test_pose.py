@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.signals.mds_embedding import plane_of
-from mixseq.signals.pose import PoseMap, choose_keys, key_map, principal_modes
+from mixseq.signals.modes import principal_modes
+from mixseq.signals.pose import PoseMap, choose_keys, key_map
 
 
 def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:
@@ -20,34 +21,6 @@ def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Floa
 
 
 METRIC = np.linspace(0.1, 2, 40)
-
-
-@pytest.mark.parametrize("rank", [0, 1, 3])
-def test_modes_reproduce_what_has_their_rank(rank: int) -> None:
-    given_ = vectors(rank=rank)
-    modes = principal_modes(given_, METRIC)
-    rebuilt = modes.pose_map().weights(modes.scores) @ modes.key_shapes()
-    np.testing.assert_allclose(rebuilt, given_, atol=1e-13)
-    if rank:
-        singular = np.linalg.svd((given_ - given_.mean(axis=0)) * METRIC, compute_uv=False)
-        np.testing.assert_allclose(modes.sizes[:rank], singular[:rank], rtol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(modes.scores, axis=0), modes.sizes)
-
-
-def test_distances_in_pose_space_are_distances_of_shapes() -> None:
-    given_ = vectors()
-    scores = principal_modes(given_, METRIC).scores
-    for i in range(6):
-        apart = np.linalg.norm((given_ - given_[i]) * METRIC, axis=1)
-        np.testing.assert_allclose(np.linalg.norm(scores - scores[i], axis=1), apart, atol=1e-12)
-
-
-def test_the_first_modes_are_the_best() -> None:
-    given_ = vectors(count=9, rank=6)
-    modes = principal_modes(given_, METRIC).first(2)
-    error = (modes.pose_map().weights(modes.scores) @ modes.key_shapes() - given_) * METRIC
-    singular = np.linalg.svd((given_ - given_.mean(axis=0)) * METRIC, compute_uv=False)
-    np.testing.assert_allclose(np.linalg.norm(error), np.linalg.norm(singular[2:]), rtol=1e-9)
 
 
 @given(count=st.integers(1, 7), rank=st.integers(0, 4), seed=st.integers(0, 50))
@@ -103,3 +76,18 @@ def test_the_layout_is_the_plane_of_the_first_two_components() -> None:
     flat = plane_of(np.eye(3)[:, 1:], PoseMap.of_weights(3), np.ones((3, 40)), METRIC)
     assert not flat.axes.any()
     assert not flat.directions.any()
+
+
+def test_the_plane_of_many_frames_is_found_among_few_key_shapes() -> None:
+    random = np.random.default_rng(0)
+    points, pose = random.standard_normal((50, 3)) * [3.0, 2.0, 1.0], PoseMap.of_weights(4)
+    shapes = random.standard_normal((4, 60))
+    few = plane_of(points, pose, shapes, np.ones(60))
+    frames = np.concatenate([points] * 2)  # more than a shape has coordinates, and the same plane
+    many = plane_of(frames, pose, shapes, np.ones(60))
+    np.testing.assert_allclose(many.origin, few.origin, atol=1e-12)
+    np.testing.assert_allclose(many.axes, few.axes, atol=1e-9)
+    np.testing.assert_allclose(many.directions, few.directions, atol=1e-9)
+    still = plane_of(np.zeros((100, 3)), pose, shapes, np.ones(60))
+    assert not still.axes.any()
+    assert not still.directions.any()

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.choices import SPACES, SpaceName
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.prediction.operator import with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, PoseMap, fit
 from mixseq.signals.tolerance import EXACT, made_sure
-from tests.meshes import SEQUENCES, bar
+from tests.meshes import SEQUENCES, bar, rotation, tetrahedron
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +29,20 @@ def test_the_promise_is_kept(space: str, tolerance: float) -> None:
     assert mixseq.compare(LONG, model.sample()).max_error <= tolerance
     assert len(model.shapes) < 30
     assert len(model.time.times) < 30
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_the_promise_is_kept_of_far_more_frames_than_coordinates(space: SpaceName) -> None:
+    mesh = tetrahedron()
+    turns = np.random.default_rng(0).standard_normal((3, 3))
+    waves = np.sin(np.arange(150)[:, None] / [17, 11, 7])
+    moved = np.stack([mesh[0] @ rotation(wave @ turns).T for wave in waves])
+    moved += 0.1 * np.sin(np.arange(150)[:, None, None] / 5 + np.arange(12).reshape(4, 3))
+    many = MeshSequence.from_arrays(moved, mesh[1], fps=24)
+    assert mixseq.compare(many, fit(many, tolerance=1e-3, space=space).sample()).max_error <= 1e-3
+    exact = fit(many, exact=True, space=space)
+    assert len(exact.shapes) <= exact.space.shape_dim + 1 < 150
+    assert mixseq.compare(many, exact.sample()).max_error < 1e-10
 
 
 def test_without_settings_models_are_lossless_to_the_eye() -> None:

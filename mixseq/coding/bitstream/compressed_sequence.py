@@ -29,7 +29,8 @@ from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.signals.pose import NEGLIGIBLE, straight_modes
+from mixseq.signals.modes import NEGLIGIBLE
+from mixseq.signals.pose import straight_modes
 from mixseq.spaces import ShapeSpace, VertexSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq.threads import one_blas_thread

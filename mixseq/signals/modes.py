@@ -1,0 +1,151 @@
+r"""Principal components of the vectors of a sequence, all of them: the modes of its shapes.
+
+The centred, weighted vectors are :math:`Y = U \Sigma V^T`, ``(T, D)``. Scores are :math:`U \Sigma`, coordinates of the
+frames; the shape signal has the mean plus one standard deviation along every mode.
+
+U or V, whichever is smaller, are eigenvectors of a Gram matrix:
+
+- :math:`Y Y^T`, where there are no more frames than coordinates. With X the centred vectors without their weights, the
+  deviations are :math:`U^T X / \sqrt T`;
+- :math:`Y^T Y`, where there are more. The scores are :math:`Y V`, and the deviations the columns of V over the weights.
+
+Either way an orthogonal matrix is applied and taken back, so that the modes reproduce the vectors to rounding, however
+small singular values are. Only blocks of the vectors are in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.disk_array import LargeArray, column_blocks
+from mixseq.signals.pose import PoseMap
+
+NEGLIGIBLE = 1e-15
+"""Modes below this fraction of the largest are rounding errors."""
+
+FAINTEST = 1e-9
+"""What weighs less than this fraction of the heaviest coordinate is given so much weight where frames outnumber
+coordinates: weights are divided by. Ours."""
+
+Deviations = Callable[[int], Iterator[tuple[slice, Float]]]
+"""One standard deviation along each of the first so many modes, in blocks of coordinates: which, and ``(r, C)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Principal components of T vectors.
+
+    Attributes
+    ----------
+    scores : (T, r) float64
+        Coordinates of the vectors, in the metric's unit.
+    sizes : (r,) float64
+        Singular values, decreasing: norms of the columns of the scores.
+    mean : (D,) float64
+        Mean vector.
+    deviations : callable
+        Yields how far one standard deviation along every mode is.
+    """
+
+    scores: Float
+    sizes: Float
+    mean: Float
+    deviations: Deviations
+
+    def first(self, rank: int) -> Modes:
+        """Return the first modes only."""
+        return replace(self, scores=self.scores[:, :rank], sizes=self.sizes[:rank])
+
+    def pose_map(self) -> PoseMap:
+        """Return the map from scores to the weights of the mean and of the mean plus one deviation each."""
+        rank, root = len(self.sizes), np.sqrt(len(self.scores))
+        steps = np.diag(root / self.sizes) if rank else np.zeros((0, 0))
+        return PoseMap(np.eye(rank + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
+
+    def key_shapes(self) -> Float:
+        """Return the key shapes ``(1 + r, D)`` of `pose_map`: the mean, and it plus one deviation along every mode."""
+        rank = len(self.sizes)
+        shapes = np.empty((1 + rank, len(self.mean)))
+        shapes[0] = self.mean
+        for columns, block in self.deviations(rank) if rank else ():
+            shapes[1:, columns] = self.mean[columns] + block
+        return shapes
+
+
+def principal_modes(vectors: LargeArray, metric: Float) -> Modes:
+    """Find all modes of vectors, at most as many as there are coordinates, and one fewer than frames.
+
+    Parameters
+    ----------
+    vectors : (T, D) array, perhaps on disk, of float64
+        Vectors of a shape space.
+    metric : (D,) float64
+        Weight of every coordinate in distances between vectors.
+    """
+    count, dim = vectors.shape
+    return _of_frames(vectors, metric) if count <= dim else _of_coordinates(vectors, metric)
+
+
+def _of_frames(vectors: LargeArray, metric: Float) -> Modes:
+    """Find modes from the products of frames, ``(T, T)``."""
+    count, dim = vectors.shape
+    mean = np.empty(dim)
+    gram = np.zeros((count, count))
+    for columns, block in column_blocks(vectors):
+        mean[columns] = block.mean(axis=0)
+        weighted = (block - mean[columns]) * metric[columns]
+        gram += weighted @ weighted.T
+    # The direction (1, ..., 1) of the mean has the eigenvalue zero, and would mix with directions that are nearly so.
+    gram += 2.0 * (np.trace(gram) or 1.0) / count
+    directions = np.linalg.eigh(gram)[1][:, -2::-1].T
+    largest = np.abs(directions).argmax(axis=1)
+    directions = directions * np.sign(directions[np.arange(count - 1), largest])[:, None]
+
+    def deviations(some: Float) -> Iterator[tuple[slice, Float]]:
+        for columns, block in column_blocks(vectors):
+            yield columns, np.asarray(some @ (block - mean[columns]) / np.sqrt(count))
+
+    squares = np.zeros(count - 1)
+    for columns, block in deviations(directions):
+        squares += np.einsum("rd,rd,d->r", block, block, np.square(metric[columns]))
+    sizes = np.sqrt(count) * np.sqrt(squares)
+    order = _largest_first(sizes)
+    sizes, directions = sizes[order], directions[order]
+    scores = (directions * sizes[:, None]).T
+    return Modes(scores, sizes, mean, lambda rank: deviations(directions[:rank]))
+
+
+def _of_coordinates(vectors: LargeArray, metric: Float) -> Modes:
+    """Find modes from the products of coordinates, ``(D, D)``."""
+    count, dim = vectors.shape
+    blocks = [slice(start, start + dim) for start in range(0, count, dim)]
+    mean = sum((vectors[rows].sum(axis=0) for rows in blocks), start=np.zeros(dim)) / count
+    weights = np.maximum(metric, FAINTEST * (metric.max(initial=0.0) or 1.0))
+    gram = np.zeros((dim, dim))
+    for rows in blocks:
+        weighted = (vectors[rows] - mean) * weights
+        gram += weighted.T @ weighted
+    axes = np.linalg.eigh(gram)[1]
+    scores = np.empty((count, dim))
+    for rows in blocks:
+        scores[rows] = ((vectors[rows] - mean) * weights) @ axes
+    signs = np.where(scores.max(axis=0, initial=0.0) < -scores.min(axis=0, initial=0.0), -1.0, 1.0)
+    sizes = np.sqrt(np.einsum("tr,tr->r", scores, scores))
+    order = _largest_first(sizes)
+    scores, sizes = scores[:, order] * signs[order], sizes[order]
+    directions = (axes[:, order] * signs[order]).T
+
+    def deviations(rank: int) -> Iterator[tuple[slice, Float]]:
+        yield slice(None), directions[:rank] * (sizes[:rank, None] / np.sqrt(count)) / weights
+
+    return Modes(scores, sizes, mean, deviations)
+
+
+def _largest_first(sizes: Float) -> Index:
+    """Return which modes there are, the largest first; what is left out is rounding errors."""
+    there = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
+    return np.flatnonzero(there)[np.argsort(-sizes[there], kind="stable")]
