@@ -70,6 +70,8 @@ class Polygons:
         >>> Polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 3, 2, 4])).triangles.tolist()
         [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
         """
+        if self.only_triangles:
+            return frozen(self.indices.reshape(-1, 3))
         starts = np.cumsum(self.counts) - self.counts
         per_polygon = self.counts - 2
         first = np.repeat(starts, per_polygon)

@@ -59,7 +59,7 @@ def shared_normals(
     """
     of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
-    areas = vector_areas(points, polygons)
+    areas = (_of_triangles if polygons.only_triangles else vector_areas)(points, polygons)
     of_polygon = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     sums = np.zeros((len(points), count, 3))
     for frame, total in enumerate(sums):
@@ -69,6 +69,13 @@ def shared_normals(
     up = np.array([0.0, 0.0, 1.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(lengths > 0, sums / lengths, up).astype(np.float32)
+
+
+def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]:
+    """Return what `vector_areas` does of triangles, but for the signs of zeros: of three products two are zero."""
+    a, b, c = polygons.triangles.T
+    origin = points[:, a].astype(np.float64)
+    return np.asarray(np.cross(points[:, b] - origin, points[:, c] - origin) / 2)
 
 
 def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:

@@ -54,3 +54,13 @@ def test_hard_edges_are_found_and_kept() -> None:
 def test_one_normal_per_vertex_is_no_hard_edge() -> None:
     smooth = (CORNERS / np.sqrt(3))[CUBE.indices]
     assert hard_edges_of_normals(CUBE, smooth + 1e-5) is None
+
+
+def test_triangles_have_the_normals_of_polygons() -> None:
+    random = np.random.default_rng(0)
+    points, triangles = random.standard_normal((2, 12, 3)), random.integers(0, 12, (40, 3))
+    with_a_square = Polygons(
+        np.append(np.full(40, 3), 4), np.append(triangles, [0, 0, 0, 0])
+    )  # without an area
+    expected = shared_normals(points, with_a_square)
+    np.testing.assert_array_equal(shared_normals(points, Polygons.from_triangles(triangles)), expected)

@@ -10,7 +10,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,24 +58,27 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
     """
     owner = owners(mesh)
     of_corner = np.repeat(owner, mesh.polygons.counts)
-    groups = mesh.polygons.indices if mesh.hard_edges is None else mesh.hard_edges
-    rows = np.zeros_like(groups) if mesh.uvs is None else mesh.uvs.indices
-    keys = np.stack([mesh.polygons.indices, groups, rows], axis=1)
+    keys = [mesh.polygons.indices]
+    keys += [] if mesh.hard_edges is None else [mesh.hard_edges]
+    keys += [] if mesh.uvs is None else [mesh.uvs.indices]
     triangles = Polygons(mesh.polygons.counts, np.arange(of_corner.size)).triangles  # of corners
-    unused = np.setdiff1d(np.arange(mesh.vertex_count), mesh.polygons.indices)
-    unused_keys = np.stack([unused, np.zeros_like(unused), np.zeros_like(unused)], axis=1)
+    unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=mesh.vertex_count) == 0)
     primitives: list[SplitPrimitive] = []
     place = np.zeros(of_corner.size, dtype=np.uint32)  # each owner's are set before they are used
     of_triangle = of_corner[triangles[:, 0]]
     for (number, corners), (_, own) in zip(_by_owner(of_corner), _by_owner(of_triangle), strict=True):
-        some = np.concatenate([keys[corners], unused_keys if not primitives else unused_keys[:0]])
-        found, copies = np.unique(some, axis=0, return_inverse=True)
-        place[corners] = copies.reshape(-1)[: corners.size]
+        alone = unused if not primitives else unused[:0]
+        some = [np.append(key[corners], alone if key is keys[0] else np.zeros_like(alone)) for key in keys]
+        chosen, copies = _distinct(some)
+        place[corners] = copies[: corners.size]
+        vertices = some[0][chosen]
+        # A vertex that no polygon uses has the first normal, where normals are not those of vertices.
+        used = chosen < corners.size
         primitives.append(
             SplitPrimitive(
-                vertices=found[:, 0],
-                normals=found[:, 1],
-                uvs=None if mesh.uvs is None else mesh.uvs.values[found[:, 2]],
+                vertices=vertices,
+                normals=np.where(used, vertices, 0) if mesh.hard_edges is None else some[1][chosen],
+                uvs=None if mesh.uvs is None else mesh.uvs.values[some[-1][chosen]],
                 triangles=place[triangles[own]],
                 face_set=None if number < 0 else mesh.face_sets[number],
             )
@@ -90,12 +93,34 @@ def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
     yield from zip(found.tolist(), np.split(order, starts[1:])[: len(found)], strict=True)
 
 
+def _distinct(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
+    """Find rows of n columns ``(n,)`` of indices that are not the same.
+
+    Returns
+    -------
+    chosen : (m,) int
+        One row of each kind, in the order of their numbers.
+    kinds : (n,) int
+        Which of these every row is like.
+    """
+    numbers = columns[0].astype(np.int64)
+    for column in columns[1:]:
+        several = numbers * (int(column.max(initial=0)) + 1) + column
+        numbers = np.unique(several, return_inverse=True)[1].reshape(-1)
+    if numbers.max(initial=0) > _SPARSE * len(numbers):  # few corners of a large mesh
+        numbers = np.unique(numbers, return_inverse=True)[1].reshape(-1)
+    rows = np.full(int(numbers.max(initial=-1)) + 1, -1)
+    rows[numbers] = np.arange(len(numbers))
+    there = rows >= 0
+    return rows[there], (np.cumsum(there) - 1)[numbers]
+
+
 def owners(mesh: SceneMesh) -> IntArray:
     """Return which of the face sets has each polygon ``(P,)``, -1 for none.
 
     Where they overlap, the first with a material wins, then the first.
     """
-    owner = np.full(len(mesh.polygons.counts), -1)
+    owner = np.full(len(mesh.polygons.counts), -1, dtype=np.int32)
     numbers = [number for number, each in enumerate(mesh.face_sets) if distinguishes(each, mesh)]
     for number in sorted(numbers, key=lambda number: not mesh.face_sets[number].material)[::-1]:
         owner[mesh.face_sets[number].polygons] = number
@@ -108,6 +133,7 @@ def distinguishes(face_set: FaceSet, mesh: SceneMesh) -> bool:
 
 
 _LARGEST_EXACT = 2**24
+_SPARSE = 4
 _LARGEST_SHORT = 2**16 - 1
 
 

@@ -188,7 +188,7 @@ def to_model(coded: CompressedSequence) -> Model:
             header.faces,
             header.vertex_count,
             parameters.correction,
-        )
+        ).over(graph)
     times = with_middles(header.times)
     time = Curve(times, chosen(header.times, scores).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,11 @@ class CodedResidualLayer(PickledWithoutCaches):
 
     def __post_init__(self) -> None:
         _ = self._lock, self._cache  # there before threads ask for them, who might make two
+
+    def over(self, graph: SignalGraph) -> Self:
+        """Return the layer, which need not find the graph of its mesh again."""
+        self.__dict__["_graph"] = graph
+        return self
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""

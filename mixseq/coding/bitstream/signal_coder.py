@@ -26,6 +26,9 @@ change (golden: ``tests/coding/golden/*.npz``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,6 +93,16 @@ def bounds() -> Float:
     return np.array(values)
 
 
+class PredictedSignal(NamedTuple):
+    """What is coded of a signal, in the order of its graph: numbers ``(N,)``, and the context ``(N,)`` of each.
+
+    Both in the fewest bytes that hold them: all signals of a basis wait together for what is coded before them.
+    """
+
+    numbers: NDArray[np.signedinteger]
+    contexts: NDArray[np.uint8]
+
+
 class NumberModels:
     """Adaptive models of numbers in all contexts; coders of several graphs can share them."""
 
@@ -102,6 +115,23 @@ class NumberModels:
             self.shifts += sizes > _FINEST
             sizes = np.where(sizes > _FINEST, sizes / 2, sizes)
         self.tables = Tables(sizes, 15)
+
+    def write(self, writer: Writer, signal: PredictedSignal, batches: Sequence[slice]) -> None:
+        """Code a signal batch by batch; the models learn it."""
+        for batch in batches:
+            numbers, contexts = (
+                signal.numbers[batch].astype(np.int64),
+                signal.contexts[batch].astype(np.int64),
+            )
+            small = contexts < self.small
+            writer.put(numbers[small], contexts[small], self.small_tables)
+            self._write_large(writer, numbers[~small], contexts[~small])
+
+    def _write_large(self, writer: Writer, numbers: Index, contexts: Index) -> None:
+        shifts = self.shifts[contexts]
+        writer.put(numbers >> shifts, contexts, self.tables)
+        for shift, some in _shifted(shifts):
+            writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
 
 
 class SignalCoder:
@@ -126,15 +156,21 @@ class SignalCoder:
 
     def write(self, writer: Writer, targets: Float) -> Float:
         """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
+        values, signal = self.predict(targets)
+        self._models.write(writer, signal, self._predictor.graph.batches)
+        return values
+
+    def predict(self, targets: Float) -> tuple[Float, PredictedSignal]:
+        """Return what `write` returns, and what it codes, which may be coded later: `NumberModels.write`."""
         self._predictor.begin()
-        nodes = targets[self._predictor.graph.order]
-        for batch in self._predictor.graph.batches:
-            contexts = self._predictor.contexts(batch)
-            numbers = self._predictor.quantise(batch, nodes)
-            small = contexts < self._models.small
-            writer.put(numbers[small], contexts[small], self._models.small_tables)
-            self._write_large(writer, numbers[~small], contexts[~small])
-        return self._finished()
+        graph = self._predictor.graph
+        nodes, contexts = targets[graph.order], np.empty(graph.size, dtype=np.uint8)
+        numbers = np.empty(graph.size, dtype=np.int64)
+        for batch in graph.batches:
+            contexts[batch] = self._predictor.contexts(batch)
+            numbers[batch] = self._predictor.quantise(batch, nodes)
+        largest = int(np.abs(numbers).max(initial=0))
+        return self._finished(), PredictedSignal(numbers.astype(np.min_scalar_type(-largest - 1)), contexts)
 
     def quantise(self, targets: Float) -> Float:
         """Return what `write` returns, without coding anything."""
@@ -154,12 +190,6 @@ class SignalCoder:
             numbers[~small] = self._read_large(reader, contexts[~small])
             self._predictor.restore(batch, numbers)
         return self._finished()
-
-    def _write_large(self, writer: Writer, numbers: Index, contexts: Index) -> None:
-        shifts = self._models.shifts[contexts]
-        writer.put(numbers >> shifts, contexts, self._models.tables)
-        for shift, some in _shifted(shifts):
-            writer.put_flat(numbers[some] & ((1 << shift) - 1), 1 << shift)
 
     def _read_large(self, reader: Reader, contexts: Index) -> Index:
         shifts = self._models.shifts[contexts]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.compiled import compiled
+from mixseq.coding.bitstream.signal_graph_kernels import adjacency, collapse, independent
 from mixseq.polygons import frozen
 
 MOST = 12
@@ -38,9 +38,6 @@ FEWEST = 8
 
 FEWEST_FRAMES = 24
 """The same of frames: their signals are many and short. Frozen: breaks old files."""
-
-_HUB = 32
-"""Neighbours that are so many times more are searched for what is shared, not gone through. Free: a matter of time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +97,8 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     vertex_count : int
         Number V of vertices; those without faces are nodes without neighbours.
     """
-    ends = np.sort(
-        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1
-    )
-    edges = _unique(ends[ends[:, 0] != ends[:, 1]], vertex_count)
-    ring_starts, ring = _adjacency(edges, vertex_count)
+    edges = _unique(faces.astype(np.int64).T, np.roll(faces, -1, axis=1).astype(np.int64).T, vertex_count)
+    ring_starts, ring = adjacency(edges, vertex_count)
     neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
     left = np.ones(vertex_count, dtype=bool)
@@ -114,12 +108,13 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
         degrees = np.diff(starts)
         nodes = np.flatnonzero(left & (degrees > 0))
         nodes = nodes[np.argsort(degrees[nodes], kind="stable")]
-        gone = _independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
-        new = _collapse(gone, starts, beside, neighbours, counts)
+        gone = independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
+        new = collapse(gone, starts, beside, neighbours, counts)
         left[gone] = False
-        kept = edges[left[edges].all(axis=1)]
-        edges = _unique(np.concatenate([kept, np.sort(new, axis=1)]), vertex_count)
-        starts, beside = _adjacency(edges, vertex_count)
+        kept = left[edges[:, 0]] & left[edges[:, 1]]
+        both = np.concatenate([edges[kept], new])
+        edges = _unique(both[:, 0], both[:, 1], vertex_count)
+        starts, beside = adjacency(edges, vertex_count)
         levels.append(gone)
     roots = np.flatnonzero(left)
     for place in range(1, len(roots)):
@@ -167,7 +162,7 @@ def path_graph(count: int) -> SignalGraph:
         levels.append(new)
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
-    ring_starts, ring = _adjacency(pairs, count)
+    ring_starts, ring = adjacency(pairs, count)
     return _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES)
 
 
@@ -215,81 +210,8 @@ def _graph(
     return SignalGraph(order, batches, neighbours, counts, weights, ring, starts)
 
 
-def _unique(edges: Index, count: int) -> Index:
-    """Return edges ``(E, 2)`` without repetitions, sorted."""
-    keys = np.unique(edges[:, 0] * count + edges[:, 1])
-    return np.stack([keys // count, keys % count], axis=1)
-
-
-def _adjacency(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return starts ``(N + 1,)`` and neighbours ``(2 E,)`` of all nodes, sorted."""
-    both = np.concatenate([edges, edges[:, ::-1]])
-    both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    starts = np.concatenate([[0], np.cumsum(np.bincount(both[:, 0], minlength=count))])
-    return starts.astype(np.int64), np.ascontiguousarray(both[:, 1])
-
-
-@compiled
-def _independent(nodes: Index, starts: Index, beside: Index, most: int) -> Index:
-    """Return nodes, first come first served, no two of which are neighbours, with at most so many neighbours.
-
-    Nodes ``(n,)`` int64 are looked at in their order; those beside a node are
-    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
-    """
-    blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
-    chosen = np.empty(len(nodes), dtype=np.int64)
-    count = 0
-    for node in nodes:
-        if blocked[node] or starts[node + 1] - starts[node] > most:
-            continue
-        chosen[count] = node
-        count += 1
-        for place in range(starts[node], starts[node + 1]):
-            blocked[beside[place]] = True
-    return chosen[:count].copy()
-
-
-@compiled
-def _collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, counts: Index) -> Index:
-    """Note neighbours ``(N, n)`` and counts ``(N,)`` of nodes that go; return edges ``(E, 2)`` that close the holes.
-
-    All neighbours of a node are joined to the one of them that has most of the others as neighbours already, or to
-    the one of fewest neighbours among those.
-    """
-    most = neighbours.shape[1]
-    size = 0
-    for node in gone:
-        size += starts[node + 1] - starts[node]
-    new = np.empty((size, 2), dtype=np.int64)
-    mark = np.full(len(starts) - 1, -1, dtype=np.int64)
-    count = 0
-    for node in gone:
-        first, last = starts[node], starts[node + 1]
-        counts[node] = min(last - first, most)
-        for place in range(counts[node]):
-            neighbours[node, place] = beside[first + place]
-        for place in range(first, last):
-            mark[beside[place]] = node
-        best, shared_best, degree_best = beside[first], -1, 0
-        for place in range(first, last):
-            other = beside[place]
-            shared = 0
-            degree = starts[other + 1] - starts[other]
-            if degree > _HUB * (last - first):
-                around = beside[starts[other] : starts[other + 1]]
-                for at in range(first, last):
-                    found = np.searchsorted(around, beside[at])
-                    if found < degree and around[found] == beside[at]:
-                        shared += 1
-            else:
-                for at in range(starts[other], starts[other + 1]):
-                    if mark[beside[at]] == node:
-                        shared += 1
-            if shared > shared_best or (shared == shared_best and degree < degree_best):
-                best, shared_best, degree_best = other, shared, degree
-        for place in range(first, last):
-            if beside[place] != best:
-                new[count, 0] = best
-                new[count, 1] = beside[place]
-                count += 1
-    return new[:count].copy()
+def _unique(ends: Index, others: Index, count: int) -> Index:
+    """Return edges ``(E, 2)`` between nodes, each once and from the lower node to the higher, sorted."""
+    keys = np.sort((np.minimum(ends, others) * count + np.maximum(ends, others)).reshape(-1))
+    edges = np.stack(np.divmod(keys[np.diff(keys, prepend=-1) > 0], count), axis=1)
+    return np.asarray(edges[edges[:, 0] != edges[:, 1]])

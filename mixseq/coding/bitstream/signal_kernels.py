@@ -217,47 +217,38 @@ def nearest(
     what was found for these. Of every node up to `most` are found, ``found`` (N, most), nearest first: ``sizes`` (N,).
     """
     apart = np.empty(most)
+    seen = np.full(len(values), -1, dtype=np.int64)  # the last node that looked at a node
     for node in range(len(values)):
         sizes[node] = 0
+        for i in range(counts[node]):
+            seen[neighbours[node, i]] = node
         if node < exhaustive:
             for other in range(node):
-                _consider(node, other, values, neighbours, counts, most, found, sizes, apart)
+                _consider(node, other, values, seen, most, found, sizes, apart)
             continue
         for i in range(counts[node]):
             beside = neighbours[node, i]
             for j in range(counts[beside]):
-                _consider(node, neighbours[beside, j], values, neighbours, counts, most, found, sizes, apart)
+                _consider(node, neighbours[beside, j], values, seen, most, found, sizes, apart)
             for j in range(sizes[beside]):
-                _consider(node, found[beside, j], values, neighbours, counts, most, found, sizes, apart)
+                _consider(node, found[beside, j], values, seen, most, found, sizes, apart)
 
 
 @inlined
 def _consider(
-    node: int,
-    other: int,
-    values: Float,
-    neighbours: Index,
-    counts: Index,
-    most: int,
-    found: Index,
-    sizes: Index,
-    apart: Float,
+    node: int, other: int, values: Float, seen: Index, most: int, found: Index, sizes: Index, apart: Float
 ) -> None:
-    """Insert a node into the nearest ones at squared distances `apart` (most,), if it is one, and no neighbour."""
-    distance = 0.0
-    limit = apart[most - 1] if sizes[node] == most else np.inf
-    for dimension in range(values.shape[1]):
-        one = values[node, dimension] - values[other, dimension]
-        distance += one * one
-        if distance >= limit:
-            break
-    if distance < limit:
-        known = False
-        for i in range(counts[node]):
-            known = known or neighbours[node, i] == other
-        for i in range(sizes[node]):
-            known = known or found[node, i] == other
-        if not known:
+    """Insert a node into the nearest ones at squared distances `apart` (most,), if it is one, and not seen before."""
+    if seen[other] != node:
+        seen[other] = node
+        distance = 0.0
+        limit = apart[most - 1] if sizes[node] == most else np.inf
+        for dimension in range(values.shape[1]):
+            one = values[node, dimension] - values[other, dimension]
+            distance += one * one
+            if distance >= limit:
+                break
+        if distance < limit:
             place = sizes[node] if sizes[node] < most else most - 1
             while place > 0 and apart[place - 1] > distance:
                 apart[place] = apart[place - 1]

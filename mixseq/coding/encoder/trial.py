@@ -19,7 +19,7 @@ from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.compressed_sequence import Chunk
 from mixseq.coding.bitstream.entropy import Writer
 from mixseq.coding.bitstream.residual_layer import write_residuals
-from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
+from mixseq.coding.bitstream.signal_coder import NumberModels, PredictedSignal, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import (
     Part,
@@ -141,22 +141,22 @@ def write_basis(
     streams : tuple of bytes
         Streams of the groups; none if it is a dry run, which is to see what rounding does.
     """
-    vectors = [_rounded(one, step, part) for one, part in zip(components, parts, strict=True)]
+    vectors, signals = [], []
+    for one, part in zip(components, parts, strict=True):
+        rounded, predicted = _rounded(one, step, part, dry)
+        vectors.append(rounded)
+        signals.append(predicted)
     if dry:
         return vectors, ()
     models, streams = NumberModels(), []
-    coders = [
-        SignalCoder(part.graph, one.vectors.shape[1], models)
-        for one, part in zip(components, parts, strict=True)
-    ]
     for number, of_parts in enumerate(groups_of_parts([len(some) for some in vectors])):
         writer = Writer()
         if number == 0 and len(parts) > 1:
             write_labels(writer, labels_of(parts), graph)
         for place, group in of_parts:
-            for row in range(group.start, group.stop):
-                for values in components[place].vectors[row : row + 1][0] / step:
-                    coders[place].write(writer, values)
+            for coordinates in signals[place][group]:
+                for signal in coordinates:
+                    models.write(writer, signal, parts[place].graph.batches)
         streams.append(writer.finish())
     return vectors, tuple(streams)
 
@@ -169,18 +169,30 @@ def labels_of(parts: Sequence[Part]) -> Index:
     return labels
 
 
-def _rounded(components: PrincipalComponents, step: float, part: Part) -> Float:
-    """Return the basis vectors ``(K, c, n)`` of a part after rounding, until they are zero."""
+def _rounded(
+    components: PrincipalComponents, step: float, part: Part, dry: bool
+) -> tuple[Float, list[list[PredictedSignal]]]:
+    """Return the basis vectors ``(K, c, n)`` of a part after rounding, until they are zero, and what is coded of them.
+
+    Nothing is coded of a dry run.
+    """
     coder = SignalCoder(part.graph, components.vectors.shape[1])
     vectors: list[Float] = []
+    signals: list[list[PredictedSignal]] = []
     zeros = 0
     for place in range(len(components.vectors)):
         numbers = components.vectors[place : place + 1][0] / step
-        vectors.append(np.stack([coder.quantise(one) for one in numbers]))
+        if dry:
+            vectors.append(np.stack([coder.quantise(one) for one in numbers]))
+        else:
+            values, predicted = zip(*(coder.predict(one) for one in numbers), strict=True)
+            vectors.append(np.stack(values))
+            signals.append(list(predicted))
         zeros = 0 if vectors[-1].any() else zeros + 1
         if zeros == ZEROS:
             break
-    return step * np.array(vectors[: max(len(vectors) - zeros, 1)])
+    kept = max(len(vectors) - zeros, 1)
+    return step * np.array(vectors[:kept]), signals[:kept]
 
 
 def least_squares(basis: SpatialBasis, sequence: FrameStore) -> Float:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
+from mixseq.coding.bitstream import residual_layer
 from mixseq.coding.bitstream.compressed_sequence import (
     CompressedSequence,
     decode_basis,
@@ -151,6 +152,13 @@ def test_one_frame_stands_still() -> None:
         np.zeros(1), ((1, bounded().chunks[0].residuals),), faces, sequence.vertex_count, 0.1
     )
     assert not alone.rates(np.zeros(1)).any()
+
+
+def test_the_graph_of_a_mesh_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = to_model(bounded())
+    expected = model.sample().points
+    monkeypatch.setattr(residual_layer, "mesh_graph", None)
+    np.testing.assert_array_equal(to_model(bounded()).sample().points, expected)
 
 
 # Pickles ----------------------------------------------------------------------------------------------------

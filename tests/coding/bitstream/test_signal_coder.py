@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mixseq.arrays import Float
 from mixseq.coding.bitstream.entropy import Reader, Writer
-from mixseq.coding.bitstream.signal_coder import MARGIN, SignalCoder
+from mixseq.coding.bitstream.signal_coder import MARGIN, NumberModels, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from tests.meshes import grid, seeds, torus
@@ -48,6 +48,16 @@ def there_and_back(graph: SignalGraph, signals: list[Float]) -> bytes:
 def test_signals_come_back(name: str, size: float) -> None:
     graph, rng = GRAPHS[name](), np.random.default_rng(3)
     there_and_back(graph, [size * rng.normal(size=graph.size) / (1 + number) for number in range(10)])
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_signals_may_wait_to_be_coded(name: str) -> None:
+    graph, rng = GRAPHS[name](), np.random.default_rng(3)
+    signals = [10.0**power * rng.normal(size=graph.size) for power in (0, 3, 9, -2, 1, 1, 1, 1, 1)]
+    coder, models, writer = SignalCoder(graph), NumberModels(), Writer()
+    for _, waiting in [coder.predict(signal) for signal in signals]:
+        models.write(writer, waiting, graph.batches)
+    assert writer.finish() == there_and_back(graph, signals)
 
 
 @settings(max_examples=25, deadline=None)

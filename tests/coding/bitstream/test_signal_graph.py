@@ -11,6 +11,7 @@ import pytest
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.signal_graph import FEWEST, MOST, SignalGraph, mesh_graph, path_graph
+from mixseq.coding.bitstream.signal_graph_kernels import adjacency
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, joined, pages, tetrahedron, torus
 
@@ -161,3 +162,12 @@ def test_frames_are_predicted_from_both_sides() -> None:
     for node in range(2, graph.size):
         beside = graph.order[graph.neighbours[node, : graph.counts[node]]]
         assert beside.min() < graph.order[node] < beside.max()
+
+
+def test_adjacency_is_sorted() -> None:
+    starts, beside = adjacency(np.array([[0, 1], [0, 3], [1, 2], [1, 3], [3, 5]]), 6)
+    around = [beside[a:b].tolist() for a, b in pairwise(starts)]
+    assert around == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
+    starts, beside = adjacency(np.zeros((0, 2), dtype=np.int64), 2)
+    assert starts.tolist() == [0, 0, 0]
+    assert beside.size == 0

@@ -15,6 +15,7 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.sequence import MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
+from mixseq_io.gltf.new_document import _distinct
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy
 from tests.formats.gltf_files import read, validate, written
@@ -325,3 +326,12 @@ def test_the_validator_passes_what_is_written(tmp_path: Path) -> None:
             with lossy():
                 written(tmp_path / f"{name}{suffix}", make())
     validate(*sorted(tmp_path.iterdir()))
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])
+def test_corners_that_are_alike_become_one_vertex(columns: int) -> None:
+    rows = np.random.default_rng(0).integers(0, 4, (60, columns)) * 1000
+    chosen, kinds = _distinct(list(rows.T))
+    expected, inverse = np.unique(rows, axis=0, return_inverse=True)
+    np.testing.assert_array_equal(rows[chosen], expected)
+    np.testing.assert_array_equal(kinds, inverse)
