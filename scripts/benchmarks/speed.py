@@ -29,6 +29,7 @@ LIMITS = {
     "playback": 240,
     "fit": 420,
     "scale": 900,
+    "extremes": 1800,
     "threads": 240,
     "startup": 180,
     "cluster": 240,

@@ -17,11 +17,12 @@ MIXSEQ = (str(Path(sys.executable).with_name("mixseq")),)
 
 @dataclass(frozen=True)
 class Child:
-    """A program that has ended well: wall-clock seconds, peak of its resident memory in MB, what it printed."""
+    """A program that has ended well: wall-clock seconds, peak of its resident memory in MB, what it printed, CPU s."""
 
     seconds: float
     megabytes: float
     output: str
+    cpu: float
 
 
 class ChildError(Exception):
@@ -49,7 +50,7 @@ def run(*command: object, environment: Mapping[str, str] | None = None) -> Child
         last = " / ".join(text.strip().splitlines()[-3:])
         raise ChildError(f"{' '.join(words[:4])} ... ended with {process.returncode}: {last}")
     # Linux counts in kilobytes of 1024.
-    return Child(seconds, usage.ru_maxrss * 1024 / 1e6, text)
+    return Child(seconds, usage.ru_maxrss * 1024 / 1e6, text, usage.ru_utime + usage.ru_stime)
 
 
 def run_module(name: str, *arguments: object, environment: Mapping[str, str] | None = None) -> Child:
