@@ -14,6 +14,7 @@ from mixseq.segmentation.elements import Elements, Trajectories
 from mixseq.segmentation.rigid_error import Moments
 
 _LANES = 8  # columns of costs are computed so many at a time
+_WORK = 1 << 24  # at most so many numbers in an array of costs, unless so few columns are more
 _TINY = np.finfo(np.float64).tiny
 
 
@@ -34,7 +35,8 @@ class Clusters:
         self._stale = self._sizes > 0
         self._rounds = -1
         longest = 1 + max(len(elements), elements.trajectories.moved.shape[1])
-        self._work = np.empty((3, longest * (capacity + _LANES)), dtype=np.float32)
+        self._at_once = max(_LANES, min(capacity + _LANES - 1, _WORK // longest) // _LANES * _LANES)
+        self._work = np.empty((3, longest * self._at_once), dtype=np.float32)
         self._costs = np.full((len(elements), capacity), np.inf, dtype=np.float32)
 
     def assign(self, rounds: int) -> Single:
@@ -48,7 +50,9 @@ class Clusters:
         self._rounds = rounds
         self._stale[:] = False
         labels, lowest = np.empty_like(self.labels), np.empty(len(self.labels), dtype=np.float32)
-        cheapest(self._diffused(stale, rounds), stale, self._costs, labels, lowest)
+        for start in range(0, max(len(stale), 1), self._at_once):
+            some = stale[start : start + self._at_once]
+            cheapest(self._diffused(some, rounds), some, self._costs, labels, lowest)
         self._move(labels)
         return lowest
 

@@ -32,6 +32,9 @@ from mixseq.topology import Topology, split_labels
 DENSE = 20000
 """Meshes with more faces are clustered by cells first."""
 
+LARGE = 160_000
+"""Costs of more faces than this are averaged over as many rounds as if there were so many: enough for noise. Ours."""
+
 
 @renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
@@ -132,7 +135,8 @@ def _cluster(topology: Topology, faces: Elements, count: int, settings: MotionSe
     cells, cell_of_face = Elements.cells(topology, faces)
     rounds_of_cells = rounds * len(cells) / len(faces)
     labels = _settled(_grown(cells, count, rounds_of_cells), rounds_of_cells, 4)[cell_of_face]
-    return _settled(Clusters(faces, labels, count), rounds, 2)
+    rounds_of_faces = settings.smoothing * min(len(faces), LARGE) ** 0.5
+    return _settled(Clusters(faces, labels, count), rounds_of_faces, 2)
 
 
 def _grown(elements: Elements, count: int, rounds: float) -> Clusters:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixseq.arrays import Float, Index, Mask
-from mixseq.segmentation import motion
+from mixseq.segmentation import clusters, motion
 from mixseq.segmentation.clusters import Clusters, moments_of, motions_of, tally
 from mixseq.segmentation.elements import Elements
 from mixseq.segmentation.rigid_error import Moments, moments
@@ -69,6 +69,16 @@ def test_elements_go_to_the_cheapest_cluster(seed: int, rounds: int) -> None:
         np.testing.assert_allclose(lowest, costs.min(axis=1), rtol=1e-3, atol=1e-7)
         own = costs[np.arange(len(costs)), np.searchsorted(used, clusters.labels)]
         np.testing.assert_allclose(own, costs.min(axis=1), rtol=1e-3, atol=1e-7)
+
+
+def test_costs_may_be_found_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    labels = np.random.default_rng(0).integers(0, 20, len(MESH[1]))
+    together = Clusters(FACES, labels, 20)
+    monkeypatch.setattr(clusters, "_WORK", 1)
+    apart = Clusters(FACES, labels, 20)
+    for _ in range(3):
+        np.testing.assert_array_equal(apart.assign(2), together.assign(2))
+        np.testing.assert_array_equal(apart.labels, together.labels)
 
 
 def test_a_seed_becomes_a_cluster() -> None:

@@ -11,6 +11,7 @@ from scipy import sparse
 from mixseq.arrays import Float
 from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation import Decomposition, decompose, segment_by_labels
+from mixseq.spaces.mixed import shares
 from mixseq.spaces.mixed.shares import LEAST, MOST, fitted_shares
 from tests.meshes import (
     SEQUENCES,
@@ -78,6 +79,19 @@ def test_far_from_a_boundary_a_part_has_all() -> None:
     top = upper(mesh, decomposition)
     assert (shares.toarray()[mesh[0][:, 2] > 3.5, top] == 1).all()
     assert (shares.toarray()[mesh[0][:, 2] < 0.5, 1 - top] == 1).all()
+
+
+def test_of_large_meshes_only_boundaries_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = tube(6, 200, length=60.0)
+    decomposition = decompose(topology_of(mesh), sliced(mesh, 20.0), 3)
+    frames = np.stack([bent(mesh[0], angle, middle=20.0) for angle in (0.0, 0.5, 1.0)])
+    expected = shares_of(mesh, decomposition, frames).toarray()
+    monkeypatch.setattr(shares, "LARGE", 100)
+    found = shares_of(mesh, decomposition, frames)
+    assert_sound(found, decomposition)
+    np.testing.assert_allclose(found.toarray(), expected, atol=1e-3)
+    whole = decompose(topology_of(mesh), np.zeros(len(mesh[1]), dtype=np.int64), 1)
+    assert (shares_of(mesh, whole, frames).toarray() == 1).all()
 
 
 def test_other_bodies_have_no_share() -> None:
