@@ -38,15 +38,28 @@ def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
 
 def put_lists(file: h5py.File, group: str, name: str, lists: Sequence[NDArray[Any]]) -> None:
     """Store lists of indices: all of them one after the other, and how long each is."""
-    put(file, f"{group}/sizes", np.array([len(items) for items in lists], dtype=np.int32))
-    put(file, f"{group}/{name}", np.concatenate([*lists, np.zeros(0, dtype=np.int32)]).astype(np.int32))
+    sizes = np.array([len(items) for items in lists], dtype=np.int32)
+    put_joined(file, group, name, sizes, np.concatenate([*lists, np.zeros(0, dtype=np.int32)]))
+
+
+def put_joined(
+    file: h5py.File, group: str, name: str, sizes: NDArray[np.integer], items: NDArray[np.integer]
+) -> None:
+    """Store what `put_lists` does of lists that are joined already."""
+    put(file, f"{group}/sizes", sizes.astype(np.int32))
+    put(file, f"{group}/{name}", items.astype(np.int32))
 
 
 def get_lists(path: Path, file: Contents, group: str, name: str, limit: int) -> list[Index]:
     """Read lists of indices below `limit` that `put_lists` stored."""
-    sizes = integers(path, file, f"{group}/sizes", (None,), 1)
-    items = integers(path, file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
+    sizes, items = get_joined(path, file, group, name, limit)
     return np.split(items, np.cumsum(sizes))[: len(sizes)]
+
+
+def get_joined(path: Path, file: Contents, group: str, name: str, limit: int) -> tuple[Index, Index]:
+    """Read how long lists are, none of them empty, and all of them one after the other."""
+    sizes = integers(path, file, f"{group}/sizes", (None,), 1)
+    return sizes, integers(path, file, f"{group}/{name}", (int(sizes.sum()),), 0, limit)
 
 
 def integers(

@@ -19,9 +19,11 @@ from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import (
     diagonals,
     floats,
+    get_joined,
     get_lists,
     integers,
     put,
+    put_joined,
     put_lists,
     read_relaxation,
     read_scale,
@@ -49,7 +51,7 @@ def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
         put(file, "space/reference_lengths", space.reference_lengths)
     if isinstance(space, AnchoredSpace):
         shares = space.shares
-        put_lists(file, "space/shares", "parts", np.split(shares.indices, shares.indptr[1:-1]))
+        put_joined(file, "space/shares", "parts", np.diff(shares.indptr), shares.indices)
         put(file, "space/shares/weights", shares.data)
         put(file, "space/free", np.flatnonzero(space.free).astype(np.int32))
         put(file, "space/known", np.flatnonzero(space.known).astype(np.int32))
@@ -118,16 +120,16 @@ def read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
 
 
 def _read_shares(path: Path, file: Contents, vertices: int, parts: int) -> sparse.csr_array:
-    lists = get_lists(path, file, "space/shares", "parts", parts)
-    ends = np.cumsum([0, *(len(each) for each in lists)])
+    sizes, items = get_joined(path, file, "space/shares", "parts", parts)
+    ends = np.append(0, np.cumsum(sizes))
     weights = floats(path, file, "space/shares/weights", (int(ends[-1]),))
-    if len(lists) != vertices:
+    if len(sizes) != vertices:
         raise FormatError(
-            f"{path}: space/shares has {len(lists)} rows for {vertices} vertices; it is damaged"
+            f"{path}: space/shares has {len(sizes)} rows for {vertices} vertices; it is damaged"
         )
     if (weights <= 0).any() or np.abs(np.add.reduceat(weights, ends[:-1]) - 1.0).max() > _SUM:
         raise FormatError(f"{path}: space/shares/weights must be positive and add up to one for every vertex")
-    return sparse.csr_array((weights, np.concatenate(lists), ends), shape=(vertices, parts))
+    return sparse.csr_array((weights, items, ends), shape=(vertices, parts))
 
 
 def _write_segmentation(file: h5py.File, decomposition: Decomposition) -> None:
