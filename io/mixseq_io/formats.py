@@ -74,7 +74,11 @@ FORMATS: tuple[Format, ...] = (
             "animation": "name or number of the animation, the first by default",
             "fps": "frames per second; by default the frames are the animation's keys",
         },
-        write_options={"flatten": _FLATTEN, "onto": _ONTO},
+        write_options={
+            "flatten": _FLATTEN,
+            "onto": _ONTO,
+            "keep_start": "let the animation begin when the sequence does, and not at 0",
+        },
         signatures=(b"glTF",),
     ),
     Format(

@@ -97,6 +97,11 @@ def writer_options(command: Command) -> Command:
         "--flatten", is_flag=True, help="Write USD or glTF that does not build on the original file."
     )
     @setting(
+        "--keep-start",
+        is_flag=True,
+        help="Write glTF whose animation begins when the sequence does, and not at 0.",
+    )
+    @setting(
         "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
     )
     @setting(
@@ -115,12 +120,19 @@ def writer_options(command: Command) -> Command:
     def with_options(
         *args: Any,
         flatten: bool,
+        keep_start: bool,
         onto: Path | None,
         clips: int | None,
         pack_from: Path | None,
         **settings: Any,
     ) -> None:
-        given = {"flatten": flatten or None, "onto": onto, "clips": clips, "pack_from": pack_from}
+        given = {
+            "flatten": flatten or None,
+            "keep_start": keep_start or None,
+            "onto": onto,
+            "clips": clips,
+            "pack_from": pack_from,
+        }
         command(*args, writing=_those_given(given), **settings)
 
     return with_options

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq_io.gltf.buffers import glb_size
-from mixseq_io.gltf.morphs import Morphs, time_shift
+from mixseq_io.gltf.morphs import Morphs
 from mixseq_io.gltf.new_document import new_scene, upright
 from mixseq_io.gltf.reader import open_gltf
 from mixseq_io.scene_meshes import split
@@ -88,7 +88,7 @@ def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floa
     with open_gltf(path, prim="/") as reader:
         there = reader.header.times
         # The nearest: times are float32 in the file, and a file that stands still has a single frame.
-        nearest = np.searchsorted((there[1:] + there[:-1]) / 2, sequence.times - time_shift(sequence.header))
+        nearest = np.searchsorted((there[1:] + there[:-1]) / 2, sequence.times)
         number = 0
         for block in reader.blocks():
             for shown in block:

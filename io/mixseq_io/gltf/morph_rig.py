@@ -27,7 +27,7 @@ from mixseq.rigging.rigs import Morph
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, Json, Layout, append
-from mixseq_io.gltf.morphs import MovingMesh, float_times
+from mixseq_io.gltf.morphs import MovingMesh, key_times
 from mixseq_io.gltf.new_document import new_scene
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
@@ -71,7 +71,7 @@ def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> 
     moving = [track for track in tracks if track.moves]
     if not moving:
         return
-    keys = float_times(header)
+    keys, extras = key_times(header)
     times = layout.add_array(keys)
     layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
     # One view for all of them, since there may be hundreds.
@@ -92,7 +92,7 @@ def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> 
         "name": header.name or "animation",
         "samplers": samplers,
         "channels": channels,
-        "extras": {"fps": header.fps},
+        "extras": extras,
     }
     append(layout.document, "animations", animation)
 

@@ -68,19 +68,27 @@ class Morphs:
         What moves.
     header : SequenceHeader
         How many frames there are, and when.
+    keep_start : bool
+        Whether the animation begins when the sequence does, and not at 0.
     """
 
-    def __init__(self, layout: Layout, meshes: Sequence[MovingMesh], header: SequenceHeader) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        meshes: Sequence[MovingMesh],
+        header: SequenceHeader,
+        keep_start: bool = False,
+    ) -> None:
         self._meshes = meshes
-        self._animate(layout, header)
+        self._animate(layout, header, keep_start)
         self._frames = [self._lay_out(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[NDArray[np.float32]]] | None = None
 
-    def _animate(self, layout: Layout, header: SequenceHeader) -> None:
+    def _animate(self, layout: Layout, header: SequenceHeader, keep_start: bool) -> None:
         """Add the animation that steps through the targets."""
         if header.frame_count == 1:
             return
-        keys = float_times(header)
+        keys, extras = key_times(header, keep_start)
         times = layout.add_array(keys)
         layout.bounded(times, ([float(keys[0])], [float(keys[-1])]))
         count = len(keys) * (len(keys) - 1)
@@ -91,7 +99,7 @@ class Morphs:
             "channels": [
                 {"sampler": 0, "target": {"node": mesh.node, "path": "weights"}} for mesh in self._meshes
             ],
-            "extras": {"fps": header.fps},
+            "extras": extras,
         }
         append(layout.document, "animations", animation)
 
@@ -153,15 +161,18 @@ class Morphs:
         writer.put(start, chunks)
 
 
-def float_times(header: SequenceHeader) -> NDArray[np.float32]:
-    """Return the times of the keys ``(T,)``: glTF's begin at 0 or later, and are float32.
+def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray[np.float32], Json]:
+    """Return the times of the keys ``(T,)``, float32, and what the animation tells of them for our reader.
+
+    Its extras are ``fps``, and ``start``, the time in seconds that key time 0 is, if that is not 0.
 
     Raises
     ------
     InvalidSequenceError
         If frames follow each other too closely for float32.
     """
-    keys = (header.times - time_shift(header)).astype(np.float32)
+    start = time_shift(header, keep_start)
+    keys = (header.times - start).astype(np.float32)
     close = np.diff(keys) <= 0
     if close.any() or not np.isfinite(keys).all():
         frame = int(np.argmax(close))
@@ -169,13 +180,17 @@ def float_times(header: SequenceHeader) -> NDArray[np.float32]:
             f"frames {frame} and {frame + 1} are at {header.times[frame]:.9g} s and {header.times[frame + 1]:.9g} s, "
             "too close, or too late, for glTF's float32; let the times begin at 0, or write USD, .npz or .h5"
         )
-    return keys
+    return keys, {"fps": header.fps, **({"start": start} if start else {})}
 
 
-def time_shift(header: SequenceHeader) -> float:
-    """Return the time that becomes 0 in glTF, which has no times before 0, and none at all for a single frame."""
+def time_shift(header: SequenceHeader, keep_start: bool = False) -> float:
+    """Return the time that becomes 0: the first one.
+
+    Players show the first frame until its time comes, so of a shot that begins at frame 1001 they would for 40 s. Where
+    starts are kept only what glTF has no place for is moved: times before 0, and that of a single frame.
+    """
     first = float(header.times[0])
-    return first if first < 0 or header.frame_count == 1 else 0.0
+    return 0.0 if keep_start and first >= 0 and header.frame_count > 1 else first
 
 
 def _one_hot(keys: int) -> Iterator[NDArray[np.float32]]:

@@ -82,10 +82,11 @@ def open_gltf(
             channels = [channel for channel in channels if channel.node in influencing]
         shapes = _shapes(document, scene, nodes, channels)
         name = common_name([scene.objects[shape.node] for shape in shapes]) or path.stem
-        times, rate = _frames(path, channels, fps, _told_rate(chosen))
+        times, rate = _frames(path, channels, fps, _told(chosen, "fps", 0.0))
         world = _world(scene, shapes, pose_at(channels, times[:1]))
         mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
-        return _GltfReader(document, name, shapes, mirrored, channels, times, rate)
+        start = _told(chosen, "start", -_LATEST) or 0.0
+        return _GltfReader(document, name, shapes, mirrored, channels, times, rate, start)
 
 
 def _frames(
@@ -161,13 +162,16 @@ def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Fl
     return scene.world((node for shape in shapes for node in shape.bearers), pose)
 
 
-def _told_rate(animation: Fields | None) -> float | None:
-    """Return the rate that files written by mixseq tell, where the times of frames need not."""
+_LATEST = 1e9
+
+
+def _told(animation: Fields | None, name: str, least: float) -> float | None:
+    """Return what files written by mixseq tell of an animation, above `least`: its rate, or when it starts."""
     extras = {} if animation is None else animation.values.get("extras")
-    rate = extras.get("fps") if isinstance(extras, dict) else None
+    value = extras.get(name) if isinstance(extras, dict) else None
     return (
-        float(rate)
-        if isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate < 1e9
+        float(value)
+        if isinstance(value, int | float) and not isinstance(value, bool) and least < value < _LATEST
         else None
     )
 
@@ -182,6 +186,7 @@ class _GltfReader(SequenceReader):
         channels: Sequence[Channel],
         times: NDArray[np.float64],
         rate: float,
+        start: float,
     ) -> None:
         ends = np.cumsum([0, *(shape.weld.count for shape in shapes)]).tolist()
         scene_meshes = [
@@ -193,7 +198,7 @@ class _GltfReader(SequenceReader):
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=ends[-1],
-            times=on_grid(times, rate),
+            times=on_grid(times + start, rate),
             fps=rate,
             name=name,
             surface=surface,

@@ -33,6 +33,7 @@ def write_gltf(
     velocities: Iterable[FloatArray] | None = None,
     flatten: bool = False,
     onto: str | os.PathLike[str] | None = None,
+    keep_start: bool = False,
 ) -> None:
     """Write a glTF file: ``.glb`` is binary, ``.gltf`` text with everything in it.
 
@@ -46,6 +47,8 @@ def write_gltf(
         Write the sequence alone. By default, everything else of the glTF file that it came from is taken along.
     onto : path-like, optional
         The file whose materials, textures and other nodes are taken along, in place of that one.
+    keep_start : bool
+        Let the animation begin when the sequence does. By default it begins at 0, and tells our reader when that is.
 
     Raises
     ------
@@ -68,9 +71,9 @@ def write_gltf(
     overlay = None if flatten else _overlay(path, header, onto)
     layout, meshes = overlay or new_scene(header)
     lost = [] if overlay else lost_alone(header)
-    warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost])
+    warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
     warn_of_many_frames(path, header)
-    morphs = Morphs(layout, meshes, header)
+    morphs = Morphs(layout, meshes, header, keep_start)
     _, numbered = checked(header, blocks, velocities)
     with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
@@ -126,7 +129,9 @@ def lost_alone(header: SequenceHeader) -> list[str]:
     return lost
 
 
-def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> None:
+def warn_of_changes(
+    path: Path, header: SequenceHeader, lost: Sequence[str], keep_start: bool = False
+) -> None:
     """Warn of what is lost, of what is read in another way than it is in the sequence."""
     warn_of_losses(path, "glTF files", lost)
     if upright(header):
@@ -134,8 +139,8 @@ def warn_of_changes(path: Path, header: SequenceHeader, lost: Sequence[str]) -> 
             f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "
             f"per unit with {header.up_axis} up, under a node that turns and scales them"
         )
-    shift = time_shift(header)
-    if shift:
+    shift = time_shift(header, keep_start)
+    if shift and (keep_start or header.frame_count == 1):  # else the file tells when it begins
         warn(f"{path}: glTF's times begin at 0; all times are moved by {-shift:g} s")
 
 

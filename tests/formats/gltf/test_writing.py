@@ -18,7 +18,7 @@ from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io.gltf.new_document import _distinct
 from mixseq_io.gltf.writer import write_gltf
 from tests.formats.conftest import CASES, lossy
-from tests.formats.gltf_files import read, validate, written
+from tests.formats.gltf_files import Gltf, read, validate, write_glb, written
 
 pytestmark = pytest.mark.slow
 
@@ -237,14 +237,44 @@ def test_a_node_shows_points_upright_and_in_metres(
     np.testing.assert_array_equal(up @ matrix[:3, :3], [0, 0.5, 0])
 
 
-def test_times_before_zero_are_moved(tmp_path: Path) -> None:
+def keys_of(file: Gltf) -> list[float]:
+    return list(file.accessor(file.json["animations"][0]["samplers"][0]["input"]).tolist())
+
+
+@pytest.mark.parametrize("first", [-1.5, 3.0])
+def test_animations_begin_at_zero(tmp_path: Path, first: float) -> None:
+    times = [first, first + 1.5, first + 3.5]
+    file = written(tmp_path / "a.glb", moving_square(times=times))
+    assert keys_of(file) == [0, 1.5, 3.5]
+    assert file.json["animations"][0]["extras"]["start"] == first
+    assert read(tmp_path / "a.glb").times.tolist() == times
+
+
+def test_a_shot_from_frame_1001_on_keeps_its_times_for_us(tmp_path: Path) -> None:
+    times = np.arange(1001, 1097) * 1001 / 24000
+    shot = moving_square(96, times=times, fps=24000 / 1001)
+    assert keys_of(written(tmp_path / "a.glb", shot))[0] == 0
+    np.testing.assert_allclose(read(tmp_path / "a.glb").times, times, rtol=1e-15)
+
+
+def test_starts_that_are_kept(tmp_path: Path) -> None:
+    late = written(tmp_path / "a.glb", moving_square(times=[3, 4, 5]), keep_start=True)
+    assert keys_of(late) == [3, 4, 5]
+    assert "start" not in late.json["animations"][0]["extras"]
     with pytest.warns(MixseqWarning, match=r"begin at 0; all times are moved by 1.5 s"):
-        file = written(tmp_path / "a.glb", moving_square(times=[-1.5, 0, 2]))
-    assert file.accessor(file.json["animations"][0]["samplers"][0]["input"]).tolist() == [0, 1.5, 3.5]
+        early = written(tmp_path / "b.glb", moving_square(times=[-1.5, 0, 2]), keep_start=True)
+    assert keys_of(early) == [0, 1.5, 3.5]
     with pytest.warns(MixseqWarning, match="all times are moved by -3 s"):
-        written(tmp_path / "b.glb", moving_square(1, times=[3]))
-    late = written(tmp_path / "c.glb", moving_square(times=[3, 4, 5]))
-    assert late.accessor(late.json["animations"][0]["samplers"][0]["input"]).tolist() == [3, 4, 5]
+        written(tmp_path / "c.glb", moving_square(1, times=[3]))
+
+
+@pytest.mark.parametrize("start", ["now", None, True, float("nan"), 1e300])
+def test_starts_that_are_none(tmp_path: Path, start: object) -> None:
+    written(tmp_path / "a.glb", moving_square(times=[0, 1, 2]))
+    file = Gltf(tmp_path / "a.glb")
+    file.json["animations"][0]["extras"]["start"] = start
+    write_glb(tmp_path / "b.glb", file.json, file.buffer)
+    assert read(tmp_path / "b.glb").times.tolist() == [0, 1, 2]
 
 
 def test_times_too_close_for_float32(tmp_path: Path) -> None:
