@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
-from mixseq.errors import SettingsError
+from mixseq.errors import MixseqError, SettingsError
 from mixseq.threads import one_blas_thread
 
 Shared = TypeVar("Shared")
@@ -61,18 +61,27 @@ def on_threads(count: int | None = None) -> Executor:
     ) -> Iterator[Result]:
         with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
             ahead: deque[Future[Result]] = deque()
+            process = os.getpid()
             try:
                 for item in items:
                     ahead.append(pool.submit(function, shared, item))
                     if len(ahead) > threads:  # one waits for the first thread that is done
                         yield ahead.popleft().result()
+                        _check_process(process)
                 while ahead:
                     yield ahead.popleft().result()
+                    _check_process(process)
             finally:
                 for future in ahead:
                     future.cancel()
 
     return work
+
+
+def _check_process(process: int) -> None:
+    """Refuse to wait for threads that a fork did not copy."""
+    if os.getpid() != process:
+        raise MixseqError("this iteration began before the process was forked; begin another one here")
 
 
 def thread_count() -> int:

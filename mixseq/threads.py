@@ -6,6 +6,7 @@ products, of which we have many, get slower on top.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -37,6 +38,16 @@ def one_blas_thread() -> Iterator[None]:
             _users -= 1
             if _users == 0:
                 _limit.pop_all().close()
+
+
+def _renew_lock() -> None:
+    """Replace the lock in a forked process, where a thread that is not there may hold it."""
+    global _lock
+    _lock = Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_lock)
 
 
 def _one_thread() -> AbstractContextManager[object]:

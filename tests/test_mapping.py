@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -7,10 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from mixseq import threads
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
 from mixseq.mapping import on_threads, serially, thread_count
 from mixseq.signals import fit
+from mixseq.threads import one_blas_thread
+from tests.forking import in_a_fork
 
 
 def wait_and_add(shared: int, item: int) -> int:
@@ -53,6 +57,28 @@ def test_an_error_ends_the_work(threads: int) -> None:
     with pytest.raises(ValueError, match="three"):
         next(results)
     assert threading.active_count() < 10
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_an_iteration_belongs_to_its_process() -> None:
+    results = on_threads(2)(wait_and_add, 0, range(9))
+    assert next(results) == 0
+    said = in_a_fork(lambda: list(results))
+    assert said == "MixseqError: this iteration began before the process was forked; begin another one here"
+    assert in_a_fork(lambda: list(on_threads(2)(wait_and_add, 0, range(3)))) == "[0, 1, 2]"
+    assert list(results) == list(range(1, 9))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_lock_that_another_thread_holds_at_a_fork() -> None:
+    def enter() -> str:
+        with one_blas_thread():
+            return "entered"
+
+    with threads._lock:
+        assert in_a_fork(enter) == "entered"
 
 
 def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:

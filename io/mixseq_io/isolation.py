@@ -109,8 +109,12 @@ class _IsolatedReader(SequenceReader):
 
     def markings(self) -> Markings:
         """Return what tells parts of the mesh apart."""
+        self._check_open()
         found: Markings = self._file.ask("markings")
         return found
+
+    def _check_process(self) -> None:
+        """Do nothing: a forked process opens the file again, in a worker of its own."""
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         return self._file.iterate("points", size)

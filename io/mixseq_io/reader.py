@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -49,6 +50,7 @@ class SequenceReader(ABC):
         self._resources = resources or ExitStack()
         self._closed = False
         self._limit = max_memory()
+        self._process = os.getpid()
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Iterate over the points, from the first frame each time it is called.
@@ -68,7 +70,8 @@ class SequenceReader(ABC):
         SettingsError
             If `size` is not positive.
         FormatError
-            If the file is damaged, a frame takes more than `max_memory`, or the reader is closed.
+            If the file is damaged, a frame takes more than `max_memory`, or the reader is closed, or was opened before
+            this process was forked.
         InvalidSequenceError
             If a frame has another number of vertices, or coordinates that are not finite.
         """
@@ -142,13 +145,21 @@ class SequenceReader(ABC):
         """Yield the velocities, in blocks as `_read_blocks`; called if the file has any."""
         raise NotImplementedError
 
+    def _check_open(self) -> None:
+        if self._closed:
+            raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
+        self._check_process()
+
+    def _check_process(self) -> None:
+        if self._process != os.getpid():  # both would move the place in the file
+            raise FormatError(f"{self.path} was opened before this process was forked; open it again here")
+
     def _checked(
         self, blocks: Iterator[FloatArray], check: Callable[[FloatArray, int], None], what: str
     ) -> Iterator[FloatArray]:
         frame = 0
         while True:
-            if self._closed:
-                raise FormatError(f"{self.path} is closed; read its blocks inside the with statement")
+            self._check_open()
             block = next(blocks, None)
             if block is None:
                 break

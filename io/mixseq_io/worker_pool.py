@@ -170,6 +170,14 @@ class Worker:
             self._process.kill()
             self._process.wait()
 
+    def leave(self) -> None:
+        """Let go of its pipes in a forked process: it ends when nobody else has them."""
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for pipe in (self._stdin, self._stdout):
+            if not pipe.closed:
+                os.dup2(nowhere, pipe.fileno(), inheritable=False)
+        os.close(nowhere)
+
     @property
     def alive(self) -> bool:
         """Whether it can be asked again."""
@@ -260,12 +268,16 @@ def _signature(path: Path) -> tuple[int, int, int] | None:
 
 def _leave_to_parent() -> None:
     """Let a forked process start workers of its own: two askers at one pipe would get each other's answers."""
+    global _lock
+    _lock = threading.Lock()  # a thread that is not there may hold the other one
     _of_parent.extend(idle)
     idle.clear()
     for file in list(_files):
         if file.worker is not None:
             _of_parent.append(file.worker)
         file.worker, file.lock = None, threading.RLock()
+    for worker in _of_parent:
+        worker.leave()
 
 
 if hasattr(os, "register_at_fork"):

@@ -3,13 +3,18 @@
 With rslab (``pip install 'mixseq[fast]'``) a pattern is ordered once and matrices are factored by supernodes; without
 it SciPy's SuperLU does the same work several times slower. Both are exact to rounding, and neither depends on the
 number of threads.
+
+rslab keeps a pool of threads for every number of threads it was asked for. A forked process has the pools, but not
+their threads, and would wait for them for ever: there it is asked for numbers that its ancestors have not used.
 """
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from functools import cached_property
+from itertools import count
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +26,12 @@ from mixseq.errors import ReconstructionError
 
 ALONE = 30_000
 """Matrices with fewer rows are factored by one thread: several are factored at the same time."""
+
+_MOST = 4
+"""Threads that rslab uses where it may choose."""
+
+_NEVER = 1 << 62
+"""Work from which rslab solves on the pool that there is one of in a process, and that no forked one can replace."""
 
 
 class Factor(Protocol):
@@ -114,6 +125,30 @@ def _import_for_good() -> None:
 _import_for_good()
 
 
+class _Pools:
+    """How many threads rslab has been asked for in this process, and in those that it was forked from."""
+
+    def __init__(self) -> None:
+        self._used: frozenset[int] = frozenset()
+        self._lost: frozenset[int] = frozenset()
+
+    def size(self, threads: int | None) -> int | None:
+        """Return how many threads to ask for, if `threads` are wanted."""
+        if self._lost:
+            threads = next(size for size in count(threads or _MOST) if size not in self._lost)
+        self._used |= {threads} if threads else set(range(1, _MOST + 1))
+        return threads
+
+    def lose(self) -> None:
+        """Count those of the process that this one was forked from as lost."""
+        self._lost |= self._used
+
+
+_pools = _Pools()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pools.lose)
+
+
 def _singular(error: Exception) -> ReconstructionError:
     return ReconstructionError(f"a linear system has no unique solution: {error}")
 
@@ -125,7 +160,9 @@ class _RslabAnalysis:
         self._symbolic = None
         if size:
             pattern = sparse.csc_array((np.ones(len(rows)), rows, starts), shape=(size, size))
-            self._symbolic = rslab.analyze(pattern, path="ldlt", threads=self._threads)
+            self._symbolic = rslab.analyze(
+                pattern, path="ldlt", threads=_pools.size(self._threads), solve_par_min_work=_NEVER
+            )
 
     def factor(self, values: Float) -> Factor:
         if self._symbolic is None:
@@ -133,7 +170,7 @@ class _RslabAnalysis:
         if not np.isfinite(values).all():
             raise _singular(ValueError("values are not finite"))
         try:
-            factor = self._symbolic.factor(values)
+            factor = self._symbolic.factor(values, threads=_pools.size(self._threads))
         except RuntimeError as error:
             raise _singular(error) from None
         return _RslabFactor(factor)

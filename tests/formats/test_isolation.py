@@ -14,6 +14,7 @@ from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq_io import isolation, worker_pool
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
+from tests.forking import in_a_fork
 
 FILE = Path("walk.abc")
 
@@ -55,15 +56,43 @@ def test_a_worker_is_used_again(new_workers: pytest.MonkeyPatch) -> None:
         assert reader._file.worker._process.pid == process  # type: ignore[attr-defined]
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_forked_process_has_workers_of_its_own(new_workers: pytest.MonkeyPatch) -> None:
-    with opened():
-        pass
-    assert len(worker_pool.idle) == 1
-    child = os.fork()
-    if not child:
-        os._exit(len(worker_pool.idle))
+    def read() -> list[float]:
+        with opened() as reader:
+            return [float(block[0, 0, 0]) for block in reader.blocks(1)]
+
+    with opened() as idle, opened() as busy:
+        idle.close()
+        rest = busy.blocks(1)
+        next(rest)
+        assert len(worker_pool.idle) == 1
+        assert in_a_fork(lambda: len(worker_pool.idle)) == "0"
+        assert in_a_fork(lambda: [float(block[0, 0, 0]) for block in rest]) == "[1.0, 2.0, 3.0]"
+        assert in_a_fork(busy.close) == "None"
+        here = str(read())
+        with worker_pool._lock:  # as another thread may
+            assert in_a_fork(read) == here
+        assert [float(block[0, 0, 0]) for block in rest] == [1, 2, 3]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_worker_ends_though_a_forked_process_lives(new_workers: pytest.MonkeyPatch) -> None:
+    """It ends when nobody can ask it any more; a forked process has a copy of the pipe."""
+    with opened() as reader:
+        worker = reader._file.worker  # type: ignore[attr-defined]
+        going_on, done = os.pipe()
+        child = os.fork()
+        if not child:
+            os.close(done)
+            os.read(going_on, 1)
+            os._exit(0)
+    worker_pool.dismiss_all()
+    assert worker._process.returncode == 0
+    os.close(done)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    assert len(worker_pool.idle) == 1
 
 
 @pytest.mark.parametrize("when", ["opening", "reading"])

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import sys
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from mixseq.errors import ReconstructionError
-from mixseq.shells.solvers import analyse, factorise
+from mixseq.shells.solvers import ALONE, analyse, factorise
+from tests.forking import in_a_fork
 from tests.meshes import seeds
 
 
@@ -88,3 +91,26 @@ def test_nothing_to_solve(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.zeros(0, dtype=np.int64)
     factor = analyse(np.zeros(1, dtype=np.int64), nothing).factor(np.zeros(0))
     assert factor.solve(np.zeros((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("size", [200, pytest.param(ALONE + 1, marks=pytest.mark.slow)])
+def test_forked_processes_solve_with_the_same_bits(size: int) -> None:
+    """rslab's threads are not copied, neither for large systems nor for small ones."""
+    width = int(np.sqrt(size))
+    matrix = sparse.csr_array(
+        sparse.diags_array(
+            [np.full(size, 4.5), *(np.full(size - k, -1.0) for k in (1, 1, width, width))],
+            offsets=[0, -1, 1, -width, width],
+        )
+    )
+    right = np.random.default_rng(0).normal(size=(size, 3))
+    factor = factorise(matrix)
+
+    def solutions() -> list[str]:
+        return [sha256(each.solve(right).tobytes()).hexdigest() for each in (factor, factorise(matrix))]
+
+    here = str(solutions())
+    assert in_a_fork(solutions) == here
+    assert in_a_fork(lambda: in_a_fork(solutions)) == here
