@@ -3,27 +3,46 @@
 Compiled functions release the interpreter's lock and add in the order in which they are written, so that their
 results have the same bits on any number of threads. Division by zero gives infinity, as in NumPy. Nobody calls them
 from C: without an entry for that they compile in about two thirds of the time.
+
+What is on disk may be cut short, by a crash or a full disk, and the disk may be full or not ours: then functions are
+compiled again, and a warning says so.
 """
 
 from __future__ import annotations
 
+import pickle
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
+
+from mixseq.errors import MixseqWarning
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
+_DAMAGE = (pickle.UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError)
+"""What damaged pickles raise."""
+
 
 def compiled(function: Function) -> Function:
-    """Compile a function of arrays and numbers."""
-    try:
-        return cast(Function, numba.njit(cache=True, **_OPTIONS)(function))
-    except RuntimeError:  # there is no folder to keep it in: it is compiled in every run
-        return cast(Function, numba.njit(**_OPTIONS)(function))
+    """Compile a function of arrays and numbers.
+
+    Warns
+    -----
+    MixseqWarning
+        When it is called, if what is kept of it is damaged, or nothing can be kept; once in a process.
+    """
+    made = numba.njit(**_OPTIONS)(function)
+    with suppress(RuntimeError):  # there is no folder to keep it in: it is compiled in every run
+        made._cache = _Cache(function)  # type: ignore[no-untyped-call]
+    return cast(Function, made)
 
 
 def inlined(function: Function) -> Function:
@@ -34,3 +53,47 @@ def inlined(function: Function) -> Function:
 def constant(number: int) -> int:
     """Return a number for arguments of compiled functions: of each literal, they would compile a version of its own."""
     return cast(int, np.int64(number))
+
+
+class _Cache(FunctionCache):
+    """numba's folder of compiled functions, which cannot make a run fail."""
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return a compiled function, None if it must be compiled."""
+        try:
+            return super().load_overload(signature, target)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            self._give_up(error)
+        except _DAMAGE:
+            _tell(
+                f"what is kept of compiled functions in {self.cache_path} is damaged; they are compiled again"
+            )
+            try:
+                Path(self._cache_file._index_path).unlink(missing_ok=True)
+            except OSError as error:
+                self._give_up(error)
+        return None
+
+    def save_overload(self, signature: Any, made: Any) -> None:
+        """Keep a compiled function."""
+        try:
+            super().save_overload(signature, made)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        self.disable()  # type: ignore[no-untyped-call]
+        _tell(
+            f"compiled functions cannot be kept in {self.cache_path} ({error.strerror or error}), so they are "
+            "compiled in every run; NUMBA_CACHE_DIR names another folder"
+        )
+
+
+_told: set[str] = set()
+
+
+def _tell(message: str) -> None:
+    kind = message.partition(" in ")[0]
+    if kind not in _told:
+        _told.add(kind)
+        warnings.warn(message, MixseqWarning, stacklevel=2)

@@ -17,17 +17,17 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     ("arrays", "choices"),
     (
-        "compiled",
         "diagonal",
         "errors",
         "frame_rates",
+        "interrupts",
         "pickling",
         "progress",
         "statistics",
         "threads",
         "version",
     ),
-    ("dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
+    ("compiled", "dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
     ("cluster", "polygon_matching", "surface"),
     ("sequence_header",),
     ("sequence",),
@@ -44,6 +44,7 @@ LAYERS = (
     ("viewing",),
     ("mixseq_io",),
     ("cli",),
+    ("__main__",),
 )
 """From the ground up; those side by side know nothing of each other."""
 

@@ -2,7 +2,7 @@
 
 A rename within a folder is atomic [1]_: whoever reads the target sees the old file or the new one, and an
 error, a full disk or Ctrl-C leaves the old one as it was. The new file is flushed to the disk before the
-rename, else a power cut could leave an empty file under the target's name.
+rename, else a power cut could leave an empty file under the target's name. Signals wait while files are moved.
 
 References
 ----------
@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mixseq.errors import OutputError
+from mixseq.interrupts import held
+from mixseq_io.temporary import temporary_name
 
 
 @contextmanager
@@ -44,17 +45,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     with _explaining(target):
         _check_target(target)
-        temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(4)}{target.suffix}")
-        try:
+        with temporary_name(target.parent) as name:
+            temporary = Path(f"{name}{target.suffix}")
             yield temporary
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)
-            temporary.replace(target)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
+            with held():
+                temporary.replace(target)
         _flush_folder(target.parent)
 
 
@@ -62,7 +60,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary folder to write files to; they move beside `pattern` if all goes well.
 
-    Each file moves atomically, one after the other; nothing moves before all are written and flushed.
+    Each file moves atomically, one after the other; nothing moves before all are written and flushed, and only what
+    ends the process at once, as SIGKILL does, can leave some of them behind.
 
     Parameters
     ----------
@@ -78,18 +77,16 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     folder = target.parent
     with _explaining(target):
         _check_target(target)
-        temporary = folder / f".mixseq.{secrets.token_hex(4)}"
-        try:
+        with temporary_name(folder) as temporary:
             temporary.mkdir()
             yield temporary
             files = sorted(temporary.iterdir())
             for file in files:
                 _check_target(folder / file.name)
                 _flush(file)
-            for file in files:
-                file.replace(folder / file.name)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            with held():
+                for file in files:
+                    file.replace(folder / file.name)
         _flush_folder(folder)
 
 

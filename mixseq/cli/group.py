@@ -16,25 +16,20 @@ Anything else is a bug in mixseq, and those do come with a traceback.
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from mixseq.cli.console import say
 from mixseq.errors import MixseqError, MixseqWarning
+from mixseq.interrupts import unwinding
 from mixseq.warned import warnings_heard
-
-_LATER = 0.2  # seconds
-_ENDING = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]  # which Windows has not
 
 
 class LazyGroup(click.Group):
@@ -97,7 +92,7 @@ class LazyGroup(click.Group):
 def exit_code(run: Callable[[], object]) -> int:
     """Run a command, report its errors and warnings, and return the exit code of the process."""
     try:
-        with _warnings_in_one_line(), _unwinding_when_terminated():
+        with _warnings_in_one_line(), unwinding():
             result = run()
         return result if isinstance(result, int) else 0
     except MixseqError as error:
@@ -132,38 +127,3 @@ def _warnings_in_one_line() -> Iterator[None]:
         warnings.simplefilter("always", MixseqWarning)
         with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
             yield
-
-
-@contextmanager
-def _unwinding_when_terminated() -> Iterator[None]:
-    """Let signals end the process as Ctrl-C does, by an exception, so that no half-written file stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
-        return
-
-    def leave(number: int, frame: object) -> NoReturn:
-        raise SystemExit(128 + number)
-
-    again: list[threading.Timer] = []
-
-    def swallowed(ignored: sys.UnraisableHookArgs) -> None:
-        # What is raised while a library in C calls Python is printed and lost, and the work goes on. So it is raised
-        # once more, a little later, unless the library gave up and the process is ending anyway.
-        if not issubclass(ignored.exc_type, SystemExit | KeyboardInterrupt):
-            usual(ignored)
-            return
-        number = signal.SIGTERM if issubclass(ignored.exc_type, SystemExit) else signal.SIGINT
-        again.append(threading.Timer(_LATER, os.kill, (os.getpid(), number)))
-        again[-1].daemon = True
-        again[-1].start()
-
-    before, usual = {number: signal.signal(number, leave) for number in _ENDING}, sys.unraisablehook
-    sys.unraisablehook = swallowed
-    try:
-        yield
-    finally:
-        for timer in again:
-            timer.cancel()
-        sys.unraisablehook = usual
-        for number, handler in before.items():
-            signal.signal(number, handler)

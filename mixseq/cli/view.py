@@ -22,6 +22,7 @@ from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.interrupts import answered
 from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -209,6 +210,7 @@ def _run(
         except KeyboardInterrupt:
             click.echo()
         finally:
+            answered()  # what is saved from here on is meant
             for name, model in running.session.unsaved.items():
                 kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)

@@ -11,16 +11,15 @@ Specification: https://openusd.org/release/api/_usd__page__value_clips.html
 from __future__ import annotations
 
 import os
-import secrets
-import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from pxr import Sdf, Vt
 
 from mixseq.errors import OutputError
 from mixseq_io.blocks import warn
+from mixseq_io.temporary import put_away, temporary_name
 from mixseq_io.usd.diagnostics import save_layer
 from mixseq_io.usd.frame_values import Cast, Frame
 from mixseq_io.usd.layers import Samples, declare
@@ -86,12 +85,10 @@ def _empty(file: Path, cast: Cast, rate: float) -> Sdf.Layer:
 class NewFolder:
     """A folder for the clips of a file, written under another name; it takes its place when it is complete."""
 
-    def __init__(self, owner: Path) -> None:
-        token = secrets.token_hex(4)
-        self.target = target = clips_folder(owner)
+    def __init__(self, owner: Path, resources: ExitStack) -> None:
+        self.target = self.path = self._old = clips_folder(owner)
         self._stem = owner.stem
-        self.path = target.with_name(f".{target.stem[:40]}.{token}.new")
-        self._old = target.with_name(f".{target.stem[:40]}.{token}.old")
+        self._resources = resources
         self._installed = False
 
     @property
@@ -114,6 +111,8 @@ class NewFolder:
                 f"{self.target} has other files than clips, which are not deleted; move it away, or write to another "
                 "name"
             )
+        name = self._resources.enter_context(temporary_name(self.target.parent))
+        self.path, self._old = Path(f"{name}.new"), put_away(name, self.target)
         self.path.mkdir()
 
     def install(self) -> None:
@@ -142,24 +141,18 @@ class NewFolder:
         if self._old.exists():
             self._old.rename(self.target)
 
-    def clean(self) -> None:
-        """Delete what is not needed any longer."""
-        for folder in (self.path, self._old):
-            shutil.rmtree(folder, ignore_errors=True)
-
 
 @contextmanager
 def new_folder(owner: Path) -> Iterator[NewFolder]:
     """Yield a folder for the clips of a file, to make, fill and install; after an exception all is as it was."""
-    folder = NewFolder(owner)
-    try:
-        yield folder
-    except BaseException:
-        with suppress(OSError):
-            folder.undo()
-        raise
-    finally:
-        folder.clean()
+    with ExitStack() as resources:
+        folder = NewFolder(owner, resources)
+        try:
+            yield folder
+        except BaseException:
+            with suppress(OSError):
+                folder.undo()
+            raise
 
 
 def _is_of_clips(folder: Path, stem: str) -> bool:

@@ -21,7 +21,7 @@ from mixseq_io.memory import out_of_memory
 
 _LONGEST_REASON = 200
 
-_TEMPORARY = re.compile(r"/\.([^/]*?)\.[0-9a-f]{8}(\.\w+)")
+_TEMPORARY = re.compile(r"\.mixseq\.[\w-]+\.[0-9a-f]{8}(?:(\.new)|\.\w+)")
 """Names of files that are not yet in their place, see `mixseq_io.atomic` and `mixseq_io.usd.clips`."""
 
 
@@ -65,7 +65,7 @@ def writing_usd(path: Path) -> Iterator[None]:
     except Tf.ErrorException as error:
         reasons = _reasons(error)
         raise_system_error(reasons, path.resolve().parent)
-        named = _TEMPORARY.sub(r"/\1\2", reasons).replace(".new/", ".clips/")
+        named = _TEMPORARY.sub(lambda found: f"{path.name}{'.clips' if found[1] else ''}", reasons)
         short = shorten(named, _LONGEST_REASON, placeholder=" ...")
         raise OutputError(
             f"cannot write {path}: {short}; check the free space of the disk and the path"

@@ -1,0 +1,128 @@
+"""Temporary names beside a target, and an end to those that killed writers left there.
+
+All names of a writer begin with ``.mixseq.HOST.RANDOM``. It holds a lock on the file of that name with ``.lock``, which
+the system lifts when the process dies, however it does. The next writer in the folder deletes what is not locked. Of
+another host's writers, whose locks may not be seen on a shared disk, and where there are no locks, it deletes what has
+not been touched for a day. What was put away to be replaced, and was not, comes back.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import secrets
+import shutil
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+_OLD = 24 * 3600.0  # seconds
+_HOST = re.sub(r"[^\w-]", "-", platform.node())[:32] or "host"
+_AWAY = ".old."
+_NAME = re.compile(r"\.mixseq(?:\.([\w-]+))?\.[^.]{8}(?=\.|$)")  # those of earlier versions have no host
+
+
+@contextmanager
+def temporary_name(folder: Path) -> Iterator[Path]:
+    """Yield the beginning of names that nobody else has in a folder; what has such a name goes at the end.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder, in which what killed writers left is deleted.
+
+    Raises
+    ------
+    OSError
+        If nothing can be written there.
+    """
+    clear(folder)
+    while True:
+        name = folder / f".mixseq.{_HOST}.{secrets.token_hex(4)}"
+        descriptor = os.open(f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        if _locked(descriptor) is not False and Path(f"{name}.lock").exists():
+            break
+        os.close(descriptor)  # somebody who clears the folder was quicker
+    try:
+        yield name
+    finally:
+        _delete(folder, [entry for entry in _entries(folder) if entry.startswith(f"{name.name}")])
+        os.close(descriptor)
+
+
+def put_away(name: Path, target: Path) -> Path:
+    """Return where to keep what has a target's name while it is replaced."""
+    return Path(f"{name}{_AWAY}{target.name}")
+
+
+def clear(folder: Path) -> None:
+    """Delete what writers have left in a folder that do not live any more."""
+    found = defaultdict(list)
+    for entry in _entries(folder):
+        if match := _NAME.match(entry):
+            found[match[0], match[1]].append(entry)
+    for (name, host), entries in found.items():
+        with _lock_of(folder / f"{name}.lock") as ours:
+            if _old(folder, entries) if host != _HOST or ours is None else ours:
+                _delete(folder, entries)
+
+
+@contextmanager
+def _lock_of(file: Path) -> Iterator[bool | None]:
+    """Yield whether the lock of a writer could be had; None if there is no way to know."""
+    try:
+        descriptor = os.open(file, os.O_RDWR)
+    except OSError:
+        yield None
+        return
+    try:
+        yield _locked(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool | None:
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # some file systems have no locks
+        return None
+    return True
+
+
+def _old(folder: Path, entries: list[str]) -> bool:
+    """Whether none of some files, nor any in these folders, has been touched for a day."""
+    paths = [folder / entry for entry in entries]
+    paths += [inner for path in paths if path.is_dir() for inner in path.rglob("*")]
+    with suppress(OSError):
+        return time.time() - max(path.lstat().st_mtime for path in paths) > _OLD
+    return False
+
+
+def _entries(folder: Path) -> list[str]:
+    try:
+        return [path.name for path in folder.glob(".mixseq.*")]
+    except OSError:  # writing will tell
+        return []
+
+
+def _delete(folder: Path, entries: list[str]) -> None:
+    """Delete files and folders, the lock last: whoever is killed here has left it for the next one."""
+    for entry in sorted(entries, key=lambda entry: entry.endswith(".lock")):
+        with suppress(OSError):
+            path = folder / entry
+            _, away, target = entry.partition(_AWAY)
+            if away and not os.path.lexists(folder / target):
+                path.rename(folder / target)
+            elif path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()

@@ -1,0 +1,119 @@
+"""Compiled functions, and the folder that they are kept in: damaged, full or read-only."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pickle
+import tempfile
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numba
+import pytest
+
+from mixseq import compiled
+from mixseq.errors import MixseqWarning
+
+SOURCE = """
+from mixseq.compiled import compiled
+
+@compiled
+def double(number):
+    return 2 * number
+"""
+
+
+@pytest.fixture(autouse=True)
+def nothing_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_told", set())
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kept"))
+    (tmp_path / "doubling.py").write_text(SOURCE)
+    return tmp_path
+
+
+def double(kept: Path) -> Any:
+    """Return the function as a new process imports it."""
+    spec = spec_from_file_location("doubling", kept / "doubling.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.double
+
+
+def loaded(function: Any) -> int:
+    return sum(function.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("size", [0, 7, -9])
+def test_what_was_cut_short_is_compiled_again(kept: Path, suffix: str, size: int) -> None:
+    assert double(kept)(3) == 6
+    (file,) = (kept / "kept").rglob(f"*{suffix}")
+    file.write_bytes(file.read_bytes()[: size or 0])
+    again = double(kept)
+    with pytest.warns(MixseqWarning, match=r"functions in .*kept.* is damaged; they are compiled again"):
+        assert again(3) == 6
+    assert loaded(again) == 0
+    third = double(kept)
+    assert third(3) == 6
+    assert loaded(third) == 1
+
+
+def test_an_index_of_something_else(kept: Path) -> None:
+    assert double(kept)(3) == 6
+    (index,) = (kept / "kept").rglob("*.nbi")
+    index.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(7))
+    with pytest.warns(MixseqWarning, match="is damaged"):
+        assert double(kept)(3) == 6
+
+
+def test_a_full_disk(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    function = double(kept)
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._save_data", full)
+    with pytest.warns(
+        MixseqWarning, match=r"cannot be kept in .*kept.* \(No space left on device\), .*NUMBA_CACHE_DIR"
+    ):
+        assert function(3) == 6
+    assert function(3.5) == 7.0  # told once
+
+
+def test_a_folder_that_became_read_only(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> NoReturn:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    assert double(kept)(3) == 6
+    (index,) = (kept / "kept").rglob("*.nbi")
+    index.write_bytes(b"")
+    function = double(kept)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.warns(MixseqWarning) as told:
+        assert function(3) == 6
+    assert ["is damaged" in str(told[0].message), "Permission denied" in str(told[1].message)] == [True, True]
+
+
+def test_an_index_that_cannot_be_read(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> NoReturn:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    function = double(kept)
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._load_index", refuse)
+    with pytest.warns(MixseqWarning, match="Permission denied"):
+        assert function(3) == 6
+
+
+def test_no_folder_at_all(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> NoReturn:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    assert double(kept)(3) == 6
