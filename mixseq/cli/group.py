@@ -26,6 +26,7 @@ from typing import Any
 
 import click
 
+from mixseq.cli.address_space import is_short_of_memory, make_do
 from mixseq.cli.console import say
 from mixseq.errors import MixseqError, MixseqWarning
 from mixseq.interrupts import unwinding
@@ -81,6 +82,12 @@ class LazyGroup(click.Group):
                     [(name, each.get_short_help_str(width)) for name, each in commands if each]
                 )
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; help takes no memory."""
+        if not set(ctx.help_option_names) & set(ctx.args):
+            make_do()
+        return super().invoke(ctx)
+
     def main(self, *args: Any, standalone_mode: bool = True, **settings: Any) -> Any:
         """Run the command line, as `click.Group.main` does, with our own messages."""
         run = partial(super().main, *args, standalone_mode=False, **settings)
@@ -96,17 +103,22 @@ def exit_code(run: Callable[[], object]) -> int:
             result = run()
         return result if isinstance(result, int) else 0
     except MixseqError as error:
-        _say(f"error: {error}")
+        say(f"error: {error}")
     except click.ClickException as error:
-        _say(f"error: {error.format_message()}{_hint(error)}")
+        say(f"error: {error.format_message()}{_hint(error)}")
     except (click.Abort, KeyboardInterrupt):
-        _say("interrupted")
+        say("interrupted")
         return 130
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        _say(f"error: {where}{error.strerror or error}")
+    except (OSError, ImportError, RuntimeError) as error:
+        if is_short_of_memory(error):
+            say(f"error: there is not enough memory ({str(error).splitlines()[0]})")
+        elif isinstance(error, OSError):
+            where = f"{error.filename}: " if error.filename else ""
+            say(f"error: {where}{error.strerror or error}")
+        else:
+            raise
     except MemoryError as error:
-        _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
+        say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
     return 2
 
 
@@ -115,7 +127,7 @@ def _hint(error: click.ClickException) -> str:
     return f" (see {context.command_path} --help)" if context else ""
 
 
-def _say(message: str) -> None:
+def say(message: str) -> None:
     """Print a message on one line of stderr; the lines of a list become an enumeration."""
     head, *rest = (line.strip() for line in message.splitlines())
     say(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
@@ -125,5 +137,5 @@ def _say(message: str) -> None:
 def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", MixseqWarning)
-        with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
+        with warnings_heard(lambda text: say(f"warning: {text}"), instead=True):
             yield
