@@ -80,12 +80,10 @@ def unwinding() -> Iterator[None]:
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Let signals wait for the end of the block; one that was swallowed before it does not begin."""
+    """Let signals wait for the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    if _arrived is not None:
-        _end(_arrived)
     came: list[int] = []
     before = {number: signal.getsignal(number) for number in ENDING}
     handled = [number for number in ENDING if callable(before[number])]
@@ -98,6 +96,12 @@ def held() -> Iterator[None]:
             signal.signal(number, before[number])
     if came:
         signal.raise_signal(came[0])
+
+
+def raise_swallowed() -> None:
+    """End the work here, if it goes on though a signal came."""
+    if _arrived is not None and threading.current_thread() is threading.main_thread():
+        _end(_arrived)
 
 
 def answered() -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from mixseq import interrupts
 from mixseq.interrupts import answered, held, unwinding
+from mixseq_io import temporary
 from mixseq_io.atomic import replacing, replacing_many
 
 PATIENCE = 60.0  # seconds
@@ -161,6 +162,23 @@ def test_files_are_moved_before_a_signal_ends_the_work(
         for name in ("a_1", "a_2"):
             (folder / name).write_text("new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a_1", "a_2"]
+
+
+@pytest.mark.parametrize("function", ["clear", "_claim", "_delete"])
+def test_temporary_names_have_an_end_whenever_a_signal_comes(
+    tmp_path: Path, function: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = getattr(temporary, function)
+
+    def interrupted(*arguments: Any) -> Any:
+        send()
+        return usual(*arguments)
+
+    monkeypatch.setattr(temporary, function, interrupted)
+    with pytest.raises(KeyboardInterrupt), unwinding(), replacing(tmp_path / "a") as file:
+        file.write_text("new")
+    monkeypatch.undo()
+    assert [path.name for path in tmp_path.iterdir()] == (["a"] if function == "_delete" else [])
 
 
 def test_signals_wait_in_programs_that_are_not_ours() -> None:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mixseq.errors import OutputError
-from mixseq.interrupts import held
+from mixseq.interrupts import held, raise_swallowed
 from mixseq_io.temporary import temporary_name
 
 
@@ -51,6 +51,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             if target.exists():
                 shutil.copymode(target, temporary)
             _flush(temporary)
+            raise_swallowed()
             with held():
                 temporary.replace(target)
         _flush_folder(target.parent)
@@ -84,6 +85,7 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
             for file in files:
                 _check_target(folder / file.name)
                 _flush(file)
+            raise_swallowed()
             with held():
                 for file in files:
                     file.replace(folder / file.name)

@@ -19,6 +19,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from mixseq.interrupts import held
+
 _OLD = 24 * 3600.0  # seconds
 _HOST = re.sub(r"[^\w-]", "-", platform.node())[:32] or "host"
 _AWAY = ".old."
@@ -39,18 +41,27 @@ def temporary_name(folder: Path) -> Iterator[Path]:
     OSError
         If nothing can be written there.
     """
-    clear(folder)
+    claimed: list[tuple[Path, int]] = []
+    try:
+        with held():  # a signal between a name and its end would leave it to the next writer
+            clear(folder)
+            claimed.append(_claim(folder))
+        yield claimed[0][0]
+    finally:
+        with held():
+            for name, descriptor in claimed:
+                _delete(folder, [entry for entry in _entries(folder) if entry.startswith(name.name)])
+                os.close(descriptor)
+
+
+def _claim(folder: Path) -> tuple[Path, int]:
+    """Return a new name, and its lock."""
     while True:
         name = folder / f".mixseq.{_HOST}.{secrets.token_hex(4)}"
         descriptor = os.open(f"{name}.lock", os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         if _locked(descriptor) is not False and Path(f"{name}.lock").exists():
-            break
+            return name, descriptor
         os.close(descriptor)  # somebody who clears the folder was quicker
-    try:
-        yield name
-    finally:
-        _delete(folder, [entry for entry in _entries(folder) if entry.startswith(f"{name.name}")])
-        os.close(descriptor)
 
 
 def put_away(name: Path, target: Path) -> Path:
