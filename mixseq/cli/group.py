@@ -103,22 +103,22 @@ def exit_code(run: Callable[[], object]) -> int:
             result = run()
         return result if isinstance(result, int) else 0
     except MixseqError as error:
-        say(f"error: {error}")
+        _say(f"error: {error}")
     except click.ClickException as error:
-        say(f"error: {error.format_message()}{_hint(error)}")
+        _say(f"error: {error.format_message()}{_hint(error)}")
     except (click.Abort, KeyboardInterrupt):
-        say("interrupted")
+        _say("interrupted")
         return 130
     except (OSError, ImportError, RuntimeError) as error:
         if is_short_of_memory(error):
-            say(f"error: there is not enough memory ({str(error).splitlines()[0]})")
+            _say(f"error: there is not enough memory ({str(error).splitlines()[0]})")
         elif isinstance(error, OSError):
             where = f"{error.filename}: " if error.filename else ""
-            say(f"error: {where}{error.strerror or error}")
+            _say(f"error: {where}{error.strerror or error}")
         else:
             raise
     except MemoryError as error:
-        say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
+        _say(f"error: there is not enough memory {f'({error})' if str(error) else ''}")
     return 2
 
 
@@ -127,7 +127,7 @@ def _hint(error: click.ClickException) -> str:
     return f" (see {context.command_path} --help)" if context else ""
 
 
-def say(message: str) -> None:
+def _say(message: str) -> None:
     """Print a message on one line of stderr; the lines of a list become an enumeration."""
     head, *rest = (line.strip() for line in message.splitlines())
     say(f"mixseq: {head} {', '.join(rest)}".rstrip(), err=True)
@@ -137,5 +137,5 @@ def say(message: str) -> None:
 def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", MixseqWarning)
-        with warnings_heard(lambda text: say(f"warning: {text}"), instead=True):
+        with warnings_heard(lambda text: _say(f"warning: {text}"), instead=True):
             yield
