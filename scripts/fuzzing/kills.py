@@ -123,8 +123,8 @@ def _prepare(name: str, inputs: Path) -> Prepared:
     _run(words, name, work)
     seconds = time.monotonic() - start
     new = _contents(work)
-    # What was there before is told apart by what follows it; reports are read again, and say when they were made.
-    old = {file: data if _is_report(file) else data + b"\0older" for file, data in new.items()}
+    # What was there before is told apart by what follows it.
+    old = {file: data if _is_read(file) else data + b"\0older" for file, data in new.items()}
     return Prepared(name, words, old, new, seconds)
 
 
@@ -189,11 +189,12 @@ def _sound(each: Prepared, file: str, data: bytes) -> bool:
     """Whether a file is old or new; of a file that is never the same, whether it can be read."""
     if file not in each.old:
         return True  # told as left over
-    return data in (each.old[file], each.new[file]) or _is_report(file) or _readable(file)
+    return data in (each.old[file], each.new[file]) or _is_read(file) or _readable(file)
 
 
-def _is_report(file: str) -> bool:
-    return Path(file).suffix in (".md", ".json")
+def _is_read(file: str) -> bool:
+    """Whether a command reads a file that it also writes: reports of batches, and the mesh of a point cache."""
+    return Path(file).suffix in (".md", ".json") or file == "out.obj"
 
 
 def _readable(file: str) -> bool:
