@@ -81,14 +81,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rng = random.Random(options.seed)
     prepared = [_prepare(name, inputs) for name in options.command or COMMANDS]
     counts: Counter[tuple[str, str]] = Counter()
-    for number in range(options.count):
-        each = prepared[number % len(prepared)]
-        sent = list(SIGNALS)[number // len(prepared) % len(SIGNALS)]
-        moment = rng.uniform(0, each.seconds)
-        wrong = _killed(each, sent, moment)
-        counts[each.name, "well" if not wrong else "wrong"] += 1
-        for what in wrong:
-            print(f"{each.name}, {sent.name} after {moment:.2f} s: {what}", flush=True)
+    with suppress(KeyboardInterrupt):  # which ends it with what there is
+        for number in range(options.count):
+            each = prepared[number % len(prepared)]
+            sent = list(SIGNALS)[number // len(prepared) % len(SIGNALS)]
+            moment = rng.uniform(0, each.seconds)
+            wrong = _killed(each, sent, moment)
+            counts[each.name, "well" if not wrong else "wrong"] += 1
+            for what in wrong:
+                print(f"{each.name}, {sent.name} after {moment:.2f} s: {what}", flush=True)
     print("| command | kills | wrong |\n|---|---:|---:|")
     for name in [*(each.name for each in prepared), "all"]:
         well, wrong_ones = (

@@ -103,4 +103,9 @@ def retiming(file: Path) -> int:
 def report(file: Path) -> int:
     from mixseq.cli.batch.report import read_report, rows
 
-    return _call(lambda: rows(read_report(file.parent).entries.values()))
+    def found() -> list[Any]:
+        read = read_report(file.parent)
+        read.without_lost()  # which looks for the files that it names
+        return list(rows(read.entries.values()))
+
+    return _call(found)

@@ -326,6 +326,8 @@ ASSET = '"source": "a", "target": "b", "source_bytes": 1, "source_signature": ""
         '{"assets": [{' + ASSET + ', "state": "lost"}]}',
         '{"assets": [{' + ASSET + ', "state": []}]}',
         '{"assets": [{' + ASSET + ', "seconds": "many"}]}',
+        '{"assets": [{' + ASSET + ', "source": []}]}',
+        '{"assets": [{' + ASSET + ', "target": 5}]}',
     ],
 )
 def test_damaged_reports(text: str, tmp_path: Path) -> None:

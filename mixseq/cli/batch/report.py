@@ -148,6 +148,8 @@ def read_report(folder: Path) -> Report:
             for asset in stored["assets"]
         ]
         rows(entries)  # whatever cannot be shown is no entry
+        if not all(isinstance(each, str) for entry in entries for each in (entry.source, entry.target)):
+            raise TypeError("a path is no text")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FormatError(f"{path} is damaged; delete it, and everything is encoded again") from error
     return Report({entry.source: entry for entry in entries}, bool(stored.get("finished")))
