@@ -45,6 +45,9 @@ CLOSE = 0.03
 MOST = 100
 """After so many of them the matrix is factored instead."""
 
+HOPELESS = 1e150
+"""Squares of larger dense residuals do not fit into double precision, or hardly."""
+
 
 class SoftConstraint(NamedTuple):
     """Soft constraints of positions: where free vertices are expected.
@@ -126,7 +129,9 @@ class ShellProblem:
         )
         if self.dense is not None:
             last = self.dense.residual(points)
-            return np.append(residuals, last), float(energy) + last**2
+            # Python raises where squares overflow; infinite energies are what minimise expects of a hopeless mesh.
+            square = last**2 if abs(last) < HOPELESS else np.inf
+            return np.append(residuals, last), float(energy) + square
         return residuals, float(energy)
 
     def normal_equations(self, points: Float, residuals: Float) -> tuple[Float, Float]:

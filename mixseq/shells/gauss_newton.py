@@ -119,7 +119,9 @@ def minimise(problem: LeastSquares, start: Float, settings: ShellSettings) -> tu
     points = start
     residuals, energy = problem.residual(points)
     if not np.isfinite(energy):
-        raise ReconstructionError("lengths, angles or fixed vertices of a joint are not finite")
+        raise ReconstructionError(
+            "lengths, angles, volumes or fixed vertices of a joint are not finite, or too large to be squared"
+        )
     damping = 1e-6
     for iteration in range(settings.iterations):
         if np.abs(residuals).max(initial=0.0) <= settings.exact:

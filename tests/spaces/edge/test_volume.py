@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
+from mixseq.errors import ReconstructionError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
 from mixseq.shells.fitting import ShellProblem, ShellSettings, fit_shell
 from mixseq.spaces.edge.discrete_shell import (
@@ -105,6 +106,15 @@ def test_the_term_pulls_and_the_fit_is_a_minimum() -> None:
     assert ratios == sorted(ratios)
     assert 1.0 < ratios[0] < 1.01
     assert ratios[-1] == pytest.approx(1.1, abs=1e-3)
+
+
+@pytest.mark.parametrize("target", [1e154, -1e200, np.inf, np.nan])
+def test_volumes_whose_squares_are_no_numbers_are_an_error(target: float) -> None:
+    problem, points = inflated(1.0)
+    problem = replace(problem, dense=VolumeTerm(problem.patch.faces, target, 1e3))
+    assert problem.energy(points) == np.inf
+    with pytest.raises(ReconstructionError, match="not finite"):
+        fit_shell(problem, points)
 
 
 def test_without_a_term_nothing_changes() -> None:
