@@ -23,6 +23,7 @@ from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.frame_values import Cast, Normals, Placed
 from mixseq_io.usd.materials import define_materials
 from mixseq_io.usd.paths import Identifiers, identifier
+from mixseq_io.usd.prims import define
 
 _LOOKS = "Looks"
 
@@ -112,9 +113,11 @@ def _bind(
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(materials[whole.material])
     owners = [""] * count
     names = Identifiers()
-    for each in scene_mesh.face_sets:
-        if each is whole:
-            continue
+    subsets = [(names.take(each.name), each) for each in scene_mesh.face_sets if each is not whole]
+    with Sdf.ChangeBlock():
+        for name, _ in subsets:
+            define(prim.GetStage().GetRootLayer(), prim.GetPath().AppendChild(name), "GeomSubset")
+    for name, each in subsets:
         faces = (
             _unowned(each, owners, f"{target}: {scene_mesh.name!r}")
             if each.material
@@ -122,7 +125,7 @@ def _bind(
         )
         subset = UsdGeom.Subset.CreateGeomSubset(
             UsdGeom.Mesh(prim),
-            names.take(each.name),
+            name,
             UsdGeom.Tokens.face,
             Vt.IntArray(faces),
             UsdShade.Tokens.materialBind if each.material else "",

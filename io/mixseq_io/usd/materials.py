@@ -18,7 +18,7 @@ from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.usd.diagnostics import reading_usd
 from mixseq_io.usd.paths import TILES, Identifiers, is_prim_path, reference_to
-from mixseq_io.usd.prims import lineage, open_stage, shortened
+from mixseq_io.usd.prims import define, lineage, open_stage, shortened
 
 _UV_READERS = {
     "UsdPrimvarReader_float2": "inputs:varname",
@@ -62,13 +62,14 @@ def define_materials(
         return {}
     UsdGeom.Scope.Define(stage, scope)
     source = _networks(Path(origin.path), wanted) if origin and origin.format == "USD" else None
-    made: dict[str, UsdShade.Material] = {}
     names_here = Identifiers()
-    for name in wanted:
-        path = Sdf.Path(scope).AppendChild(names_here.take(name.rpartition("/")[2]))
-        if source and _is_material(source, name):
-            _copy(source, name, stage.GetRootLayer(), path)
-        made[name] = UsdShade.Material.Define(stage, path)
+    paths = {name: Sdf.Path(scope).AppendChild(names_here.take(name.rpartition("/")[2])) for name in wanted}
+    with Sdf.ChangeBlock():
+        for name, path in paths.items():
+            if source and _is_material(source, name):
+                _copy(source, name, stage.GetRootLayer(), path)
+            define(stage.GetRootLayer(), path, "Material")
+    made = {name: UsdShade.Material.Get(stage, path) for name, path in paths.items()}
     empty = [name for name in wanted if not made[name].GetPrim().GetAuthoredProperties()]
     if empty and not is_gone(origin):
         warn(

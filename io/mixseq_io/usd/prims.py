@@ -1,4 +1,4 @@
-"""USD, prims: opening a stage, walking through its prims, and telling about what they hold.
+"""USD, prims: opening a stage, walking through its prims, defining them, and telling about what they hold.
 
 Specification: https://openusd.org/release/api/class_usd_stage.html
 """
@@ -75,6 +75,16 @@ def lineage(prim: Usd.Prim) -> Iterator[Usd.Prim]:
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
+
+
+def define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
+    """Define a prim in a layer.
+
+    Unlike ``Usd.Stage.DefinePrim`` it can be used in an `Sdf.ChangeBlock`: a stage composes all siblings anew for every
+    prim that is added to them, or once for a block of them.
+    """
+    spec = Sdf.CreatePrimInLayer(layer, path)
+    spec.specifier, spec.typeName = Sdf.SpecifierDef, type_name
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import MeshSequence, Polygons, header_fields
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 from mixseq_io import open_sequence, read, write
+from mixseq_io.usd.prims import define
 from tests.formats.usd_maker import TOKENS, Asset, lift, link, load, mesh_at, paint, problems, save, shot
 
 
@@ -208,6 +209,26 @@ def test_materials_that_overlap(path: Path) -> None:
     assert problems(stage) == set()
     subsets = mesh_at(stage, "/mesh/mesh").GetPrim().GetChildren()
     assert [prim.GetName() for prim in subsets] == ["one", "two", "two_1"]
+
+
+def test_prims_defined_at_once_are_those_defined_one_by_one() -> None:
+    """The same text, and the stage is composed anew once."""
+    paths = [Sdf.Path(f"/Looks/{name}") for name in ("wool", "skin", "cloth")]
+    one_by_one, at_once = Usd.Stage.CreateInMemory(), Usd.Stage.CreateInMemory()
+    composed: list[Usd.Notice.ObjectsChanged] = []
+    for stage in (one_by_one, at_once):
+        UsdGeom.Scope.Define(stage, "/Looks")
+    listener = Tf.Notice.Register(
+        Usd.Notice.ObjectsChanged, lambda notice, _: composed.append(notice), at_once
+    )
+    for path in paths:
+        UsdShade.Material.Define(one_by_one, path)
+    with Sdf.ChangeBlock():
+        for path in paths:
+            define(at_once.GetRootLayer(), path, "Material")
+    listener.Revoke()
+    assert at_once.GetRootLayer().ExportToString() == one_by_one.GetRootLayer().ExportToString()
+    assert len(composed) == 1
 
 
 def test_flattened_materials_keep_their_networks(asset: Asset, tmp_path: Path) -> None:
