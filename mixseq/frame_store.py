@@ -61,7 +61,7 @@ def frame_store(frames: Frames, progress: Progress = silent) -> FrameStore:
         if isinstance(frames, MeshSequence)
         else _copied(frames, progress)
     )
-    _check_lengths(store.points)
+    _check_lengths(store)
     return store
 
 
@@ -85,18 +85,20 @@ def _copied(frames: Frames, progress: Progress) -> FrameStore:
     return FrameStore(header, array)
 
 
-def _check_lengths(points: LargeArray) -> None:
+def _check_lengths(store: FrameStore) -> None:
+    name, points = store.header.name, store.points
     diagonal = bounding_diagonal(points[:1][0])
     cure = f"from {SMALLEST:g} to {LARGEST:g} is expected; scale it, in the program it comes from"
     if diagonal and not SMALLEST <= diagonal <= LARGEST:
         raise InvalidSequenceError(
-            f"the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do not fit into "
-            f"double precision; {cure}"
+            f"{name!r}: the mesh is {diagonal:.3g} units across in its first frame, and squares of such lengths do "
+            f"not fit into double precision; {cure}"
         )
     largest = largest_coordinate(points)
     if largest > LARGEST:
         raise InvalidSequenceError(
-            f"coordinates are up to {largest:.3g} units, and their squares do not fit into double precision; {cure}"
+            f"{name!r}: coordinates are up to {largest:.3g} units, and their squares do not fit into double "
+            f"precision; {cure}"
         )
 
 
@@ -105,9 +107,24 @@ def largest_coordinate(points: LargeArray) -> float:
     return max(float(np.abs(block).max(initial=0.0)) for block in blocks_of(points))
 
 
+def farthest(points: LargeArray) -> float:
+    """Return how far vertices of points ``(T, V, 3)`` get from the middle of the first frame, along an axis.
+
+    It is the largest coordinate of a sequence that was moved to the origin.
+    """
+    first = points[:1][0].astype(np.float64)
+    middle = (first.min(axis=0) + first.max(axis=0)) / 2
+    return max(float(np.abs(block - middle).max(initial=0.0)) for block in blocks_of(points))
+
+
 def finest(points: LargeArray) -> float:
     """Return the smallest bound that a sequence ``(T, V, 3)`` can be computed to, in its units."""
-    return largest_coordinate(points) * _LAST_DIGITS
+    return digits_end(largest_coordinate(points))
+
+
+def digits_end(coordinate: float) -> float:
+    """Return the smallest bound that can be computed to beside a coordinate, in its units."""
+    return coordinate * _LAST_DIGITS
 
 
 def block_size(vertex_count: int) -> int:

@@ -12,7 +12,7 @@ from mixseq import disk_array
 from mixseq.arrays import FloatArray
 from mixseq.disk_array import DiskArray
 from mixseq.errors import InvalidSequenceError
-from mixseq.frame_store import block_size, blocks_of, finest, frame_store, largest_coordinate
+from mixseq.frame_store import block_size, blocks_of, farthest, finest, frame_store, largest_coordinate
 from mixseq.sequence import MeshSequence, SequenceHeader
 from tests.meshes import bar
 
@@ -85,7 +85,7 @@ def test_lengths_whose_squares_do_not_fit_are_refused(
     points = BAR.points.copy()
     points[3] += offset
     far = BAR.with_points(points * factor)
-    with pytest.raises(InvalidSequenceError, match=message):
+    with pytest.raises(InvalidSequenceError, match=f"^{far.header.name!r}: .*{message}"):
         frame_store(Streamed(far.header, [far.points]) if streams else far)
 
 
@@ -93,6 +93,13 @@ def test_a_first_frame_that_is_one_point_may_be_anywhere() -> None:
     point = BAR.with_points(np.full_like(BAR.points, 1e59))
     assert frame_store(point).points is point.points
     assert (largest_coordinate(point.points), finest(point.points)) == (1e59, 1e59 * 2.0**-40)
+
+
+def test_how_far_vertices_get_does_not_depend_on_the_origin() -> None:
+    triangle = np.array([[0.0, 0, 0], [2, 0, 0], [0, 4, 0]])
+    points = np.stack([triangle, 10 * triangle]) + np.array([100.0, -1000, 0])
+    assert farthest(points) == 38.0
+    assert largest_coordinate(points) == 1000.0
 
 
 def test_blocks_depend_on_the_mesh_only() -> None:

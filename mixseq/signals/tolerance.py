@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.frame_store import FrameStore, finest, largest_coordinate
+from mixseq.frame_store import FrameStore, digits_end, farthest, largest_coordinate
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, bounding_diagonal
@@ -106,7 +106,8 @@ def made_sure(
     Raises
     ------
     SettingsError
-        If it does not, and coordinates are so large beside the mesh that double precision has not enough digits.
+        If it does not, and coordinates are so large beside the first frame that double precision has not enough digits:
+        the sequence is far from the origin, or grows or moves too far.
     ReconstructionError
         If it does not for another reason.
     """
@@ -114,12 +115,22 @@ def made_sure(
     progress(1, 1, "checking")
     if error <= promise:
         return model
-    missed = f"a vertex of the most accurate model is off by {error:.3g} diagonals, more than {promise:g}"
+    missed = (
+        f"{sequence.header.name!r}: a vertex of the most accurate model is off by {error:.3g} diagonals, more than "
+        f"{promise:g}"
+    )
     unit = bounding_diagonal(sequence.points[:1][0]) or 1.0
-    if promise * unit < finest(sequence.points):
+    away, largest = farthest(sequence.points), largest_coordinate(sequence.points)
+    if promise * unit < digits_end(away):  # wherever the sequence is
         raise SettingsError(
-            f"{missed}: coordinates are up to {largest_coordinate(sequence.points) / unit:.3g} diagonals, beside which "
-            "double precision has no digits for that; move the sequence to the origin, or give a larger tolerance"
+            f"{missed}: vertices get up to {away / unit:.3g} diagonals of the first frame away from it, beside which "
+            "double precision has no digits for that; give a larger tolerance, or fit the frames that have grown or "
+            "moved so far apart from the first ones"
+        )
+    if promise * unit < digits_end(largest):
+        raise SettingsError(
+            f"{missed}: coordinates are up to {largest / unit:.3g} diagonals, beside which double precision has no "
+            "digits for that; move the sequence to the origin, or give a larger tolerance"
         )
     raise ReconstructionError(f"{missed}; give a larger tolerance, or another space or placement")
 

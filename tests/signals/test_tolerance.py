@@ -156,8 +156,12 @@ def test_what_doubles_have_no_digits_for_is_refused(settings: dict[str, Any]) ->
 
 def test_growth_that_leaves_too_few_digits_is_refused() -> None:
     growing = LONG.points * np.geomspace(1e-6, 1e6, 30)[:, None, None]
-    with pytest.raises(SettingsError, match=r"more than 0\.0001: coordinates are up to .* diagonals"):
+    with pytest.raises(
+        SettingsError, match=r"more than 0\.0001: vertices get up to \S+e\+11 diagonals"
+    ) as error:
         fit(LONG.with_points(growing), tolerance=1e-4)
+    assert str(error.value).startswith(repr(LONG.header.name))
+    assert "origin" not in str(error.value)
 
 
 def test_a_model_that_is_off_is_never_returned() -> None:
