@@ -42,6 +42,7 @@ from mixseq.spaces.making import (
     space_settings,
 )
 from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
 
 SUM = 1e-6
 """Weights may add up to one with this error, that of single precision; they are divided by their sum."""
@@ -101,7 +102,8 @@ class PoseInterpolator(PickledWithoutCaches):
         with one_blas_thread():
             frames = frame_store(poses, stages.at(0))
             if isinstance(chosen, MixedSettings):
-                chosen = replace(chosen, parts=part_of_faces(frames, chosen), settling_from=0.0)
+                topology = Topology(frames.header.faces, frames.header.vertex_count)
+                chosen = replace(chosen, parts=part_of_faces(frames, chosen, topology), settling_from=0.0)
             some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
             made = make_space(some, space, chosen, work, stages.at(1, MAKING))
             encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.arrays import Float, FloatArray, Index, IntArray, Mask
 from mixseq.topology import Topology
 
 
@@ -42,3 +42,57 @@ class Boundaries:
         middles = frame[self.edges].mean(axis=1)
         sums = [np.bincount(self.pair, column, minlength=len(self.parts)) for column in middles.T]
         return np.stack(sums, axis=1) / np.bincount(self.pair, minlength=len(self.parts))[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """What is near the boundaries of patches: less and less, as patches are merged.
+
+    Attributes
+    ----------
+    vertex_count : int
+        Number of vertices of the mesh.
+    ends, sides : (n, 2) int64
+        Vertices of the edges on boundaries, and the two faces there.
+    edges : (m, 2) int64
+        Edges with an end on a boundary.
+    faces, corners : (k,) int64, (k, 3) int
+        Faces with a corner on a boundary or one edge away, and their vertices.
+    """
+
+    vertex_count: int
+    ends: Index
+    sides: Index
+    edges: Index
+    faces: Index
+    corners: IntArray
+
+    @classmethod
+    def of(cls, topology: Topology, patches: Index) -> Rim:
+        """Find the rim of patches ``(F,)`` of faces."""
+        of_hinge = patches[topology.hinge_faces]
+        across = of_hinge[:, 0] != of_hinge[:, 1]
+        ends = topology.edges[topology.hinge_edges[across]]
+        edges = topology.edges[_marked(ends, topology.vertex_count)[topology.edges].any(axis=1)]
+        faces = np.flatnonzero(_marked(edges, topology.vertex_count)[topology.faces].any(axis=1))
+        sides, corners = topology.hinge_faces[across], topology.faces[faces]
+        return cls(topology.vertex_count, ends, sides, edges, faces, corners)
+
+    def narrowness(self, patches: Index) -> Float:
+        """Return the share of each patch's corners on its boundary or one edge away: what joints would take from it.
+
+        Patches ``(F,)`` are those that the rim was found for, or some of them merged.
+        """
+        across = patches[self.sides]
+        boundary = _marked(self.ends[across[:, 0] != across[:, 1]], self.vertex_count)
+        near = _marked(self.edges[boundary[self.edges].any(axis=1)], self.vertex_count)
+        sizes = np.bincount(patches)
+        shares = np.bincount(patches[self.faces], near[self.corners].sum(axis=1) / 3.0, minlength=len(sizes))
+        return np.asarray(shares / np.maximum(sizes, 1), dtype=np.float64)
+
+
+def _marked(some: Index, count: int) -> Mask:
+    """Mark some of so many vertices."""
+    marks = np.zeros(count, dtype=bool)
+    marks[some] = True
+    return marks

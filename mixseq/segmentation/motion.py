@@ -22,6 +22,7 @@ import numpy as np
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import bend
 from mixseq.renamed import renamed_attributes
+from mixseq.segmentation.boundaries import Rim
 from mixseq.segmentation.clusters import Clusters, moments_of, tally
 from mixseq.segmentation.elements import Elements
 from mixseq.segmentation.growing import by_area, check_parts
@@ -232,12 +233,13 @@ def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: Mot
     softness = {p: m.softness for p, m in moments.items()}
     bends: dict[tuple[int, int], float] = {}
     joined: dict[tuple[int, int], float] = {}  # softness of pairs
+    rim = Rim.of(topology, bodies.patches)
     while parts is None or len(moments) > parts:
         bends = {(i, j): bends.get((i, j), -1.0) for i, j in bodies.borders}
         if not bends:
             break
         bends = {(i, j): b if b >= 0 else bend(turns[i], turns[j]) for (i, j), b in bends.items()}
-        narrow = _narrowness(topology, bodies.patches)
+        narrow = rim.narrowness(bodies.patches)
         worth = {
             (i, j): b / (1.0 + settings.narrow * max(narrow[i], narrow[j])) for (i, j), b in bends.items()
         }
@@ -254,14 +256,3 @@ def _merge(bodies: _Bodies, topology: Topology, parts: int | None, settings: Mot
         softness[keep] = moments[keep].softness
         bends = {pair: b for pair, b in bends.items() if keep not in pair and drop not in pair}
         joined = {pair: s for pair, s in joined.items() if keep not in pair and drop not in pair}
-
-
-def _narrowness(topology: Topology, patches: Index) -> Float:
-    """Share of each patch's corners on its boundary or one edge away: what joints would take from it."""
-    of_hinge = patches[topology.hinge_faces]
-    boundary = np.zeros(topology.vertex_count, dtype=bool)
-    boundary[topology.edges[topology.hinge_edges[of_hinge[:, 0] != of_hinge[:, 1]]]] = True
-    near = boundary.copy()
-    near[topology.edges[boundary[topology.edges].any(axis=1)]] = True
-    share = sum(near[corner].astype(np.float64) for corner in topology.faces.T) / 3.0
-    return np.asarray(np.bincount(patches, share) / np.maximum(np.bincount(patches), 1), dtype=np.float64)

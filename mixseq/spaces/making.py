@@ -206,7 +206,9 @@ def make_space(
     )
 
 
-def part_of_faces(frames: FrameStore | MeshSequence, settings: MixedSettings) -> NDArray[np.int64]:
+def part_of_faces(
+    frames: FrameStore | MeshSequence, settings: MixedSettings, topology: Topology
+) -> NDArray[np.int64]:
     """Return the part ``(F,)`` of every triangle in the mixed space: given, or found.
 
     Raises
@@ -216,8 +218,7 @@ def part_of_faces(frames: FrameStore | MeshSequence, settings: MixedSettings) ->
     SegmentationError
         If given parts do not fit the mesh.
     """
-    header, points, parts = frames.header, frames.points, settings.parts
-    topology = Topology(header.faces, header.vertex_count)
+    points, parts = frames.points, settings.parts
     if not (parts is None or isinstance(parts, int | np.integer)):
         return segment_by_labels(parts, topology)
     name, details = chosen(settings.segmentation)
@@ -232,7 +233,7 @@ def _mixed(
     header, points = frames.header, frames.points
     stages.at(0)(0, 1, "finding parts")
     topology = Topology(header.faces, header.vertex_count)
-    labels = part_of_faces(frames, settings)
+    labels = part_of_faces(frames, settings, topology)
     looked_at = points[frames_to_look_at(len(points))]
     watched = Watched.of(topology, labels, looked_at)
     observed = gather(_told(workers(observe, watched, blocks_of(points)), len(points), stages.at(1)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from mixseq.arrays import Index
 from mixseq.segmentation import segment_by_labels
-from mixseq.segmentation.boundaries import Boundaries
+from mixseq.segmentation.boundaries import Boundaries, Rim
 from tests.meshes import Mesh, flipped, grid, joined, pages, rotation, topology_of, tube
 
 
@@ -78,3 +78,22 @@ def test_parts_that_do_not_touch_do_not_meet() -> None:
         assert boundaries.parts.shape == (0, 2)
         assert boundaries.edges.shape == (0, 2)
         assert boundaries.middles(mesh[0]).shape == (0, 3)
+
+
+def test_of_four_rings_of_faces_one_and_a_half_are_near_a_boundary() -> None:
+    mesh = tube(6, 9, closed=False)
+    labels = cut(mesh, 2.0)
+    rim = Rim.of(topology_of(mesh), labels)
+    np.testing.assert_array_equal(rim.narrowness(labels), [3 / 8, 3 / 8])
+    np.testing.assert_array_equal(rim.narrowness(np.zeros_like(labels)), [0.0])
+
+
+def test_what_is_left_of_a_rim_is_the_rim_of_what_is_left() -> None:
+    mesh = tube(5, 13)
+    labels = cut(mesh, 1.0, 2.0, 3.5)
+    rim = Rim.of(topology_of(mesh), labels)
+    for keep, drop in ((0, 1), (2, 3), (0, 2)):
+        merged = np.where(labels == drop, keep, labels)
+        np.testing.assert_array_equal(
+            rim.narrowness(merged), Rim.of(topology_of(mesh), merged).narrowness(merged)
+        )
