@@ -59,7 +59,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "resample": ("resample", "{in}/walk.npz", "out.npz", "--fps", "120", "-q"),
     "convert from usd": ("convert", "{in}/walk.usdc", "out.h5", "-q"),
     "convert to usdz": ("convert", "{in}/walk.npz", "out.usdz", "-q"),
-    "batch": ("batch", "{in}/walk.npz", "{in}/short.npz", "--out", "models", "-q"),
+    "batch": ("batch", "{in}/walk.npz", "{in}/short.npz", "--out", "models", "--overwrite", "-q"),
     "view": ("{in}/model.h5", "out.h5"),
 }
 
