@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -49,3 +51,16 @@ def gem() -> MeshSequence:
     faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     stretch = 1 + 0.2 * np.sin(np.linspace(0, 2, 9))[:, None, None]
     return MeshSequence.from_arrays(points * stretch, faces, name="gem")
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Heed signals, here and in processes that we start, even if we run in the background of a shell or under nohup."""
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, signal.SIG_DFL),
+        signal.SIGHUP: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    }
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)

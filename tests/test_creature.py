@@ -7,7 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from threadpoolctl import threadpool_limits
 
+from mixseq import creature
 from mixseq.arrays import FloatArray
 from mixseq.creature import part_of_vertex, walk_cycle
 from mixseq.creature.gait import DUTY, LEGS, STEP, paw_path, pose
@@ -188,3 +190,12 @@ def test_polygonise_makes_a_sphere() -> None:
     assert np.allclose(np.linalg.norm(points, axis=1), 1, atol=1e-4)
     assert volumes(points[None], faces.astype(np.int32))[0] == pytest.approx(4 / 3 * np.pi, rel=0.01)
     assert min_angles(points, faces.astype(np.int32)).min() > 20
+
+
+def test_threads_do_not_matter() -> None:
+    def made(threads: int) -> bytes:
+        creature._rest.cache_clear()
+        with threadpool_limits(threads):
+            return walk_cycle(4).points.tobytes()
+
+    assert made(1) == made(2)

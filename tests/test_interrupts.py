@@ -8,7 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,7 @@ from mixseq_io.atomic import replacing, replacing_many
 
 PATIENCE = 60.0  # seconds
 
-
-@pytest.fixture(autouse=True)
-def heeded() -> Iterator[None]:
-    """Heed Ctrl-C, even if we run in the background of a shell."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = pytest.mark.usefixtures("interruptible")
 
 
 def send(number: int = signal.SIGINT) -> None:

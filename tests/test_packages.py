@@ -88,7 +88,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     build = (sys.executable, "-m", "hatchling", "build", "--directory", folder, "--target")
     run(*build, "sdist", folder=ROOT)
     with tarfile.open(next(folder.glob("*.tar.gz"))) as archive:
-        archive.extractall(folder, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # from Python 3.11.4 on
+        archive.extractall(folder)
     source = folder / f"mixseq-{mixseq.__version__}"
     run(*build, "wheel", folder=source)
     return Built(source, next(folder.glob("*.whl")))

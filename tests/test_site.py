@@ -69,7 +69,9 @@ def test_commands_are_whole(name: str) -> None:
             assert f"--set {parameter.key}=" in section
         elif isinstance(parameter, click.Option):
             row = next(
-                line for line in section.splitlines() if re.search(rf"[ >]{parameter.opts[-1]}\b", line)
+                line
+                for line in section.splitlines()
+                if line.startswith("|") and re.search(rf"[ >]{parameter.opts[-1]}\b", line)
             )
             for option in (*parameter.opts, *parameter.secondary_opts):
                 assert option in row

@@ -17,6 +17,7 @@ from mixseq.creature.gait import pose
 from mixseq.creature.skeleton import HEADS, NAMES, body_distance, bone_distances
 from mixseq.creature.surface_nets import neighbour_mean, polygonise
 from mixseq.sequence import MeshSequence
+from mixseq.threads import one_blas_thread
 
 __all__ = ["part_of_vertex", "walk_cycle"]
 
@@ -45,14 +46,15 @@ def walk_cycle(frames: int = 48, fps: float = 24.0) -> MeshSequence:
     >>> fox.points.shape == (4, fox.vertex_count, 3)
     True
     """
-    rest, faces, weights = _rest()
-    rotations, heads = pose(np.arange(frames) / frames)
-    # linear blend skinning: bone b takes a point x to rotation x + (head - rotation rest_head)
-    shifts = heads - np.einsum("tbij,bj->tbi", rotations, HEADS)
-    blended = np.einsum("vb,tbij->tvij", weights, rotations, optimize=True)
-    points = np.einsum("tvij,vj->tvi", blended, rest) + np.einsum(
-        "vb,tbi->tvi", weights, shifts, optimize=True
-    )
+    with one_blas_thread():
+        rest, faces, weights = _rest()
+        rotations, heads = pose(np.arange(frames) / frames)
+        # linear blend skinning: bone b takes a point x to rotation x + (head - rotation rest_head)
+        shifts = heads - np.einsum("tbij,bj->tbi", rotations, HEADS)
+        blended = np.einsum("vb,tbij->tvij", weights, rotations, optimize=True)
+        points = np.einsum("tvij,vj->tvi", blended, rest) + np.einsum(
+            "vb,tbi->tvi", weights, shifts, optimize=True
+        )
     return MeshSequence.from_arrays(points, faces, fps=fps, up_axis="Y", metres_per_unit=1.0, name="fox")
 
 
@@ -66,7 +68,8 @@ def part_of_vertex() -> tuple[NDArray[np.int64], tuple[str, ...]]:
     names : (B,) str
         Names of the bones.
     """
-    return np.argmax(_rest()[2], axis=1), NAMES
+    with one_blas_thread():
+        return np.argmax(_rest()[2], axis=1), NAMES
 
 
 @cache

@@ -33,14 +33,6 @@ def big(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture
-def interruptible() -> Iterator[None]:
-    """Let processes that we start heed Ctrl-C, even if we run in the background of a shell and do not."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
     """Wait for a sign that a process is at work."""
     end = time.monotonic() + PATIENCE

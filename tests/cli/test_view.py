@@ -313,14 +313,6 @@ def test_what_was_edited_is_saved(run: Run, room: Room, bar_model: Model, folder
 # The viewer as a process ------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def interruptible() -> Iterator[None]:
-    """Let processes that we start heed Ctrl-C, even if we run in the background of a shell and do not."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def free_port() -> int:
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
