@@ -4,7 +4,8 @@ Files are read from their first frame to the last, and often slowly. What is lea
 times, and at single frames. So what streams is copied once, and all that follows is the same for both.
 
 Here is also decided what double precision can hold. Lengths are squared, and their squares multiplied; so a mesh may be
-no smaller than `SMALLEST` and no larger than `LARGEST`. Beside large coordinates small errors cannot be told: `finest`.
+no smaller than `SMALLEST` and no larger than `LARGEST`. Small errors cannot be told beside large coordinates:
+`digits_end`.
 """
 
 from __future__ import annotations
@@ -115,11 +116,6 @@ def farthest(points: LargeArray) -> float:
     first = points[:1][0].astype(np.float64)
     middle = (first.min(axis=0) + first.max(axis=0)) / 2
     return max(float(np.abs(block - middle).max(initial=0.0)) for block in blocks_of(points))
-
-
-def finest(points: LargeArray) -> float:
-    """Return the smallest bound that a sequence ``(T, V, 3)`` can be computed to, in its units."""
-    return digits_end(largest_coordinate(points))
 
 
 def digits_end(coordinate: float) -> float:

@@ -14,7 +14,7 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.search import ROUNDS, Search
 from mixseq.coding.encoder.trial import Trial, width
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.frame_store import FrameStore, blocks_of, finest, frame_store, largest_coordinate
+from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
 from mixseq.progress import Progress, Stages, silent
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
 from mixseq.threads import one_blas_thread
@@ -88,11 +88,13 @@ def _check(max_error: float | None, kg: float | None, size: int | None) -> None:
 
 def _with_margin(bound: float, sequence: FrameStore) -> float:
     """Leave room for the last digits, which are not the same on every machine, and for files of single precision."""
-    largest, last = largest_coordinate(sequence.points), finest(sequence.points)
+    largest = largest_coordinate(sequence.points)
+    last = digits_end(largest)
     if bound < last:
+        place = bound >= digits_end(farthest(sequence.points))
         raise SettingsError(
             f"max_error is {bound:.3g} in units of the sequence, beyond the digits of coordinates of up to "
-            f"{largest:.3g}; give at least {last:.3g} of these units, or move the sequence to the origin"
+            f"{largest:.3g}; give at least {last:.3g} of these units{', or move the sequence to the origin' * place}"
         )
     single = sequence.points.dtype == np.float32
     rounding = largest * 2.0**-24 * 3**0.5 if single else last

@@ -213,6 +213,15 @@ def test_refusals(asked: dict[str, float], message: str) -> None:
         compress(bar(sides=3, rings=4), **asked)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("scale", "cure"), [((1, 1), True), ((1, 1e13), False)])
+def test_only_what_is_far_away_is_to_be_moved(scale: tuple[float, float], cure: bool) -> None:
+    still = bar(sides=3, rings=4, frames=2)
+    points = still.points * np.array(scale)[:, None, None] + (1e13 if cure else 0)
+    with pytest.raises(SettingsError, match="beyond the digits") as refused:
+        compress(MeshSequence.from_arrays(points, still.faces), max_error=1e-3)
+    assert ("move the sequence to the origin" in str(refused.value)) == cure
+
+
 # The same everywhere ----------------------------------------------------------------------------------------
 
 
