@@ -77,6 +77,8 @@ class Prepared:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
+    # In the background of a shell Ctrl-C is ignored, by us and by what we start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     inputs = _inputs()
     rng = random.Random(options.seed)
     prepared = [_prepare(name, inputs) for name in options.command or COMMANDS]
