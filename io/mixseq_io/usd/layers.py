@@ -19,7 +19,6 @@ import zipfile
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from pxr import Ar, Sdf, UsdUtils
 
@@ -101,7 +100,7 @@ def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) ->
     layer : Sdf.Layer
         The layer; its textures are named as from the package's folder.
     package : Path
-        The file to write.
+        The file to write, under a temporary name: what else is made of it is deleted with that.
     name : str
         What the layer is called in it.
     folders : sequence of Path
@@ -128,12 +127,13 @@ def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) ->
         left_out.update(dict.fromkeys(refused))
         return "" if refused else _unpacked(layer, asset, folder)
 
-    with TemporaryDirectory(prefix=".mixseq.", dir=package.parent) as folder:
-        UsdUtils.ModifyAssetPaths(layer, lambda asset: packed(asset, Path(folder)))
-        save_layer(layer)
-        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
-            raise_system_error("", package.parent)
-            raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
+    textures = Path(f"{package}.textures")  # goes with the temporary name that the package has
+    textures.mkdir()
+    UsdUtils.ModifyAssetPaths(layer, lambda asset: packed(asset, textures))
+    save_layer(layer)
+    if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(layer.realPath), str(package), name):
+        raise_system_error("", package.parent)
+        raise OutputError(f"{name} cannot be packed; write .usdc, and pack it with usdzip")
     return list(left_out)
 
 

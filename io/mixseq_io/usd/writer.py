@@ -113,14 +113,9 @@ def write_usd(
     ):
         if packed:
             unpacked = temporary.with_suffix(".usdc")
-            try:
-                layer, _, samples = begun(unpacked)
-                save(layer, samples)
-                elsewhere = pack(
-                    layer, temporary, path.with_suffix(".usdc").name, _folders(header, pack_from)
-                )
-            finally:
-                unpacked.unlink(missing_ok=True)
+            layer, _, samples = begun(unpacked)
+            save(layer, samples)
+            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, _folders(header, pack_from))
         elif clips:
             folder.make()
             save_in_clips(*begun(temporary), clips, folder)

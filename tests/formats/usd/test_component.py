@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.geometry.normals import shared_normals
@@ -284,3 +284,22 @@ def test_textures_of_many_tiles(asset: Asset, tmp_path: Path, folder: str) -> No
         (file,) = {name.replace("1001", "<UDIM>").replace("1012", "<UDIM>") for name in names[1:]}
         stage = Usd.Stage.Open(str(package))
         assert stage.GetPrimAtPath(picture).GetAttribute("inputs:file").Get().path == file
+
+
+def test_what_is_temporary_beside_a_package_has_one_name(
+    plain: MeshSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So whoever is killed while packing leaves nothing that the next writer does not find."""
+    seen: list[str] = []
+    usual = UsdUtils.CreateNewUsdzPackage
+
+    def package(*arguments: Any) -> bool:
+        seen.extend(file.name for file in tmp_path.iterdir())
+        return bool(usual(*arguments))
+
+    monkeypatch.setattr(UsdUtils, "CreateNewUsdzPackage", package)
+    write(tmp_path / "walk.usdz", plain)
+    assert len(seen) == 3  # lock, layer, textures
+    (lock,) = (name for name in seen if name.endswith(".lock"))
+    assert all(name.startswith(lock.removesuffix(".lock")) for name in seen)
+    assert [file.name for file in tmp_path.iterdir()] == ["walk.usdz"]
