@@ -188,7 +188,8 @@ def to_model(coded: CompressedSequence) -> Model:
             header.faces,
             header.vertex_count,
             parameters.correction,
-        ).over(graph)
+            graph,
+        )
     times = with_middles(header.times)
     time = Curve(times, chosen(header.times, scores).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from functools import cached_property
 from itertools import islice
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +66,8 @@ class CodedResidualLayer(PickledWithoutCaches):
         Number V of vertices.
     unit : float
         Length of the unit w, in the units of the sequence.
+    known : SignalGraph, optional
+        The graph of the mesh, where it has been found already.
     """
 
     times: Float
@@ -74,14 +75,12 @@ class CodedResidualLayer(PickledWithoutCaches):
     faces: NDArray[np.int32]
     vertex_count: int
     unit: float
+    known: InitVar[SignalGraph | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, known: SignalGraph | None) -> None:
+        if known is not None:
+            object.__setattr__(self, "_graph", known)
         _ = self._lock, self._cache  # there before threads ask for them, who might make two
-
-    def over(self, graph: SignalGraph) -> Self:
-        """Return the layer, which need not find the graph of its mesh again."""
-        self.__dict__["_graph"] = graph
-        return self
 
     def at(self, times: Float) -> Float:
         """Return displacements ``(N, V, 3)`` at times ``(N,)`` in seconds."""
