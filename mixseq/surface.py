@@ -55,6 +55,39 @@ class CornerValues:
         """The values ``(sum of counts, k)``, one per corner."""
         return self.values[self.indices]
 
+    def welded(self, vertices: IntArray) -> CornerValues:
+        """Return the same values at all corners, where what is equal at a vertex is one row.
+
+        Applications write a row for every corner, or for every corner of a triangle. Rows are equal if all their bits
+        are. Those that several vertices share stay shared, so that there are never more rows than before.
+
+        Parameters
+        ----------
+        vertices : (sum of counts,) int
+            Vertex of every corner.
+
+        Examples
+        --------
+        >>> corners = CornerValues([[0, 0], [0, 1], [0, 0], [0, 0]], [0, 1, 2, 3])
+        >>> corners.welded(np.array([5, 6, 5, 7])).indices.tolist()
+        [0, 1, 0, 2]
+        """
+        from scipy.sparse import coo_array, csgraph
+
+        bits = self.at_corners.view(np.int32)
+        keys = np.column_stack([vertices, bits])
+        order = np.lexsort(keys.T)
+        equal = (keys[order[1:]] == keys[order[:-1]]).all(axis=1)
+        one, other = (self.indices[some[equal]] for some in (order[:-1], order[1:]))
+        if np.array_equal(one, other):
+            return self
+        rows = len(self.values)
+        pairs = coo_array((np.ones(len(one)), (one, other)), shape=(rows, rows))
+        _, labels = csgraph.connected_components(pairs, directed=False)
+        _, first, row = np.unique(labels, return_index=True, return_inverse=True)
+        kept = np.sort(first)
+        return CornerValues(self.values[kept], np.searchsorted(kept, first[row])[self.indices])
+
 
 @dataclass(frozen=True, eq=False)
 class FaceSet:

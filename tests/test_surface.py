@@ -30,6 +30,29 @@ def test_values_at_corners() -> None:
     assert uvs(3).at_corners.tolist() == [[1, 0], [0, 1], [1, 0]]
 
 
+def test_equal_values_at_a_vertex_are_one_row() -> None:
+    """A square of two triangles with a row per corner, as Blender writes; one corner of vertex 2 is on a seam."""
+    vertices = np.array([0, 1, 2, 2, 1, 3])
+    values = np.array([[0, 0], [1, 0], [0, 1], [0, 1], [1, 0], [1, 1]], dtype=np.float32)
+    apart = CornerValues(values, np.arange(6))
+    assert apart.welded(vertices).indices.tolist() == [0, 1, 2, 2, 1, 3]
+    assert apart.welded(vertices).values.tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]]
+    values[3, 0] = -0.0  # bits differ: corners keep theirs
+    assert CornerValues(values, np.arange(6)).welded(vertices).indices.tolist() == [0, 1, 2, 3, 1, 4]
+
+
+def test_rows_that_vertices_share_stay_shared() -> None:
+    """Every face has the whole texture: four rows are enough, and stay four."""
+    shared = CornerValues(np.eye(2), np.array([0, 1, 0, 1]))
+    assert shared.welded(np.array([0, 1, 2, 3])) is shared
+    # Rows 0 and 2 agree at vertex 0, rows 2 and 3 at vertex 1: all three are one, also where they are used alone.
+    rows = np.array([[1, 2], [3, 4], [1, 2], [1, 2]])
+    chain = CornerValues(rows, np.array([0, 2, 2, 3, 0, 1, 3]))
+    welded = chain.welded(np.array([0, 0, 1, 1, 2, 3, 4]))
+    assert welded.indices.tolist() == [0, 0, 0, 0, 0, 1, 0]
+    assert welded.values.tolist() == [[1, 2], [3, 4]]
+
+
 def test_everything_is_read_only() -> None:
     surface = header(uvs=uvs(), hard_edges=np.arange(7), face_sets=[FaceSet("a", np.array([1, 0]))]).surface
     assert surface.uvs is not None and surface.hard_edges is not None

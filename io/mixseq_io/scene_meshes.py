@@ -91,7 +91,7 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
 
 
 def _joined_uvs(meshes: Sequence[SceneMesh]) -> CornerValues | None:
-    """Put the coordinates one after the other; meshes without any get (0, 0)."""
+    """Weld the coordinates of every mesh, and put them one after the other; meshes without any get (0, 0)."""
     if all(mesh.uvs is None for mesh in meshes):
         return None
     values, indices, count = [], [], 0
@@ -99,6 +99,7 @@ def _joined_uvs(meshes: Sequence[SceneMesh]) -> CornerValues | None:
         uvs = mesh.uvs or CornerValues(
             np.zeros((1, 2), dtype=np.float32), np.zeros(mesh.polygons.indices.size, dtype=np.int32)
         )
+        uvs = uvs.welded(mesh.polygons.indices)
         values.append(uvs.values)
         indices.append(uvs.indices + count)
         count += len(uvs.values)

@@ -187,7 +187,8 @@ def _uvs(
     missing = indices == _NONE
     rows = np.array([*values, (0.0, 0.0)] if missing.any() else values)
     with np.errstate(over="ignore"):
-        return CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
+        uvs = CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
+    return uvs.welded(polygons.indices)
 
 
 def _hard_edges(
