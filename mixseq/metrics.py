@@ -219,7 +219,7 @@ def check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
     if apart.any():
         frame = int(apart.argmax())
         raise InvalidSequenceError(
-            f"frame {frame} is at {a.times[frame]:.9g} s in the reference, at {b.times[frame]:.9g} s in the "
+            f"{a.frame_name(frame)} is at {a.times[frame]:.9g} s in the reference, at {b.times[frame]:.9g} s in the "
             "other sequence; sequences are compared at the same times"
         )
 

@@ -71,7 +71,7 @@ class MeshSequence(SequenceHeader):
             )
         if self.velocities is not None:
             object.__setattr__(self, "velocities", frozen(_as_points(self.velocities)))
-            _check_velocities(self.points, self.velocities)
+            _check_velocities(self, self.points, self.velocities)
 
     @classmethod
     def from_arrays(
@@ -211,25 +211,27 @@ def check_block(header: SequenceHeader, points: FloatArray, first_frame: int) ->
         raise InvalidSequenceError(f"points have shape {points.shape}; (frames, vertices, 3) is expected")
     if points.shape[1] != header.vertex_count:
         raise InvalidSequenceError(
-            f"frame {first_frame} has {points.shape[1]} vertices, the mesh has {header.vertex_count}; "
+            f"{header.frame_name(first_frame)} has {points.shape[1]} vertices, the mesh has {header.vertex_count}; "
             "every frame needs the same vertices in the same order"
         )
     if not np.isfinite(points).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(points))[0][:2])
         raise InvalidSequenceError(
-            f"frame {first_frame + frame}: vertex {vertex} is {points[frame, vertex].tolist()}; "
+            f"{header.frame_name(first_frame + frame)}: vertex {vertex} is {points[frame, vertex].tolist()}; "
             "coordinates must be finite"
         )
 
 
-def _check_velocities(points: FloatArray, velocities: FloatArray) -> None:
+def _check_velocities(header: SequenceHeader, points: FloatArray, velocities: FloatArray) -> None:
     if velocities.shape != points.shape:
         raise InvalidSequenceError(
             f"velocities have shape {velocities.shape}, points {points.shape}; give one velocity per point"
         )
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0][:2])
-        raise InvalidSequenceError(f"frame {frame}: the velocity of vertex {vertex} is not finite")
+        raise InvalidSequenceError(
+            f"{header.frame_name(frame)}: the velocity of vertex {vertex} is not finite"
+        )
 
 
 def _rate_beside(times: ArrayLike, fps: float) -> float:

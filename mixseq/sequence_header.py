@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.frame_numbers import NEAR, frame_text, number_text
 from mixseq.polygons import Polygons, frozen
 from mixseq.surface import MeshObject, Surface
 
@@ -87,6 +88,50 @@ class SequenceHeader:
         """The meshes that the sequence joins, at least one: the sequence itself if nothing else is known."""
         whole = MeshObject(self.name, "", self.vertex_count, len(self.polygons.counts))
         return self.surface.objects or (whole,)
+
+    def frame_number(self, index: int) -> str:
+        """Return the number of a frame, as it is shown."""
+        return frame_text(self.times[index], self.fps)
+
+    def frame_name(self, index: int) -> str:
+        """Return what people call a frame, by its number; with its index where that is another one, for Python."""
+        if not 0 <= index < self.frame_count:
+            return f"frame {index}"
+        number = self.frame_number(index)
+        return f"frame {number}" if number == f"{index}" else f"frame {number} (index {index})"
+
+    def index_of(self, number: float) -> int:
+        """Return the index of the frame with a number.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such frame.
+        """
+        misses = np.abs(self.times * self.fps - number)
+        index = int(misses.argmin())
+        if misses[index] > NEAR:
+            raise SettingsError(f"there is no frame {number_text(number)}; frames are {self.frame_numbers}")
+        return index
+
+    @property
+    def frame_numbers(self) -> str:
+        """The first and the last frame number in words, "1001 to 1096"."""
+        return " to ".join(dict.fromkeys(frame_text(time, self.fps) for time in self.times[[0, -1]]))
+
+    def numbered_from(self, first: float) -> SequenceHeader:
+        """Return the header with its times moved to where the first frame has this number.
+
+        Raises
+        ------
+        SettingsError
+            If it is not finite.
+        """
+        if not np.isfinite(first):
+            raise SettingsError(f"start_frame is {first}; a number is expected")
+        numbers = (self.times - self.times[0]) * self.fps
+        whole = np.rint(numbers)
+        return self.with_times((np.where(np.abs(numbers - whole) < 1e-6, whole, numbers) + first) / self.fps)
 
     def with_times(self, times: ArrayLike, fps: float | None = None) -> SequenceHeader:
         """Return the header of the same mesh with other frames."""

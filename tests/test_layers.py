@@ -19,6 +19,7 @@ LAYERS = (
     (
         "diagonal",
         "errors",
+        "frame_numbers",
         "frame_rates",
         "interrupts",
         "pickling",

@@ -215,7 +215,7 @@ def test_other_times_and_other_points() -> None:
     doubled = sequence.with_points(2 * sequence.points)
     np.testing.assert_array_equal(doubled.points, 2 * sequence.points)
     np.testing.assert_array_equal(doubled.times, sequence.times)
-    with pytest.raises(InvalidSequenceError, match="frame 0 has 5 vertices, the mesh has 4"):
+    with pytest.raises(InvalidSequenceError, match=r"frame 15 \(index 0\) has 5 vertices, the mesh has 4"):
         sequence.with_points(points(3, 5))
 
 

@@ -58,11 +58,15 @@ def _numbered(
         check_block(header, points, frame)
         if points.dtype != dtype:
             raise InvalidSequenceError(
-                f"frame {frame}: points turn from {dtype} into {points.dtype}; one dtype is expected"
+                f"{header.frame_name(frame)}: points turn from {dtype} into {points.dtype}; one dtype is expected"
             )
         if frame + len(points) > header.frame_count:
             raise InvalidSequenceError(f"there are more frames of points than {header.frame_count} times")
-        yield frame, points, None if velocities is None else _like(points, next(velocities, None), frame)
+        yield (
+            frame,
+            points,
+            (None if velocities is None else _like(header, points, next(velocities, None), frame)),
+        )
         frame += len(points)
     if frame < header.frame_count:
         raise InvalidSequenceError(f"there are {frame} frames of points for {header.frame_count} times")
@@ -70,22 +74,25 @@ def _numbered(
         raise InvalidSequenceError("there are more velocities than points; give one velocity per point")
 
 
-def _like(points: FloatArray, block: FloatArray | None, frame: int) -> FloatArray:
+def _like(header: SequenceHeader, points: FloatArray, block: FloatArray | None, frame: int) -> FloatArray:
     """Return a block of velocities in the dtype of its block of points."""
     if block is None:
-        raise InvalidSequenceError(f"velocities end before frame {frame}; give one velocity per point")
+        raise InvalidSequenceError(
+            f"velocities end before {header.frame_name(frame)}; give one velocity per point"
+        )
     velocities = _as_floats(block)
     if velocities.shape != points.shape:
         raise InvalidSequenceError(
-            f"velocities from frame {frame} on have shape {velocities.shape}, points {points.shape}; give as many"
+            f"velocities from {header.frame_name(frame)} on have shape {velocities.shape}, points {points.shape}; "
+            "give as many"
         )
-    check_velocities(velocities, frame)
+    check_velocities(header, velocities, frame)
     if points.dtype == np.float64:
         return velocities.astype(np.float64, copy=False)
-    return as_float32(velocities, frame, "the precision of its point", "the velocity of vertex")
+    return as_float32(velocities, frame, "the precision of its point", "the velocity of vertex", header)
 
 
-def check_velocities(velocities: FloatArray, first_frame: int) -> None:
+def check_velocities(header: SequenceHeader, velocities: FloatArray, first_frame: int) -> None:
     """Check that all velocities ``(B, V, 3)`` of a block are finite.
 
     Raises
@@ -96,7 +103,7 @@ def check_velocities(velocities: FloatArray, first_frame: int) -> None:
     if not np.isfinite(velocities).all():
         frame, vertex = (int(i) for i in np.argwhere(~np.isfinite(velocities))[0, :2])
         raise InvalidSequenceError(
-            f"frame {first_frame + frame}: the velocity of vertex {vertex} is "
+            f"{header.frame_name(first_frame + frame)}: the velocity of vertex {vertex} is "
             f"{velocities[frame, vertex].tolist()}; velocities must be finite"
         )
 
@@ -119,21 +126,30 @@ def in_step(
     return (points for points, _ in one), (velocities for _, velocities in other)
 
 
-def as_float32(values: FloatArray, first_frame: int, what: str, of: str = "vertex") -> FloatArray:
+def as_float32(
+    values: FloatArray,
+    first_frame: int,
+    what: str,
+    of: str = "vertex",
+    header: SequenceHeader | None = None,
+) -> FloatArray:
     """Round points, or velocities, to float32, the precision of the format called `what`.
 
     Raises
     ------
     InvalidSequenceError
-        If a number is too large for float32; the message names the frame and the vertex (`of` with its index).
+        If a number is too large for float32; the message names the frame, by the number that the header knows, and the
+        vertex (`of` with its index).
     """
     with np.errstate(over="ignore", under="ignore"):
         rounded = values.astype(np.float32)
     finite = np.isfinite(rounded)
     if not finite.all():
         frame, vertex = (int(i) for i in np.argwhere(~finite)[0, :2])
+        index = first_frame + frame
+        name = f"frame {index}" if header is None else header.frame_name(index)
         raise InvalidSequenceError(
-            f"frame {first_frame + frame}: {of} {vertex} is {values[frame, vertex].tolist()}, too large "
+            f"{name}: {of} {vertex} is {values[frame, vertex].tolist()}, too large "
             f"for {what}, which stores float32; scale the points down, or write .npz or .h5"
         )
     return rounded

@@ -112,7 +112,7 @@ class Format:
         if self.holds.points == SINGLE:
             blocks = rounding.watched(blocks)
         loaded(self.writer)(path, header, blocks, velocities, **options)
-        rounding.warn(path, self.name)
+        rounding.warn(path, self.name, header)
 
     def _check_options(self, verb: str, known: Mapping[str, str], given: Mapping[str, Any]) -> None:
         for option in given:

@@ -10,7 +10,7 @@ _YES = {True: "yes", False: "no"}
 
 _FPS = "frames per second, 24 by default"
 _GAPS = "accept missing numbers; the frames keep the times of their numbers"
-_START = "number of the first file, 1 by default"
+_START = "number of the first file, by default that of the first frame"
 _MESH = "file of the mesh; by default one of the same name beside it"
 _PRIM = "path of a mesh or of something above it; / takes all meshes, by default all that move are taken"
 _FLATTEN = "write a file that stands alone, not one that builds on the file that the sequence came from"

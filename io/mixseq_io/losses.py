@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mixseq.frame_numbers import NEAR
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.blocks import warn
@@ -24,15 +25,14 @@ def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
     return lost
 
 
-def lost_times(header: SequenceHeader) -> list[str]:
-    """Return what is lost where frames only have numbers, and are read at 24 frames per second."""
+def lost_times(header: SequenceHeader, first_number: float) -> list[str]:
+    """Return what is lost where frames only have numbers, from the first on, and are read at 24 frames per second."""
     if header.frame_count == 1:  # a single frame has no rate
         return []
     lost = []
     if header.fps != DEFAULT_FPS:
         lost.append(f"{header.fps:g} frames per second")
-    # Some formats hold times as float32: what is off by a thousandth of a frame is a matter of rounding.
-    if not np.allclose(header.times * header.fps, np.arange(header.frame_count), rtol=0, atol=1e-3):
+    if not np.abs(header.times * header.fps - (first_number + np.arange(header.frame_count))).max() <= NEAR:
         lost.append("the times of the frames")
     return lost
 

@@ -97,7 +97,11 @@ class SequenceReader(ABC):
         fitting = self._fitting(size)
         if not self.has_velocities:
             return None
-        return self._checked(self._read_velocities(fitting), check_velocities, "velocities")
+
+        def check(block: FloatArray, frame: int) -> None:
+            check_velocities(self.header, block, frame)
+
+        return self._checked(self._read_velocities(fitting), check, "velocities")
 
     def check_whole(self) -> None:
         """Refuse a sequence of which all frames together take more than `max_memory`.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq_io.format import Format
 from mixseq_io.formats import FORMATS
@@ -33,6 +33,7 @@ def open_sequence(
     *,
     up_axis: str | None = None,
     metres_per_unit: float | None = None,
+    start_frame: float | None = None,
     max_memory: float | None = None,
     **options: Any,
 ) -> SequenceReader:
@@ -47,6 +48,9 @@ def open_sequence(
         Which axis points up, where the file does not tell or tells wrong. Points stay as they are.
     metres_per_unit : float, optional
         Length of a unit, likewise.
+    start_frame : float, optional
+        Number of the first frame, where the file does not tell or tells wrong: times are moved to where it has this
+        number, see `mixseq.frame_numbers`.
     max_memory : float, optional
         Bytes that what is read at once may take; by default 8 GB, or half of the machine's memory if that is less,
         see `mixseq_io.memory`.
@@ -67,7 +71,7 @@ def open_sequence(
     InvalidSequenceError
         If what it holds is not a mesh sequence.
     SettingsError
-        If the format has no such option.
+        If the format has no such option, or `start_frame` is not finite.
     """
     file = Path(path)
     check_regular(file, "a file")
@@ -82,7 +86,9 @@ def open_sequence(
             reader.header = replace(
                 reader.header, **{key: value for key, value in told.items() if value is not None}
             )
-    except InvalidSequenceError:
+            if start_frame is not None:
+                reader.header = reader.header.numbered_from(start_frame)
+    except (InvalidSequenceError, SettingsError):
         reader.close()
         raise
     return reader

@@ -13,6 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.diagonal import Diagonal
+from mixseq.sequence_header import SequenceHeader
 from mixseq_io.blocks import warn
 
 VISIBLE = 1e-4
@@ -61,11 +62,11 @@ class Rounding:
         if errors.max() > self.error:
             self.error, self.frame = float(errors.max()), first + int(errors.argmax())
 
-    def warn(self, path: Path, files: str) -> None:
+    def warn(self, path: Path, files: str, header: SequenceHeader) -> None:
         """Warn of files of a kind ("USD") in which vertices are visibly off."""
         if self.error > VISIBLE:
             warn(
                 f"{path}: {files} holds points in single precision, and vertices are off by up to {self.error:.2g} of "
-                f"the diagonal, most in frame {self.frame}; write .npz, .h5 or .ply, which hold doubles, or move the "
-                "sequence to the origin"
+                f"the diagonal, most in {header.frame_name(self.frame)}; write .npz, .h5 or .ply, which hold "
+                "doubles, or move the sequence to the origin"
             )

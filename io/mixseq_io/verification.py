@@ -134,9 +134,8 @@ class _Checked:
         for block in self.model.blocks(self.model.times, size, progress=self.progress):
             bad = ~np.isfinite(block).all(axis=(1, 2))
             if bad.any():
-                raise FormatError(
-                    f"{self.path}: frame {first + int(bad.argmax())} is not finite; it is damaged"
-                )
+                name = self.header.frame_name(first + int(bad.argmax()))
+                raise FormatError(f"{self.path}: {name} is not finite; it is damaged")
             yield block
             first += len(block)
 

@@ -17,6 +17,7 @@ from mixseq.cli.files import counted, options_of
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.frame_numbers import frame_text, number_at
 
 if TYPE_CHECKING:
     from mixseq.arrays import FloatArray
@@ -54,15 +55,18 @@ def command(reference: Path, other: Path, as_json: bool, reading: dict[str, Any]
         shared = at_times_of(a, b)
         result = mixseq.compare(_Counted(a, progress), shared)
     if as_json:
+        number = number_at(result.worst_time, a.header.fps)
         left_out = b.header.frame_count - result.frames
         print_json(
-            {"reference": str(reference), "other": str(other), "left_out": left_out} | result.as_dict()
+            {"reference": str(reference), "other": str(other), "left_out": left_out}
+            | result.as_dict()
+            | {"worst_number": number}
         )
     elif not quiet:
         if shared is not b:
             there = b.header.frame_count
             say(f"compared at the {result.frames} times that {other} shares, out of {there}")
-        print_table(_rows(result))
+        print_table(_rows(result, a.header.fps))
 
 
 def at_times_of(a: Frames, b: Frames) -> Frames:
@@ -126,14 +130,14 @@ def _warn_of_axes(reference: Path, a: SequenceHeader, other: Path, b: SequenceHe
         )
 
 
-def _rows(result: Comparison) -> list[tuple[str, str]]:
+def _rows(result: Comparison, fps: float) -> list[tuple[str, str]]:
     volume = result.volume
     return [
         ("compared", f"{result.frames:,} frames of {result.vertices:,} vertices"),
         ("KG error", f"{result.kg_percent:.4g} %"),
         ("rms error", f"{result.rms_error:.4g} diagonals"),
         ("max error", f"{result.max_error:.4g} diagonals"),
-        ("worst frame", f"{result.worst_frame} at {result.worst_time:g} s"),
+        ("worst frame", f"{frame_text(result.worst_time, fps)} at {result.worst_time:g} s"),
         ("edge strain", _statistics(result.edge_strain, " %", 100)),
         ("dihedral error", _statistics(result.dihedral_degrees, " degrees")),
         ("volume error", f"{volume.mean:.4g} mean, {volume.max:.4g} max" if volume else "no volume"),

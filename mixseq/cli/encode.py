@@ -126,7 +126,9 @@ def command(
         rows = _rows(model, target)
         rows["time"] = f"{seconds:.1f} s"
         if error is not None:
-            rows["max error"] = f"{error.max_error:.2g} of the diagonal, in frame {error.worst_frame}"
+            rows["max error"] = (
+                f"{error.max_error:.2g} of the diagonal, in frame {reader.header.frame_number(error.worst_frame)}"
+            )
             rows["KG error"] = f"{error.kg_percent:.2g} %"
         print_table(rows.items())
     announce(target)

@@ -143,7 +143,9 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 
     extension = path.suffix.lower()
     forms = [form for form in FORMATS if (form.numbered if path.is_dir() else extension in form.extensions)]
-    known = {"up_axis", "metres_per_unit"} | {name for form in forms for name in form.read_options}
+    known = {"up_axis", "metres_per_unit", "start_frame"} | {
+        name for form in forms for name in form.read_options
+    }
     return {name: value for name, value in reading.items() if name in known}
 
 

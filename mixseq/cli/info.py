@@ -15,6 +15,7 @@ from mixseq.cli.console import format_bytes, print_json, print_table
 from mixseq.cli.files import is_model
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
+from mixseq.frame_numbers import frames_text, number_at
 from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ def _mesh(header: SequenceHeader, diagonal: float) -> dict[str, Any]:
         "polygons": len(header.polygons.counts),
         "triangles": len(header.faces),
         "frames": header.frame_count,
+        "first_frame": number_at(header.times[0], header.fps),
+        "last_frame": number_at(header.times[-1], header.fps),
         "first_time": float(header.times[0]),
         "last_time": float(header.times[-1]),
         "fps": header.fps,
@@ -141,7 +144,7 @@ def _rows(facts: dict[str, Any]) -> Rows:
         ("vertices", f"{facts['vertices']:,}"),
         ("polygons", f"{facts['polygons']:,}"),
         ("triangles", f"{facts['triangles']:,}"),
-        ("frames", f"{facts['frames']:,}"),
+        ("frames", frames_text(facts["frames"], facts["first_frame"], facts["last_frame"])),
         ("time", f"{facts['first_time']:g} to {facts['last_time']:g} s"),
         ("rate", f"{rate_text(facts['fps'])} frames per second"),
         ("up", facts["up_axis"]),

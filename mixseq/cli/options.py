@@ -50,6 +50,12 @@ def reader_options(command: Command) -> Command:
         metavar="N",
         help="Frames per second of numbered files, npz and PC2, or to sample glTF at.  [default: 24, or its keys]",
     )
+    @setting(
+        "--start-frame",
+        type=float,
+        metavar="N",
+        help="Number of the first frame, where the file does not tell; 1001 is at 41.708 s of 24 frames per second.",
+    )
     @setting("--mesh", type=FILE, help="Mesh of a point cache.  [default: the file of the same name]")
     @setting("--allow-gaps", is_flag=True, help="Accept missing numbers among numbered files.")
     @setting(
@@ -70,6 +76,7 @@ def reader_options(command: Command) -> Command:
         prim: str | None,
         animation: str | None,
         fps: float | None,
+        start_frame: float | None,
         mesh: Path | None,
         allow_gaps: bool,
         up_axis: str | None,
@@ -82,6 +89,7 @@ def reader_options(command: Command) -> Command:
             "prim": prim,
             "animation": animation,
             "fps": fps,
+            "start_frame": start_frame,
             "mesh": mesh,
             "allow_gaps": allow_gaps or None,
         }

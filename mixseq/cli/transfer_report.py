@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mixseq.retargeting.footskate import ContactReport
     from mixseq.retargeting.report import Counts, TransferReport
     from mixseq.retargeting.transfer import Transfer
+    from mixseq.sequence import SequenceHeader
     from mixseq.statistics import Statistics
 
 NAMED = 4
@@ -47,11 +48,11 @@ def rows(made: Transfer, method: str, report: TransferReport) -> list[tuple[str,
         *([] if made.quality is None else _quality_rows(made.quality)),
         ("strain", f"{_strain(report.strain)}; source {_strain(report.source_strain)}"),
         ("unlike the source's", _strain(report.excess)),
-        ("acceleration", _smoothness(report)),
-        ("self-intersections", _crossings(report.intersections)),
-        ("... of the source", _crossings(report.source_intersections)),
-        ("turned over", _triangles(report.turned_over)),
-        ("flat", _triangles(report.flat)),
+        ("acceleration", _smoothness(report, header)),
+        ("self-intersections", _crossings(report.intersections, header)),
+        ("... of the source", _crossings(report.source_intersections, header)),
+        ("turned over", _triangles(report.turned_over, header)),
+        ("flat", _triangles(report.flat, header)),
         *_contact_rows(made.contacts),
     ]
 
@@ -110,26 +111,29 @@ def _strain(strain: Statistics) -> str:
     return f"{100 * strain.rms:.3g} % rms, {100 * strain.p999:.3g} % at 99.9 %"
 
 
-def _smoothness(report: TransferReport) -> str:
+def _smoothness(report: TransferReport, header: SequenceHeader) -> str:
     smooth = report.smoothness
     if smooth is None:
         return "takes three frames"
     ratio = "" if smooth.ratio is None else f", {smooth.ratio:.2f} times the source's"
     most = "" if not smooth.source_max else f", {smooth.max / smooth.source_max:.2f} times at most"
-    return f"{smooth.rms:.2g} diagonals per squared frame rms{ratio}{most} (frame {smooth.worst_frame})"
+    worst = header.frame_number(smooth.worst_frame)
+    return f"{smooth.rms:.2g} diagonals per squared frame rms{ratio}{most} (frame {worst})"
 
 
-def _crossings(counts: Counts) -> str:
+def _crossings(counts: Counts, header: SequenceHeader) -> str:
+    worst = header.frame_number(counts.worst_frame)
     return (
-        f"{_number(counts.rest, 'pair')} at rest, {counts.worst:,} at most (frame {counts.worst_frame}), "
+        f"{_number(counts.rest, 'pair')} at rest, {counts.worst:,} at most (frame {worst}), "
         f"{counts.mean:.3g} on average of {_number(len(counts.frames), 'frame')}"
     )
 
 
-def _triangles(counts: Counts) -> str:
+def _triangles(counts: Counts, header: SequenceHeader) -> str:
     if not counts.worst:
         return "no triangle"
-    return f"{_number(counts.worst, 'triangle')} at most (frame {counts.worst_frame}), {counts.mean:.2g} on average"
+    worst = header.frame_number(counts.worst_frame)
+    return f"{_number(counts.worst, 'triangle')} at most (frame {worst}), {counts.mean:.2g} on average"
 
 
 def _contact_rows(contacts: ContactReport) -> list[tuple[str, str]]:

@@ -51,17 +51,20 @@ def command(
         if original is not None:
             frames = resources.enter_context(mixseq.open_sequence(original, **reading))
         found = mixseq.verify(path, frames, progress=progress)
+    worst = (
+        None if frames is None or found.worst_frame is None else frames.header.frame_number(found.worst_frame)
+    )
     if as_json:
         print_json(
             {"file": str(path), "original": None if original is None else str(original)} | found.as_dict()
         )
     elif not quiet:
-        print_table(_rows(found))
+        print_table(_rows(found, worst))
     if not found.holds:
         context.exit(1)
 
 
-def _rows(found: Verification) -> list[tuple[str, str]]:
+def _rows(found: Verification, worst: str | None) -> list[tuple[str, str]]:
     rows = [
         ("intact", f"{found.frames:,} frames of {found.vertices:,} vertices"),
         ("bound", f"{found.bound:.6g} of the diagonal, {'asked for' if found.promised else 'as measured'}"),
@@ -72,7 +75,7 @@ def _rows(found: Verification) -> list[tuple[str, str]]:
         *rows,
         (
             "max error",
-            f"{found.max_error:.6g} of the diagonal, of vertex {found.worst_vertex} in frame {found.worst_frame}",
+            f"{found.max_error:.6g} of the diagonal, of vertex {found.worst_vertex} in frame {worst}",
         ),
         ("KG error", f"{found.kg_percent:.4g} %"),
         ("bound holds", "yes" if found.holds else "no"),

@@ -148,16 +148,27 @@ def test_convert_to_obj_and_back(run: Run, bent_bar: MeshSequence, folder: Path)
     text = succeed_with_warning(run("convert", "bar.npz", "obj/bar_####.obj"))
     assert text == f"wrote {Path('obj/bar_####.obj')}\n"
     assert sorted(path.name for path in Path("obj").iterdir()) == [
-        f"bar_{number:04d}.obj" for number in range(1, 5)
+        f"bar_{number:04d}.obj" for number in range(4)
     ]
     succeed(run("convert", "obj", "back.npz", "--input-fps", "10"))
     back = mixseq.read("back.npz")
     assert np.array_equal(back.points, bent_bar.points)
     assert back.fps == 10
-    Path("obj/bar_0002.obj").unlink()
+    Path("obj/bar_0001.obj").unlink()
     assert run("convert", "obj", "gaps.npz").exit_code == 2
     succeed(run("convert", "obj", "gaps.npz", "--allow-gaps", "--input-fps", "10"))
     assert mixseq.read("gaps.npz").times == pytest.approx([0, 0.2, 0.3])
+
+
+def test_frames_have_numbers(run: Run, folder: Path) -> None:
+    assert rows(succeed(run("info", "bar.npz")))["frames"].strip() == "4 (0 to 3)"
+    succeed(run("convert", "bar.npz", "shot.npz", "--start-frame", "1001"))
+    assert rows(succeed(run("info", "shot.npz")))["frames"].strip() == "4 (1001 to 1004)"
+    facts = json.loads(succeed(run("info", "shot.npz", "--json")))
+    assert (facts["first_frame"], facts["last_frame"]) == (1001, 1004)
+    found = run("compare", "shot.npz", "bar.npz")
+    assert found.exit_code == 2
+    assert "frame 1001 (index 0) is at 100.1 s" in found.stderr
 
 
 # encode and decode ----------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -43,19 +44,19 @@ def test_ways_to_name_a_sequence(tmp_path: Path, kind: str, pattern: str) -> Non
     write(tmp_path / f"walk_####.{kind}", sequence, start=9)
     got = read(tmp_path / pattern.format(kind), fps=10)
     np.testing.assert_array_equal(got.points, sequence.points)
-    np.testing.assert_allclose(got.times, [0, 0.1, 0.2])
+    np.testing.assert_allclose(got.times, [0.9, 1.0, 1.1])  # a time is a number by the rate
     assert got.name == ("mesh" if kind == "obj" else "walk")  # only OBJ holds a name
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_gaps(tmp_path: Path, kind: str) -> None:
-    write(tmp_path / f"a_#.{kind}", moving(5))
+    write(tmp_path / f"a_#.{kind}", moving(5), start=1)
     (tmp_path / f"a_2.{kind}").unlink()
     with pytest.raises(
         InvalidSequenceError, match=rf"numbers 2 are missing between a_1\.{kind} and a_5\.{kind}"
     ):
         read(tmp_path / f"a_#.{kind}")
-    assert read(tmp_path / f"a_#.{kind}", allow_gaps=True, fps=1).times.tolist() == [0, 2, 3, 4]
+    assert read(tmp_path / f"a_#.{kind}", allow_gaps=True, fps=1).times.tolist() == [1, 3, 4, 5]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -73,6 +74,21 @@ def test_numbers_of_written_files(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("first", "files"), [(0, (0, 1)), (1001, (1001, 1002)), (7.5, (1, 2)), (-3, (1, 2))])
+def test_files_have_the_numbers_of_their_frames(
+    tmp_path: Path, kind: str, first: float, files: tuple[int, int]
+) -> None:
+    sequence = moving(2)
+    shot = MeshSequence.from_header(sequence.header.numbered_from(first), sequence.points)
+    held = first == files[0]
+    with nullcontext() if held else pytest.warns(MixseqWarning, match="the times of the frames"):
+        write(tmp_path / f"a_#.{kind}", shot)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [f"a_{number}.{kind}" for number in files]
+    if held:
+        np.testing.assert_array_equal(read(tmp_path).times, shot.times)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_rate_out_of_range(tmp_path: Path, kind: str) -> None:
     write(tmp_path / f"a.{kind}", moving(1))
     with pytest.raises(SettingsError, match="fps is nan"):
@@ -84,7 +100,7 @@ def test_a_folder_of_several_kinds(tmp_path: Path) -> None:
     write(tmp_path / "a_#.ply", moving(2))
     with pytest.raises(AmbiguousError, match="OBJ and PLY"):
         read(tmp_path)
-    assert find_frames(tmp_path, False, ".ply")[0] == [tmp_path / "a_1.ply", tmp_path / "a_2.ply"]
+    assert find_frames(tmp_path, False, ".ply")[0] == [tmp_path / "a_0.ply", tmp_path / "a_1.ply"]
 
 
 def test_extensions_in_capitals(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def test_ways_to_name_a_sequence(tmp_path: Path, pattern: str) -> None:
         pattern = "w?lk_00*.obj"
     sequence = read(tmp_path / pattern, fps=10)
     np.testing.assert_array_equal(sequence.points[:, 0, 2], [0, 1, 2])
-    np.testing.assert_allclose(sequence.times, [0, 0.1, 0.2])
+    np.testing.assert_allclose(sequence.times, [0.9, 1.0, 1.1])
     assert (sequence.name, sequence.fps) == ("walk", 10)
 
 
@@ -66,7 +66,7 @@ def test_gaps(tmp_path: Path) -> None:
     ):
         read(tmp_path / "a_##.obj")
     sequence = read(tmp_path / "a_##.obj", allow_gaps=True, fps=1)
-    assert sequence.times.tolist() == [0, 1, 3, 9]
+    assert sequence.times.tolist() == [1, 2, 4, 10]
 
 
 def test_double_numbers(tmp_path: Path) -> None:
@@ -173,10 +173,10 @@ def test_lines_that_mean_nothing_are_told(tmp_path: Path) -> None:
 def test_changing_connectivity(tmp_path: Path) -> None:
     save(tmp_path, "a_1.obj", "a_2.obj", "a_3.obj")
     (tmp_path / "a_3.obj").write_text(TRIANGLE.format(z=0).replace("1 2 3", "2 1 3"))
-    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 2\) has other faces than .*a_1\.obj"):
+    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 3\) has other faces than .*a_1\.obj"):
         read(tmp_path / "a_#.obj")
     (tmp_path / "a_3.obj").write_text("v 0 0 0\n" + TRIANGLE.format(z=0))
-    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 2\) has 4 vertices, .*a_1\.obj has 3"):
+    with pytest.raises(InvalidSequenceError, match=r"a_3\.obj \(frame 3\) has 4 vertices, .*a_1\.obj has 3"):
         read(tmp_path / "a_#.obj")
 
 
@@ -188,7 +188,7 @@ def test_the_same_faces_written_otherwise(tmp_path: Path) -> None:
 
 def test_numbers_of_written_files(tmp_path: Path, plain: MeshSequence) -> None:
     write(tmp_path / "out_####.obj", plain)
-    assert sorted(file.name for file in tmp_path.iterdir()) == [f"out_000{i}.obj" for i in range(1, 6)]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [f"out_000{i}.obj" for i in range(5)]
     write(tmp_path / "big.%d.obj", plain, start=98)
     assert len(list(tmp_path.glob("big.*.obj"))) == 5
     with pytest.raises(SettingsError, match="start is -1"):
@@ -222,7 +222,7 @@ def test_one_warning_names_all_that_is_lost(tmp_path: Path, plain: MeshSequence)
 def test_leftovers_of_a_longer_sequence(tmp_path: Path, plain: MeshSequence) -> None:
     write(tmp_path / "out_#.obj", plain)
     shorter = MeshSequence.from_arrays(plain.points[:3], plain.polygons)
-    with pytest.warns(MixseqWarning, match=r"2 files of another sequence, out_4\.obj to out_5\.obj"):
+    with pytest.warns(MixseqWarning, match=r"2 files of another sequence, out_3\.obj to out_4\.obj"):
         write(tmp_path / "out_#.obj", shorter)
 
 
@@ -366,7 +366,7 @@ def test_normals_are_those_of_each_frame(tmp_path: Path) -> None:
     surface = Surface(hard_edges=np.arange(6))
     folded = replace(MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]]), surface=surface)
     write(tmp_path / "a_#.obj", folded)
-    for number, normal in ((1, "vn 0 0 1"), (2, "vn 0 1 0")):
+    for number, normal in ((0, "vn 0 0 1"), (1, "vn 0 1 0")):
         lines = (tmp_path / f"a_{number}.obj").read_text().splitlines()
         assert [line for line in lines if line.startswith("vn")] == [normal] * 6
         assert "f 1//1 2//2 3//3" in lines

@@ -80,5 +80,5 @@ def test_refusals(old: str, new: str, message: str, tmp_path: Path) -> None:
 def test_other_faces_in_a_later_frame(tmp_path: Path) -> None:
     (tmp_path / "walk_1.off").write_text(SQUARE)
     (tmp_path / "walk_2.off").write_text(SQUARE.replace("3 0 2 3", "3 2 3 0"))
-    with pytest.raises(InvalidSequenceError, match=r"walk_2.off \(frame 1\) has other faces"):
+    with pytest.raises(InvalidSequenceError, match=r"walk_2.off \(frame 2\) has other faces"):
         read(tmp_path / "walk_#.off")

@@ -76,7 +76,7 @@ def test_corners_that_come_apart(tmp_path: Path) -> None:
         next(blocks), next(blocks)
         with pytest.raises(
             InvalidSequenceError,
-            match=r"a_3\.stl \(frame 2\): vertex 2, one place .*, is at \[1.0, 1.0, 0.0\] and at \[1.5, 1.5, 0.5\]",
+            match=r"a_3\.stl \(frame 3\): vertex 2, one place .*, is at \[1.0, 1.0, 0.0\] and at \[1.5, 1.5, 0.5\]",
         ):
             next(blocks)
 
@@ -85,7 +85,7 @@ def test_changing_numbers_of_triangles(tmp_path: Path) -> None:
     (tmp_path / "a_1.stl").write_bytes(binary(SQUARE[FACES]))
     (tmp_path / "a_2.stl").write_bytes(binary(SQUARE[FACES[:1]]))
     with pytest.raises(
-        InvalidSequenceError, match=r"a_2\.stl \(frame 1\): it has 1 triangles, the first frame has 2"
+        InvalidSequenceError, match=r"a_2\.stl \(frame 2\): it has 1 triangles, the first frame has 2"
     ):
         read(tmp_path / "a_#.stl")
 

@@ -103,9 +103,9 @@ def _constant(source: Source, array: Any) -> NDArray[np.int32]:
         first = array.getKey(selector(array, 0))
         for sample, time in enumerate(sample_times(array)):
             if array.getKey(selector(array, sample)) != first:
-                frame = int(np.searchsorted(source.frames, time))
+                index = int(np.searchsorted(source.frames, time))
                 raise InvalidSequenceError(
-                    f"the faces of {source.mesh.path} change at {time:g} s (frame {frame}); every frame needs the same "
+                    f"the faces of {source.mesh.path} change at {time:g} s (index {index}); every frame needs the same "
                     "faces: export without remeshing, or the part of the time line before it"
                 )
     return values(array, 0, source.room)

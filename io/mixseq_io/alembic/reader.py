@@ -88,7 +88,7 @@ class _AnimatedMesh:
 
     def place(self, frame: int) -> str:
         """Name a frame in a message."""
-        return f"frame {frame} ({self.source.frames[frame]:g} s) of {self.source.mesh.path}"
+        return f"the frame at {self.source.frames[frame]:g} s (index {frame}) of {self.source.mesh.path}"
 
 
 class _AlembicReader(SequenceReader):

@@ -109,8 +109,9 @@ def _write(
         parents = [root] if len(targets) == 1 else [AbcGeom.OXform(root, target.name) for target in targets]
         meshes = [target.make(parent, sampling) for target, parent in zip(targets, parents, strict=True)]
     for first, block, speeds in numbered:
-        points = as_float32(block, first, "Alembic")
-        moving = None if speeds is None else as_float32(speeds, first, "Alembic", "the velocity of vertex")
+        points = as_float32(block, first, "Alembic", header=header)
+        of = "the velocity of vertex"
+        moving = None if speeds is None else as_float32(speeds, first, "Alembic", of, header)
         with _writing(path):
             for target, mesh in zip(targets, meshes, strict=True):
                 target.write(mesh, points, moving)

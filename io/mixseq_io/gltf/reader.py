@@ -228,7 +228,7 @@ class _GltfReader(SequenceReader):
             turned = shape.handedness(world) * (-1 if mirrored else 1) < 0
             if turned.any() and shape.skin is None:
                 raise InvalidSequenceError(
-                    f"{self.path}: frame {first + int(np.argmax(turned))}: {shape.scene.paths[shape.node]!r} is "
-                    "mirrored relative to the first frame, which turns its faces inside out; give the animated scale "
-                    "one sign"
+                    f"{self.path}: {self.header.frame_name(first + int(np.argmax(turned)))}: "
+                    f"{shape.scene.paths[shape.node]!r} is mirrored relative to the first frame, which turns "
+                    "its faces inside out; give the animated scale one sign"
                 )

@@ -79,7 +79,7 @@ def write_gltf(
         for first, block, _ in numbered:
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):
-                morphs.write(frame, as_float32(points[None], frame, "glTF")[0], writer)
+                morphs.write(frame, as_float32(points[None], frame, "glTF", header=header)[0], writer)
 
 
 def _overlay(

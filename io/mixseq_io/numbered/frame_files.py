@@ -15,6 +15,7 @@ import numpy as np
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
+from mixseq.frame_numbers import number_at
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.atomic import replacing_many
@@ -72,7 +73,7 @@ def open_files(path: Path, extension: str, parse: Parser, fps: float, allow_gaps
     parse : Parser
         Reads one file.
     fps : float
-        Frames per second: a frame's time is ``(number - first number) / fps``.
+        Frames per second: a frame's time is ``number / fps``, see `mixseq.frame_numbers`.
     allow_gaps : bool
         Accept missing numbers.
 
@@ -93,7 +94,7 @@ def open_files(path: Path, extension: str, parse: Parser, fps: float, allow_gaps
         header = SequenceHeader(
             polygons=first.polygons,
             vertex_count=len(first.points),
-            times=(np.array(numbers) - numbers[0]) / fps,
+            times=np.array(numbers) / fps,
             fps=fps,
             name=first.name or files[0].stem.rstrip("0123456789").rstrip("_-. ") or "mesh",
             surface=first.surface,
@@ -121,7 +122,7 @@ class _FilesReader(SequenceReader):
 
     def _points(self, frame: int) -> FloatArray:
         first = self._files[0]
-        where = f"{self._files[frame]} (frame {frame})"
+        where = f"{self._files[frame]} (frame {self.header.frame_number(frame)})"
         with naming(where):
             mesh = self._parse(self._files[frame], self._first)
         if len(mesh.points) != self.header.vertex_count:
@@ -145,7 +146,7 @@ def write_files(
     velocities: Iterable[FloatArray] | None,
     encode: Encoder,
     *,
-    start: int,
+    start: int | None,
     lost: Sequence[str] = (),
 ) -> None:
     """Write one file per frame.
@@ -160,8 +161,8 @@ def write_files(
         See `mixseq_io.write_blocks`; velocities are lost.
     encode : Encoder
         Makes one file's contents.
-    start : int
-        Number of the first file.
+    start : int, optional
+        Number of the first file; by default that of the first frame, or 1 where that is no whole number from 0 on.
     lost : sequence of str
         What else the format cannot hold, for the warning.
 
@@ -172,21 +173,29 @@ def write_files(
     SettingsError
         If `start` is negative.
     """
-    if start < 0:
+    if start is not None and start < 0:
         raise SettingsError(f"start is {start}; files are numbered from 0 or more")
     if header.frame_count > 1 and not is_pattern(path):
         raise OutputError(
             f"{path}: {a_file(kind)} holds one frame, this sequence has {header.frame_count}; give a pattern "
             f"such as {path.stem.rstrip('*')}_####{path.suffix}"
         )
+    own = number_at(header.times[0], header.fps)
+    first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
     warn_of_losses(
-        path, f"{kind} files", [*lost_times(header), *lost_scale(header, velocities is not None), *lost]
+        path,
+        f"{kind} files",
+        [
+            *lost_times(header, first if start is None else own),
+            *lost_scale(header, velocities is not None),
+            *lost,
+        ],
     )
-    names = [numbered_name(path, number) for number in range(start, start + header.frame_count)]
+    names = [numbered_name(path, number) for number in range(first, first + header.frame_count)]
     with replacing_many(path) as folder:
         _, numbered = checked(header, blocks, velocities)
-        for first, block, _ in numbered:
-            for frame, points in enumerate(block, start=first):
+        for done, block, _ in numbered:
+            for frame, points in enumerate(block, start=done):
                 with (folder / names[frame]).open("wb") as file:
                     file.writelines(encode(points, frame))
     if is_pattern(path):

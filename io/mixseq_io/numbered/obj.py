@@ -57,7 +57,7 @@ def write_obj(
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
-    start: int = 1,
+    start: int | None = None,
 ) -> None:
     """Write one OBJ file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     write_files(

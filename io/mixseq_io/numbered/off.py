@@ -39,7 +39,7 @@ def write_off(
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
-    start: int = 1,
+    start: int | None = None,
 ) -> None:
     """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     lost = lost_surface(header)

@@ -47,7 +47,7 @@ def write_ply(
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
-    start: int = 1,
+    start: int | None = None,
 ) -> None:
     """Write one PLY file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
     lost = lost_surface(header, held=("uvs",))

@@ -47,7 +47,7 @@ def write_stl(
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
-    start: int = 1,
+    start: int | None = None,
 ) -> None:
     """Write one STL file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`.
 
@@ -172,7 +172,7 @@ def _encoder(path: Path, header: SequenceHeader) -> Encoder:
     polygons = Polygons.from_triangles(header.faces)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        rounded = as_float32(points[None], frame, "STL")
+        rounded = as_float32(points[None], frame, "STL", header=header)
         triangles = np.zeros(len(header.faces), dtype=_TRIANGLE)
         triangles["normal"] = _unit(vector_areas(rounded, polygons)[0])
         triangles["corners"] = rounded[0][header.faces]

@@ -218,7 +218,7 @@ def write_cache(
         file.write(start)
         _, numbered = checked(header, blocks, velocities)
         for first, block, _ in numbered:
-            points = as_float32(block, first, kind)
+            points = as_float32(block, first, kind, header=header)
             if first == 0:
                 (folder / mesh.name).write_bytes(b"".join(encode(points[0], 0)))
             file.write(points.astype(f"{order}f4", copy=False).tobytes())

@@ -109,9 +109,8 @@ def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[n
     first = np.array(attribute.Get(Usd.TimeCode(codes[0])) or (), dtype=np.int32)
     for code in attribute.GetTimeSamples():
         if not np.array_equal(first, np.array(attribute.Get(Usd.TimeCode(code)) or (), dtype=np.int32)):
-            frame = int(np.searchsorted(codes, code))
             raise InvalidSequenceError(
-                f"{attribute.GetName()} changes at time code {code:g} (frame {frame}); every frame needs the "
+                f"{attribute.GetName()} changes at time code {code:g}; every frame needs the "
                 "same faces: export without remeshing, or the part of the time line before it"
             )
     return first

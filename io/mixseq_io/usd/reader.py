@@ -147,7 +147,8 @@ class _UsdReader(SequenceReader):
             block = np.empty((stop - start, self.header.vertex_count, 3), np.float32)
             with quiet(), reading_usd(self.path):
                 for frame, code in enumerate(shot.codes[start:stop].tolist(), start):
-                    with naming(f"{self.path}: frame {frame} (time code {code:g})"):
+                    number = self.header.frame_number(frame)
+                    with naming(f"{self.path}: frame {number} (time code {code:g})"):
                         for end, values in zip(ends, values_of(shot, code), strict=True):
                             block[frame - start, end - len(values) : end] = values
             yield block

@@ -161,7 +161,7 @@ def test_a_transform_that_begins_to_mirror(path: Path) -> None:
     add_mesh(mirror, "square", rising(2))
     del archive, mirror
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 1 \(0.5 s\) of /mirror/square: the transform mirrors"
+        InvalidSequenceError, match=r"the frame at 0.5 s \(index 1\) of /mirror/square: the transform mirrors"
     ):
         load(path)
 

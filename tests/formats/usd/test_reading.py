@@ -153,7 +153,7 @@ def test_a_transform_that_starts_to_mirror(path: Path) -> None:
     scale.Set(Gf.Vec3f(-1, 1, 1), 3)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 2 \(time code 3\): the transform of /mesh mirrors"
+        InvalidSequenceError, match=r"frame 3 \(time code 3\): the transform of /mesh mirrors"
     ):
         read(path)
 
@@ -187,9 +187,7 @@ def test_changing_faces(path: Path) -> None:
     assert read(path).frame_count == 3
     indices.Set([0, 1, 2, 3, 4, 2, 1], 3)
     stage.Save()
-    with pytest.raises(
-        InvalidSequenceError, match=r"/mesh: faceVertexIndices changes at time code 3 \(frame 2\)"
-    ):
+    with pytest.raises(InvalidSequenceError, match=r"/mesh: faceVertexIndices changes at time code 3;"):
         read(path)
 
 
@@ -199,7 +197,7 @@ def test_changing_number_of_points(path: Path) -> None:
     points.Set(Vt.Vec3fArray(6), 3)
     stage.Save()
     with pytest.raises(
-        InvalidSequenceError, match=r"frame 2 \(time code 3\): /mesh has 6 points, the first fr"
+        InvalidSequenceError, match=r"frame 3 \(time code 3\): /mesh has 6 points, the first fr"
     ):
         read(path)
 
@@ -208,7 +206,7 @@ def test_blocked_points(path: Path) -> None:
     stage = make_stage(path)
     add_mesh(stage, "/mesh").GetPointsAttr().Set(Sdf.ValueBlock(), 2)
     stage.Save()
-    with pytest.raises(InvalidSequenceError, match=r"frame 1 \(time code 2\): /mesh has no points"):
+    with pytest.raises(InvalidSequenceError, match=r"frame 2 \(time code 2\): /mesh has no points"):
         read(path)
 
 
@@ -231,7 +229,7 @@ def test_nan(path: Path) -> None:
     stage = make_stage(path)
     add_mesh(stage, "/mesh").GetPointsAttr().Set([Gf.Vec3f(0, 0, float("nan"))] * 5, 2)
     stage.Save()
-    with pytest.raises(InvalidSequenceError, match=r"stage\.usda: frame 1: vertex 0 is"):
+    with pytest.raises(InvalidSequenceError, match=r"stage\.usda: frame 2 \(index 1\): vertex 0 is"):
         read(path)
 
 
