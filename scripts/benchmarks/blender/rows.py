@@ -1,0 +1,158 @@
+"""Rows of the table: a task in a format, and what came of it in Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from scripts.benchmarks.blender.environment import show
+from scripts.benchmarks.blender.seen import Seen, Surface, root_mean_square
+from scripts.benchmarks.blender.shot import BASE, FIRST, LAST, RATES
+from scripts.benchmarks.blender.tasks import Task
+from scripts.benchmarks.blender.truth import SHOT, Truth
+from scripts.benchmarks.blender.ways import Way
+
+POSITIONS, VELOCITIES, CAMERA = 1e-4, 0.01, 1e-4
+"""Largest errors: rms in diagonals, rms as a share of the truth's, and of any entry of the camera's matrix."""
+
+BY_ITSELF = f"Blender's own at {max(RATES)}"
+
+
+@dataclass
+class Row:
+    """What became of a task.
+
+    Attributes
+    ----------
+    way, task : str
+        Their names.
+    frames : int
+        How many were compared.
+    rms, largest : float or None
+        Errors of positions, in diagonals.
+    velocities : float or None
+        Their rms error as a share of the truth's.
+    checks : dict
+        Of each thing that was looked at, whether it is as it should be.
+    notes : list of str
+        What commands said, and what is wrong.
+    """
+
+    way: str
+    task: str
+    frames: int = 0
+    rms: float | None = None
+    largest: float | None = None
+    velocities: float | None = None
+    checks: dict[str, bool] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        """Whether there is a result, and all that was looked at is as it should be."""
+        return bool(self.checks) and all(self.checks.values())
+
+    def check(self, name: str, holds: bool, otherwise: str = "") -> None:
+        """Enter whether something is as it should be, and a note if it is not."""
+        self.checks[name] = holds
+        if not holds and otherwise:
+            self.notes.append(otherwise)
+
+
+def measured(task: Task, way: Way, answer: Path, truth: Truth, folder: Path) -> Row:
+    """Import a result and its original, and compare both with the scene; Blender leaves files in `folder`."""
+    first = {"file": str(way.original(folder)), "fps": BASE}
+    shift = 0.0 if way.keeps_times else task.frames[0]
+    jobs = {
+        "shown": (way.opening(answer, task.fps, folder), task.frames - shift),
+        "same-times": (first, task.times * BASE),
+        "same-moments": (first, task.source * BASE),
+        "shot": (first, SHOT),
+    }
+    show(_described(jobs, folder), folder)
+    seen, times, moments, shot = (Seen.read(folder / name) for name in jobs)
+    row = Row(way.name, task.name, len(task.frames))
+    if not seen.has_meshes:
+        row.check("positions", False, f"meshes in Blender: {sorted(seen.names['meshes'])}")
+        return row
+    surface = Surface.found(seen, truth.task)
+    _positions(row, surface, truth.task)
+    if way.velocities:
+        _velocities(row, seen, truth.velocities[:, surface.vertices] * task.speed[:, None, None])
+    original = Surface.found(shot, truth.shot)
+    row.check("materials", surface.has_materials_of(original))
+    row.check("UVs", surface.has_uvs_of(original))
+    others = sorted({*seen.objects} ^ {*shot.objects})
+    row.check("paths", not others, f"objects here or there only: {', '.join(others)}")
+    _camera(row, seen, {"goes on at its own speed": times, "goes with the body": moments})
+    if not way.cache:  # Blender leaves the range alone when a modifier is pointed at another file
+        _range(row, seen.scene_range if way.keeps_times else seen.action_range, task.frames[[0, -1]] - shift)
+    return row
+
+
+def by_itself(way: Way, folder: Path) -> Row:
+    """Compare Blender's own file at the finer rate with the scene: how near anything can come this way."""
+    fine = max(RATES)
+    frames = np.arange(FIRST * fine // BASE, LAST * fine // BASE + 1)
+    jobs: dict[str, tuple[dict[str, Any], Index]] = {
+        "scene": ({"file": str(folder / f"walker{fine}.blend"), "fps": fine}, frames),
+        "shown": ({"file": str(folder / f"walker{fine}.{way.extension}"), "fps": fine}, frames),
+    }
+    show(_described(jobs, folder), folder)
+    scene, seen = (Seen.read(folder / name) for name in jobs)
+    row = Row(way.name.partition(",")[0], BY_ITSELF, len(frames))
+    _positions(row, Surface.found(seen, scene), scene)
+    return row
+
+
+def _described(
+    jobs: Mapping[str, tuple[dict[str, Any], Float | Index]], folder: Path
+) -> list[dict[str, Any]]:
+    return [
+        {"open": opened, "frames": frames.tolist(), "output": str(folder / name)}
+        for name, (opened, frames) in jobs.items()
+    ]
+
+
+def _positions(row: Row, surface: Surface, truth: Seen) -> None:
+    expected = truth.together("points")
+    diagonal = float(np.linalg.norm(np.ptp(expected[0], axis=0)))
+    errors = (surface.seen.together("points") - expected[:, surface.vertices]) / diagonal
+    row.rms, row.largest = root_mean_square(errors), float(np.linalg.norm(errors, axis=-1).max())
+    row.check("positions", row.rms <= POSITIONS)
+    missing = expected.shape[1] - len(np.unique(surface.vertices))
+    row.check("vertices", not missing, f"{missing} vertices are not there")
+
+
+def _velocities(row: Row, seen: Seen, expected: Float) -> None:
+    if not seen.has_velocities:
+        row.check("velocities", False, "no velocities in Blender")
+        return
+    row.velocities = root_mean_square(seen.together("velocities") - expected) / root_mean_square(expected)
+    row.check("velocities", row.velocities <= VELOCITIES)
+
+
+def _camera(row: Row, seen: Seen, ways: dict[str, Seen]) -> None:
+    """Compare with the original's camera, at the same times and at the same moments of the walk."""
+    lenses = next(iter(ways.values())).names["lenses"]
+    if seen.names["lenses"] != lenses:
+        row.check(
+            "camera", False, f"focal lengths of cameras: {seen.names['lenses']}, of the original {lenses}"
+        )
+        return
+    errors = {way: float(np.abs(seen.camera - other.camera).max()) for way, other in ways.items()}
+    same = [way for way, error in errors.items() if error <= CAMERA]
+    row.check("camera", bool(same), f"the camera is off by {min(errors.values()):.2g}")
+    if len(same) == 1:
+        row.notes.append(f"the camera {same[0]}")
+
+
+def _range(row: Row, found: tuple[float, float], asked: Float) -> None:
+    row.check(
+        "range", np.allclose(found, asked, atol=1e-2), f"frames {found}, {asked.tolist()} were asked for"
+    )

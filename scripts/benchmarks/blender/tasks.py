@@ -1,0 +1,134 @@
+"""What mixseq is asked for, and which moment of the walk every frame of the answer must show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.arrays import Float
+from mixseq.operations import Retiming
+from scripts.benchmarks.blender.shot import BASE, FIRST, LAST
+from scripts.benchmarks.common.child import MIXSEQ
+
+START, END = FIRST / BASE, LAST / BASE
+
+Commands = Sequence[Sequence[str]]
+"""Command lines, one after the other."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One thing to ask for; times are seconds.
+
+    Attributes
+    ----------
+    name : str
+        Of the row in the table.
+    fps : int
+        Frames per second of the answer.
+    frames : (T,) array
+        Their numbers.
+    source : (T,) array
+        Which moment of the walk each of them must show.
+    speed : (T,) array
+        How fast the walk goes there: velocities are so many times its own.
+    commands : callable
+        From the original, the answer, its options for writing and a folder for other files to the commands.
+    """
+
+    name: str
+    fps: int
+    frames: Float
+    source: Float
+    speed: Float
+    commands: Callable[[Path, Path, Sequence[str], Path], Commands]
+
+    @property
+    def times(self) -> Float:
+        """When the frames of the answer are."""
+        return self.frames / self.fps
+
+
+def _resample(*options: str) -> Callable[[Path, Path, Sequence[str], Path], Commands]:
+    def commands(original: Path, answer: Path, writing: Sequence[str], work: Path) -> Commands:
+        return [[*MIXSEQ, "resample", str(original), str(answer), *options, *writing]]
+
+    return commands
+
+
+def _frames(first: float, last: float, fps: int) -> Float:
+    """Return the numbers of the frames from one time to another."""
+    return np.arange(np.ceil(first * fps - 1e-3), np.floor(last * fps + 1e-3) + 1)
+
+
+def sixty() -> Task:
+    """Another frame rate."""
+    frames = _frames(START, END, 60)
+    return Task("24 -> 60", 60, frames, frames / 60, np.ones(len(frames)), _resample("--fps", "60"))
+
+
+def slow() -> Task:
+    """Four times as long."""
+    frames = _frames(START, START + 4 * (END - START), BASE)
+    source = START + (frames / BASE - START) / 4
+    return Task(
+        "x4 slow motion", BASE, frames, source, np.full(len(frames), 0.25), _resample("--speed", "0.25")
+    )
+
+
+def section() -> Task:
+    """Forty frames from the middle."""
+    frames = np.arange(1021.0, 1061.0)
+    options = _resample("--start", repr(1021 / BASE), "--end", repr(1060 / BASE))
+    return Task("section 1021-1060", BASE, frames, frames / BASE, np.ones(len(frames)), options)
+
+
+RAMP = np.array([[0.0, 0.0], [1.0, 1.0], [3.0, 1.5], [4.0, 2.5]])
+"""Seconds from the first frame on, of the answer and of the walk: at its speed, at a quarter, at its speed."""
+
+
+def ramp() -> Task:
+    """Slower in the middle."""
+    keys = START + RAMP
+    retiming = Retiming.through(keys[:, 0], keys[:, 1])
+    frames = _frames(keys[0, 0], keys[-1, 0], BASE)
+
+    def commands(original: Path, answer: Path, writing: Sequence[str], work: Path) -> Commands:
+        table = work / "ramp.csv"
+        table.write_text("output,source\n" + "".join(f"{float(o)!r},{float(s)!r}\n" for o, s in keys))
+        return _resample("--retime", str(table))(original, answer, writing, work)
+
+    times = frames / BASE
+    return Task("ramp", BASE, frames, retiming(times), retiming.slope(times), commands)
+
+
+LOOP = """
+[[edit]]
+operation = "cut"
+start = {start!r}
+end = {end!r}
+
+[[edit]]
+operation = "loop"
+"""
+
+
+def loop() -> Task:
+    """One stride made a loop; the walk repeats itself, so that it is what it was but for where it ends."""
+    frames = np.arange(FIRST, FIRST + BASE + 1.0)
+
+    def commands(original: Path, answer: Path, writing: Sequence[str], work: Path) -> Commands:
+        script, model = work / "loop.toml", work / f"{original.stem}{original.suffix}.h5"
+        script.write_text(LOOP.format(start=START, end=START + 1))
+        return [
+            [*MIXSEQ, "encode", str(original), str(model), "--exact"],
+            [*MIXSEQ, "edit", str(model), str(answer), "--script", str(script), *writing],
+        ]
+
+    return Task("loop of a stride", BASE, frames, frames / BASE, np.ones(len(frames)), commands)
+
+
+TASKS = (sixty, slow, section, ramp, loop)
