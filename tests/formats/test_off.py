@@ -66,14 +66,18 @@ def test_cut_anywhere(tmp_path: Path) -> None:
         ("3 0 2 3", "3 0 2", "face 1: '3 0 2' is not a face"),
         ("3 0 2 3", "3 0 2 3 0 1 2 0 1", "face 1: '3 0 2 3 0 1 2 0 1' is not a face"),
         ("3 0 2 3", "3 0\f2 3", "cannot be read as an OFF file"),
-        ("3 0 2 3", "3 0 2 4", "cannot be read as an OFF file"),
+        (
+            "3 0 2 3",
+            "3 0 2 4",
+            "(cannot be read as an OFF file|face 1 uses vertex 4)",
+        ),  # by version of trimesh
         ("1 1 0", "1 one 0", "cannot be read as an OFF file"),
         ("OFF", "OF", "cannot be read as an OFF file"),
     ],
 )
 def test_refusals(old: str, new: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "bad.off").write_text(SQUARE.replace(old, new, 1))
-    with pytest.raises(FormatError, match=rf"bad.off.*{message}"):
+    with pytest.raises((FormatError, InvalidSequenceError), match=rf"bad.off.*{message}"):
         read(tmp_path / "bad.off")
 
 

@@ -180,7 +180,7 @@ def _read_npz(file: Path) -> GivenMap:
         arrays = {name: archive.read(name) for name in archive.names}
     empty = np.zeros((0, 0))
     if "version" in arrays and "corners" in arrays:
-        if not np.array_equal(arrays["version"], VERSION):
+        if arrays["version"].tolist() != VERSION:  # it may be of any type and shape
             raise FormatError(
                 f"{file} is a map of version {arrays['version']!s:.20}; this mixseq reads version {VERSION}"
             )

@@ -2,8 +2,9 @@
 
 A long shot is easier to copy, to resume and to load in pieces. Clip ``i`` holds the frames from its first one to the
 first one of clip ``i + 1``, which both have: between the two, USD interpolates within clip ``i``. Times in clips are
-those of the stage (no ``clipTimes``: the mapping is the identity, without rounding). A manifest tells which
-attributes are in clips, so that USD does not open all of them to find out.
+those of the stage, which is said of every frame: USD before 26.11 otherwise forgets the offset of a shot that refers to
+the file, and with the first and last one alone it rounds those between. A manifest tells which attributes are in clips,
+so that USD does not open all of them to find out.
 
 Specification: https://openusd.org/release/api/_usd__page__value_clips.html
 """
@@ -48,8 +49,10 @@ def save_in_clips(
         Where the clips go.
     """
     starts: list[float] = []
+    times: list[float] = []
     clip: Samples | None = None
     for number, frame in enumerate(frames):
+        times.append(frame[0])
         if number % length == 0:
             starts.append(frame[0])
             if clip:
@@ -67,6 +70,7 @@ def save_in_clips(
     for path in [*(mesh.path for mesh in cast.meshes), *(bounds.path for bounds in cast.bounds)]:
         description = {
             "assetPaths": assets,
+            "times": Vt.Vec2dArray([(time, time) for time in times]),
             "active": Vt.Vec2dArray([(start, float(number)) for number, start in enumerate(starts)]),
             "primPath": path,
             "manifestAssetPath": Sdf.AssetPath(folder.asset(folder.manifest)),

@@ -89,8 +89,16 @@ def test_clips_follow_the_shot_that_refers_to_them(path: Path) -> None:
     later.SetTimeCodesPerSecond(24)
     later.DefinePrim("/there").GetReferences().AddReference(str(path), Sdf.LayerOffset(1000, 2))
     points = mesh_at(later, "/there/mesh").GetPointsAttr()
-    assert points.GetTimeSamples() == [1000, 1024, 1048]
-    np.testing.assert_array_equal(points.Get(1024), lift()[1])
+    # older versions of USD tell times of the clips besides, without the offset
+    assert {1000, 1024, 1048} <= set(points.GetTimeSamples())
+    np.testing.assert_array_equal([points.Get(time) for time in (1000, 1024, 1048)], lift())
+
+
+def test_times_that_are_no_multiples_are_the_same_in_clips(path: Path) -> None:
+    times = np.sort(np.random.default_rng(0).uniform(-3, 9, 50))
+    save(path, MeshSequence.from_arrays(np.zeros((50, 3, 3)), [[0, 1, 2]], times=times), clips=7)
+    save(path.with_suffix(".usdc"), MeshSequence.from_arrays(np.zeros((50, 3, 3)), [[0, 1, 2]], times=times))
+    np.testing.assert_array_equal(load(path).times, load(path.with_suffix(".usdc")).times)
 
 
 def test_clips_replace_older_ones(path: Path) -> None:
