@@ -11,6 +11,8 @@ In Python frames are counted from 0, by their *index*; people are told the numbe
 
 from __future__ import annotations
 
+from math import isfinite
+
 NEAR = 1e-3
 """Fraction of a frame by which times may miss a whole number: they are typed, and stored, with a few digits."""
 
@@ -24,7 +26,8 @@ def number_at(time: float, fps: float) -> float:
     (1001.0, 6.24)
     """
     number = float(time) * fps
-    return float(round(number)) if abs(number - round(number)) <= NEAR else number
+    whole = float(round(number)) if isfinite(number) else number
+    return whole if abs(number - whole) <= NEAR else number
 
 
 def time_of(number: float, fps: float) -> float:

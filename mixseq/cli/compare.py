@@ -14,6 +14,7 @@ import click
 import mixseq
 from mixseq.cli.console import print_json, print_table, progress_bar, say
 from mixseq.cli.files import counted, options_of
+from mixseq.cli.frames import chosen_blocks
 from mixseq.cli.options import FILE, examples, json_option, quiet_option, reader_options
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import MixseqWarning, SettingsError
@@ -75,7 +76,7 @@ def at_times_of(a: Frames, b: Frames) -> Frames:
 
     more = b.header.frame_count > a.header.frame_count
     frames = shared_frames(a.header, b.header) if more else None
-    return b if frames is None else _Some(b, frozenset(frames.tolist()))
+    return b if frames is None else _Some(b, sorted(set(frames.tolist())))
 
 
 @dataclass(frozen=True)
@@ -83,22 +84,17 @@ class _Some:
     """Some frames of a sequence."""
 
     frames: Frames
-    numbers: frozenset[int]
+    indices: list[int]
 
     @property
     def header(self) -> SequenceHeader:
         """Everything but the points."""
         whole = self.frames.header
-        return whole.with_times(whole.times[sorted(self.numbers)])
+        return whole.with_times(whole.times[self.indices])
 
     def blocks(self, size: int = 16) -> Iterator[FloatArray]:
         """Iterate over the frames that were chosen."""
-        first = 0
-        for block in self.frames.blocks(size):
-            kept = [number for number in range(len(block)) if first + number in self.numbers]
-            first += len(block)
-            if kept:
-                yield block[kept]
+        return chosen_blocks(self.frames.blocks(size), self.indices)
 
 
 @dataclass(frozen=True)

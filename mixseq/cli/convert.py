@@ -10,6 +10,7 @@ import click
 import mixseq
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import counted, write_sequence
+from mixseq.cli.frames import FrameChoice, chosen_blocks, frames_option
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options, writer_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
@@ -21,11 +22,13 @@ from mixseq.cli.settings import CommandWithSettings
     epilog=examples(
         "mixseq convert walk.usdc walk.h5",
         "mixseq convert walk.usdc walk_####.obj",
+        "mixseq convert shot.abc part.abc --frames 1005-1010",
         "mixseq convert fox.glb run.glb --animation Run",
     ),
 )
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
+@frames_option("Only these frames, by their numbers.  [default: all]")
 @reader_options
 @writer_options
 @overwrite_option
@@ -33,6 +36,7 @@ from mixseq.cli.settings import CommandWithSettings
 def command(
     source: Path,
     target: Path,
+    frames: FrameChoice | None,
     reading: dict[str, Any],
     writing: dict[str, Any],
     claim: Claim,
@@ -50,6 +54,12 @@ def command(
     """
     claim(target)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:
-        blocks = counted(reader.blocks(), reader.header.frame_count, "converting", progress)
-        write_sequence(target, reader.header, blocks, reader.velocity_blocks(), writing)
+        header, blocks, velocities = reader.header, reader.blocks(), reader.velocity_blocks()
+        if frames is not None:
+            indices = frames.indices(header)
+            header = header.with_times(header.times[indices])
+            blocks = chosen_blocks(blocks, indices)
+            velocities = None if velocities is None else chosen_blocks(velocities, indices)
+        counting = counted(blocks, header.frame_count, "converting", progress)
+        write_sequence(target, header, counting, velocities, writing)
     announce(target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +19,12 @@ from mixseq.cli.files import (
     read_sequence,
     write_frames,
 )
+from mixseq.cli.frames import FrameChoice, frames_option, time_rows
 from mixseq.cli.options import FILE, examples, quiet_option, workers_options, writer_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
-from mixseq.frame_rates import exact_rate, rate_text
+from mixseq.frame_rates import exact_rate
 
 if TYPE_CHECKING:
     from mixseq.mapping import Executor
@@ -48,6 +50,7 @@ def _as_seconds(
     epilog=examples(
         "mixseq decode walk.h5 walk48.usdc --fps 48",
         "mixseq decode walk.h5 still.obj --times 0.73",
+        "mixseq decode shot.h5 part.usdc --frames 1005-1010",
         "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
         "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
         "mixseq decode walk.h5 walk.glb --as skin --bones 30",
@@ -64,6 +67,9 @@ def _as_seconds(
 )
 @click.option(
     "--times", callback=_as_seconds, metavar="S,S,...", help="Decode exactly these times, in seconds."
+)
+@frames_option(
+    "Only these frames of the model, by their numbers; with --fps from the first to the last of them."
 )
 @click.option("--start", type=float, metavar="S", help="First time in seconds.  [default: that of the model]")
 @click.option("--end", type=float, metavar="S", help="Last time in seconds.  [default: that of the model]")
@@ -107,6 +113,7 @@ def command(
     target: Path,
     fps: float | None,
     times: tuple[float, ...] | None,
+    frames: FrameChoice | None,
     start: float | None,
     end: float | None,
     velocities: bool,
@@ -128,6 +135,7 @@ def command(
     With --as, TARGET is a .glb or .gltf that engines play, fitted to all frames, read back, and compared with them.
     MODEL may then be a sequence, too.
     """
+    chosen = Chosen(times, frames, fps, start, end)
     settings = RigSettings(kind, bones, correctives, max_error, max_targets)
     settings.check(velocities, writing)
     claim(target)
@@ -136,7 +144,7 @@ def command(
 
         check_rig_target(target)
         with workers as work, progress_bar(quiet) as progress:
-            sequence = _sequence(source, salvage, times, fps, start, end, progress, work)
+            sequence = _sequence(source, salvage, chosen, progress, work)
             check_origin(target, sequence)
             rig = settings.fit(sequence, progress)
             mixseq.write_rig(target, rig)
@@ -145,27 +153,18 @@ def command(
         announce(target)
         return
     model = mixseq.load(source, salvage)
-    header = _chosen(model, times, fps, start, end)
+    header = chosen.of(model)
     with workers as work, progress_bar(quiet) as progress:
         write_frames(target, model, header, velocities, writing, progress, work)
     if not quiet:
-        first, last = header.times[[0, -1]]
-        print_table(
-            [
-                ("frames", f"{header.frame_count}"),
-                ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
-            ]
-        )
+        print_table(time_rows(header))
     announce(target)
 
 
 def _sequence(
     source: Path,
     salvage: bool,
-    times: tuple[float, ...] | None,
-    fps: float | None,
-    start: float | None,
-    end: float | None,
+    chosen: Chosen,
     progress: Progress,
     workers: Executor,
 ) -> MeshSequence:
@@ -174,29 +173,47 @@ def _sequence(
 
     named_as_model = source.suffix.lower() in MODEL_EXTENSIONS and not source.is_file()
     if not (salvage or is_model(source) or named_as_model):
-        if (times, fps, start, end) != (None, None, None, None):
+        if chosen != Chosen():
             raise SettingsError(
-                f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --start and "
-                "--end, or turn it into a model first, with mixseq encode"
+                f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
+                "--start and --end, or turn it into a model first, with mixseq encode"
             )
         return read_sequence(source, {}, progress)
     model = mixseq.load(source, salvage)
-    header = _chosen(model, times, fps, start, end)
+    header = chosen.of(model)
     return collect(header, model.blocks(header.times, progress=progress, workers=workers))
 
 
-def _chosen(
-    model: Model,
-    times: tuple[float, ...] | None,
-    fps: float | None,
-    start: float | None,
-    end: float | None,
-) -> SequenceHeader:
-    if times is None:
-        return _range(model, fps, start, end)
-    if start is None and end is None:
-        return model.header_at(times, fps)
-    raise SettingsError("--times tells all times; leave out --start and --end")
+@dataclass(frozen=True)
+class Chosen:
+    """Which frames are decoded, as the options tell; by default those of the model."""
+
+    times: tuple[float, ...] | None = None
+    frames: FrameChoice | None = None
+    fps: float | None = None
+    start: float | None = None
+    end: float | None = None
+
+    def of(self, model: Model) -> SequenceHeader:
+        """Return the header of what is decoded.
+
+        Raises
+        ------
+        SettingsError
+            If the model has no such times or frames, or two options contradict each other.
+        """
+        if self.frames is not None:
+            for name in ("times", "start", "end"):
+                if getattr(self, name) is not None:
+                    raise SettingsError(f"--frames tells all frames; leave out --{name}")
+            if self.fps is not None:
+                return _range(model, self.fps, *self.frames.span(model.header))
+            return model.header_at(model.times[self.frames.indices(model.header)])
+        if self.times is None:
+            return _range(model, self.fps, self.start, self.end)
+        if self.start is None and self.end is None:
+            return model.header_at(self.times, self.fps)
+        raise SettingsError("--times tells all times; leave out --start and --end")
 
 
 def _range(model: Model, fps: float | None, start: float | None, end: float | None) -> SequenceHeader:
@@ -217,6 +234,7 @@ def _range(model: Model, fps: float | None, start: float | None, end: float | No
             model.header_at([time], fps)  # refuses what could not be counted
         rate = exact_rate(fps, model.header.fps)
         return model.header_at(frame_times(first, last, rate), rate)
+    model.inside([first, last])
     times = model.times[(model.times >= first - slack) & (model.times <= last + slack)]
     if not times.size:
         raise SettingsError(

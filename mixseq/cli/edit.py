@@ -137,4 +137,5 @@ def command(
 
 
 def _extent(model: Model) -> str:
-    return f"{model.start:g} to {model.end:g} s, {model.header.frame_count:,} frames"
+    header = model.header
+    return f"{model.start:g} to {model.end:g} s, {header.frame_count:,} frames ({header.frame_numbers})"

@@ -123,7 +123,8 @@ def command(
         progress_bar(quiet) as progress,
         mixseq.open_sequence(source, **reading) as reader,
     ):
-        weights = _weights(poses, steps, reader.header.frame_count)
+        numbered = [pose._replace(frame=reader.header.index_of(pose.frame)) for pose in poses]
+        weights = _weights(numbered, steps, reader.header.frame_count)
         if labels is not None or label_source is not None:
             parts = parts_given(reader, making.get("parts"), labels, label_source, reading)
             making = making | {"parts": parts}
@@ -133,7 +134,8 @@ def command(
         frames = (points[None] for points in blend.along(weights[:, used], progress, work))
         write_sequence(target, header, frames, None, writing)
     if not quiet:
-        names = [f"{pose}" if steps else f"{pose} = {weights[0, pose]:g}" for pose in used]
+        named = {pose: reader.header.frame_number(pose) for pose in used}
+        names = [name if steps else f"{name} = {weights[0, pose]:g}" for pose, name in named.items()]
         print_table(
             [
                 ("space", f"{blend.space.name}, dim {blend.dim:,}"),
@@ -177,9 +179,6 @@ def _weights(poses: Sequence[Pose], steps: int | None, count: int) -> NDArray[np
     if not poses and count != 2:
         raise SettingsError(f"there are {count} poses; name two of them by --pose FRAME --pose FRAME")
     chosen = list(poses) or [Pose(0, None), Pose(1, None)]
-    for pose in chosen:
-        if not 0 <= pose.frame < count:
-            raise SettingsError(f"there is no frame {pose.frame}; frames are 0 to {count - 1}")
     weights = np.zeros((steps or 1, count))
     columns = [pose.frame for pose in chosen]
     if steps is None:

@@ -13,19 +13,11 @@ from mixseq.choices import PICTURES, PictureKind
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import read_sequence
 from mixseq.cli.filmed import FilmOptions, film_options, make_film
+from mixseq.cli.frames import FrameChoice, frames_option
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
 from mixseq.errors import MixseqWarning, SettingsError
-
-
-def _as_frames(context: click.Context, option: click.Parameter, value: str | None) -> tuple[int, ...] | None:
-    if value is None:
-        return None
-    try:
-        return tuple(int(item) for item in value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is not a list of frames such as 0,12,24") from None
 
 
 def _as_kind(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
@@ -61,11 +53,9 @@ def _as_kind(context: click.Context, option: click.Parameter, value: str | None)
     metavar="SEQUENCE",
     help="The original in any format, to draw the errors of the model.",
 )
-@click.option(
-    "--frames",
-    callback=_as_frames,
-    metavar="I,I,...",
-    help="Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
+@frames_option(
+    "Frames to number in the embedding, or to draw with the errors of their vertices.  [default: automatic]",
+    "N,N,...",
 )
 @click.option("--tolerance", type=float, metavar="D", help="Draw a line at an error of so many diagonals.")
 @film_options
@@ -76,7 +66,7 @@ def command(
     files: tuple[Path, ...],
     kind: PictureKind | None,
     against: Path | None,
-    frames: tuple[int, ...] | None,
+    frames: FrameChoice | None,
     tolerance: float | None,
     filming: FilmOptions,
     reading: dict[str, Any],
@@ -101,7 +91,7 @@ def command(
     from mixseq_io.atomic import replacing
 
     picture_format(target)
-    check_settings(kind, against is not None, frames, tolerance)
+    check_settings(kind, against is not None, None if frames is None else frames.ranges, tolerance)
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
@@ -118,7 +108,7 @@ def command(
                 model,
                 kind,
                 against=original,
-                frames=frames,
+                frames=None if frames is None else frames.indices(model.header),
                 tolerance=tolerance,
                 progress=progress,
             )
@@ -139,7 +129,7 @@ def _model_and_target(files: tuple[Path, ...]) -> tuple[Path, Path]:
 
 
 def _refuse_in_films(
-    files: tuple[Path, ...], kind: PictureKind | None, frames: tuple[int, ...] | None, tolerance: float | None
+    files: tuple[Path, ...], kind: PictureKind | None, frames: FrameChoice | None, tolerance: float | None
 ) -> None:
     """Refuse what only pictures have."""
     for name, value in (("kind", kind), ("frames", frames), ("tolerance", tolerance)):

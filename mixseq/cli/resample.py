@@ -11,6 +11,7 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.files import is_model, write_sequence
+from mixseq.cli.frames import FrameChoice, frames_option, time_rows
 from mixseq.cli.options import (
     FILE,
     examples,
@@ -22,7 +23,7 @@ from mixseq.cli.options import (
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
-from mixseq.frame_rates import rate_text
+from mixseq.frame_numbers import span_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 @click.option(
     "--start", type=float, metavar="S", help="Play from this second of SOURCE.  [default: the first]"
 )
+@frames_option("Play only these frames of SOURCE, by their numbers, instead of --start and --end.")
 @click.option("--end", type=float, metavar="S", help="Play to this second of SOURCE.  [default: the last]")
 @click.option(
     "--retime",
@@ -99,6 +101,7 @@ def command(
     reverse: bool,
     start: float | None,
     end: float | None,
+    frames: FrameChoice | None,
     retime: Path | None,
     linear: bool,
     velocities: bool,
@@ -122,6 +125,8 @@ def command(
         raise SettingsError("--exact keeps everything and --tolerance does not; leave out one of them")
     if linear and retime is None:
         raise SettingsError("--linear is about the points of --retime; give both, or neither")
+    if frames is not None and (start, end, retime) != (None, None, None):
+        raise SettingsError("--frames tells the section; leave out --start, --end and --retime")
     claim(target)
     from mixseq.operations.resampling import plan
     from mixseq.operations.retiming_files import read_retiming
@@ -130,6 +135,8 @@ def command(
     retiming = None if retime is None else read_retiming(retime, smooth=not linear)
     with workers as work, progress_bar(quiet) as progress:
         model = _model(source, tolerance, reading, progress, work)
+        if frames is not None:
+            start, end = frames.span(model.header)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))
@@ -157,21 +164,17 @@ def _model(
     return mixseq.load(source)
 
 
-def _span(sources: NDArray[np.float64]) -> str:
+def _span(sources: NDArray[np.float64], fps: float) -> str:
     """Where playing starts and ends, and how far it goes in between."""
     first, last, low, high = sources[0], sources[-1], sources.min(), sources.max()
     beyond = f", between {low:g} and {high:g} s" if low < min(first, last) or high > max(first, last) else ""
-    return f"{first:g} to {last:g} s{beyond}"
+    return f"{span_text(first, last, fps)}{beyond}"
 
 
 def _rows(planned: Resampling) -> list[tuple[str, str]]:
     header, retiming = planned.header, planned.retiming
     first, last = header.times[[0, -1]]
-    rows = [
-        ("frames", f"{header.frame_count:,}"),
-        ("time", f"{first:g} to {last:g} s at {rate_text(header.fps)} frames per second"),
-        ("source", _span(planned.sources)),
-    ]
+    rows = [*time_rows(header), ("source", _span(planned.sources, planned.model.header.fps))]
     rest = 1e-3 / header.fps  # less is a matter of rounding
     why = f"; frames are at whole multiples of 1/{header.fps:g} s"
     if first - retiming.start > rest:

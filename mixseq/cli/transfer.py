@@ -77,8 +77,8 @@ if TYPE_CHECKING:
 @click.option(
     "--rest",
     metavar="FRAME|FILE",
-    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: 0; of glTF "
-    "SOURCE without animation]",
+    help="Frame in which SOURCE is in TARGET's pose, or a file with the same mesh in that pose.  [default: the first; "
+    "of glTF SOURCE without animation]",
 )
 @click.option(
     "--parts",
@@ -173,6 +173,8 @@ def command(
         from mixseq.retargeting.transfer import plan
 
         pairs, feet = chosen_markers(markers, reverse), chosen_contacts(contacts)
+        if rest is not None and rest_file is None and frame >= 0:
+            frame = opened.header.index_of(frame)
         shape = first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
         rest_shape = frame if rest_file is None else mesh_at_rest(rest_file, reading, opened, rest is None)
         given = chosen_parts(opened, parts, labels, label_source, reading)

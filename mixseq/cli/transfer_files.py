@@ -29,7 +29,7 @@ READ_OF_ALL = ("up_axis", "metres_per_unit")  # reader options that hold for eve
 
 
 def chosen_rest(text: str | None, source: Path) -> tuple[int, Path | None]:
-    """Return the frame that is meant, or a file."""
+    """Return the frame that is meant, by its number or from the end, or a file."""
     if text is None:
         return 0, source if source.suffix.lower() in _ANIMATED else None
     return (int(text), None) if re.fullmatch(r"-?\d+", text) else (0, Path(text))

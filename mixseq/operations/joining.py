@@ -19,6 +19,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import seconds_meant, span_text
 from mixseq.operations.placements import continued
 from mixseq.operations.splines import between, breakpoints, moved, sites_of
 from mixseq.signals.curve import Curve
@@ -210,8 +211,10 @@ def snapped(model: Model, time: float, name: str = "time") -> float:
     """
     slack = SLACK / model.header.fps
     if not model.start - slack <= time <= model.end + slack:
+        fps = model.header.fps
         raise SettingsError(
-            f"{name} is {time:g} s; the model is from {model.start:g} to {model.end:g} s, give a time within"
+            f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
+            f"{seconds_meant(time, model.start, model.end, fps)}"
         )
     known = np.concatenate([[model.start, model.end], model.times, model.time.times, model.placement.times])
     nearest = float(known[np.abs(known - time).argmin()])

@@ -110,17 +110,20 @@ def time_axis(ax: Axes, start: float, end: float) -> None:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 
 
-def round_frames(count: int, most: int) -> list[int]:
-    """Choose frames out of `count` to be numbered: the first, the last, and multiples of a round number.
+def round_frames(count: int, most: int, first: int = 0) -> list[int]:
+    """Choose frames out of `count` to be shown: the first, the last, and those whose numbers are round.
+
+    Numbers go from `first` on.
 
     Examples
     --------
     >>> round_frames(24, 10), round_frames(2, 10), round_frames(1, 10)
     ([0, 5, 10, 15, 20, 23], [0, 1], [0])
+    >>> round_frames(24, 10, 1001)
+    [0, 4, 9, 14, 19, 23]
     """
     tens = 10 ** np.arange(len(str(count)))
     step = next(step for step in np.outer(tens, [1, 2, 5, 10]).ravel().tolist() if count <= step * most)
     last = count - 1
-    return [*(frame for frame in range(0, last, step) if frame == 0 or last - frame > step // 2), last][
-        -count:
-    ]
+    inner = range(-first % step or step, last, step)
+    return [0, *(frame for frame in inner if frame > step // 2 and last - frame > step // 2), last][-count:]

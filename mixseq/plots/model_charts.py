@@ -15,6 +15,7 @@ import numpy as np
 
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import number_at
 from mixseq.plots.charts import FAINT, LINES, log_axis, round_frames, time_axis
 from mixseq.plots.label_places import free_places
 from mixseq.plots.sheet_layout import matplotlib_module
@@ -58,7 +59,8 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
         If there is no such frame.
     """
     count = len(model.times)
-    marked = round_frames(count, MARKED) if frames is None else existing_frames(frames, count)
+    first = round(number_at(model.times[0], model.header.fps))
+    marked = round_frames(count, MARKED, first) if frames is None else existing_frames(frames, count)
     curve, dots = model.embedding(dense_times(model)), model.embedding(model.times)
     x, y = dots.T
     ax.plot(*curve.T, color=FAINT, linewidth=1.2, zorder=2)
@@ -72,7 +74,7 @@ def draw_embedding(ax: Axes, model: Model, frames: Sequence[int] | None = None) 
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="N")
 
     ends = {0: "start", count - 1: "end"} if count > 1 else {}
-    texts = [f"{frame} {ends[frame]}" if frame in ends else f"{frame}" for frame in marked]
+    texts = [f"{model.header.frame_number(frame)} {ends.get(frame, '')}".strip() for frame in marked]
     places = free_places(dots[marked], texts, curve, limits, max(right - left, top - bottom) / _INCHES)
     for frame, text, place in zip(marked, texts, places, strict=True):
         ax.annotate(

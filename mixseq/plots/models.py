@@ -122,7 +122,7 @@ def _count(number: int, one: str, many: str = "") -> str:
 
 
 def check_settings(
-    kind: PictureKind | None, against: bool, frames: Sequence[int] | None, tolerance: float | None
+    kind: PictureKind | None, against: bool, frames: Sequence[object] | None, tolerance: float | None
 ) -> None:
     """Refuse settings of `plot_model` that contradict each other, before the work.
 

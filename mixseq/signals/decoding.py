@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import seconds_meant, span_text
 from mixseq.frame_rates import exact_rate
 from mixseq.mapping import Executor, on_threads, serially
 from mixseq.progress import Progress, silent
@@ -182,8 +183,9 @@ class Decodable(ABC):
         outside = ~((wanted >= first - slack) & (wanted <= last + slack))
         if outside.any():
             raise SettingsError(
-                f"time {wanted[outside][0]:g} s is outside the sequence, {first:g} to {last:g} s; "
-                "models do not extrapolate"
+                f"time {wanted[outside][0]:g} s is outside the sequence, "
+                f"{span_text(first, last, self.header.fps)}; models do not extrapolate"
+                f"{seconds_meant(float(wanted[outside][0]), first, last, self.header.fps)}"
             )
         return np.clip(wanted, first, last)
 

@@ -171,6 +171,32 @@ def test_frames_have_numbers(run: Run, folder: Path) -> None:
     assert "frame 1001 (index 0) is at 100.1 s" in found.stderr
 
 
+@pytest.mark.parametrize(
+    ("chosen", "indices"), [("1002-1003", [1, 2]), ("1001", [0]), ("1004,1001-1002", [0, 1, 3])]
+)
+def test_frames_are_converted_and_decoded_by_their_numbers(
+    run: Run, bent_bar: MeshSequence, folder: Path, chosen: str, indices: list[int]
+) -> None:
+    shot = MeshSequence.from_header(bent_bar.header.numbered_from(1001), bent_bar.points, bent_bar.points)
+    mixseq.write("shot.npz", shot)
+    succeed(run("convert", "shot.npz", "part.npz", "--frames", chosen))
+    part = mixseq.read("part.npz")
+    assert part.velocities is not None
+    np.testing.assert_array_equal(part.points, bent_bar.points[indices])
+    np.testing.assert_array_equal(part.velocities, bent_bar.points[indices])
+    np.testing.assert_array_equal(part.times, shot.times[indices])
+    mixseq.save("shot.h5", mixseq.fit(shot, exact=True, space="vertex"))
+    succeed(run("decode", "shot.h5", "decoded.npz", "--frames", chosen))
+    decoded = mixseq.read("decoded.npz")
+    np.testing.assert_array_equal(decoded.times, part.times)
+    np.testing.assert_allclose(decoded.points, part.points, atol=1e-7)
+
+
+def test_frames_at_another_rate(run: Run, folder: Path) -> None:
+    table = rows(succeed(run("decode", "model.h5", "more.npz", "--frames", "1-2", "--fps", "20")))
+    assert table["frames"].strip() == "3 (2 to 4)"
+
+
 # encode and decode ----------------------------------------------------------------------------------------
 
 
@@ -203,7 +229,7 @@ def test_quiet_encode(run: Run) -> None:
 
 def test_decode_the_original_frames(run: Run, bent_bar: MeshSequence) -> None:
     table = rows(succeed(run("decode", "model.h5", "new.npz")))
-    assert table["frames"].strip() == "4"
+    assert table["frames"].strip() == "4 (0 to 3)"
     assert table["time"].strip() == "0 to 0.3 s at 10 frames per second"
     assert mixseq.compare(bent_bar, mixseq.read("new.npz")).max_error < 1e-12
 

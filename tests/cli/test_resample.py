@@ -41,7 +41,7 @@ def test_times(run: Run, folder: Path, options: str, times: np.ndarray, sources:
     (folder / "ramp.csv").write_text("output,source\n0,0\n0.1,0.05\n0.2,0.3\n")
     (folder / "ramp.toml").write_text("output = [1, 1.1]\nsource = [0.3, 0]")
     text = succeed(run("resample", "model.h5", "new.npz", *options.split()))
-    assert f"frames  {len(times)}\n" in text
+    assert f"frames  {len(times)} (" in text
     assert text.splitlines()[-1].startswith("wrote new.npz (")
     new, model = mixseq.read("new.npz"), mixseq.load("model.h5")
     assert new.times == pytest.approx(np.asarray(times), abs=1e-12)
@@ -89,18 +89,24 @@ def test_a_tolerance(run: Run, bent_bar: MeshSequence) -> None:
 def test_the_table_tells_of_every_end(run: Run) -> None:
     table = succeed(run("resample", "model.h5", "new.npz", "--fps", "8"))
     assert table.splitlines()[:4] == [
-        "frames     3",
+        "frames     3 (0 to 2)",
         "time       0 to 0.25 s at 8 frames per second",
-        "source     0 to 0.25 s",
+        "source     0 to 0.25 s (frames 0 to 2.5)",
         "left over  0.05 s after the last frame, at 0.25 s; frames are at whole multiples of 1/8 s",
     ]
     table = succeed(run("resample", "model.h5", "new.npz", "--start", "0.05", "--reverse"))
     assert table.splitlines()[1:4] == [
         "time       0.1 to 0.3 s at 10 frames per second",
-        "source     0.25 to 0.05 s",
+        "source     0.25 to 0.05 s (frames 2.5 to 0.5)",
         "left over  0.05 s before the first frame, at 0.1 s; frames are at whole multiples of 1/10 s",
     ]
     assert "left over" not in succeed(run("resample", "model.h5", "new.npz", "--fps", "30"))
+
+
+def test_frames_are_a_section(run: Run) -> None:
+    succeed(run("resample", "model.h5", "by_frames.npz", "--frames", "1-2", "--speed", "0.5"))
+    succeed(run("resample", "model.h5", "by_seconds.npz", "--start", "0.1", "--end", "0.2", "--speed", "0.5"))
+    assert Path("by_frames.npz").read_bytes() == Path("by_seconds.npz").read_bytes()
 
 
 def test_quiet(run: Run) -> None:
@@ -169,8 +175,13 @@ def test_velocities_that_cannot_be_held(run: Run, command: str) -> None:
         ("model.h5 old.npz --speed 1e-300", "are 3e.* frames, more than"),
         (
             "model.h5 old.npz --start -1",
-            "time -1 s is outside the sequence, 0 to 0.3 s; models do not extrapolate",
+            r"time -1 s is outside the sequence, 0 to 0.3 s \(frames 0 to 3\); models do not extrapolate$",
         ),
+        ("model.h5 old.npz --end 2", r"models do not extrapolate; frame 2 is at 0\.2 s"),
+        ("model.h5 old.npz --frames 2-5", "there is no frame 5; frames are 0 to 3"),
+        ("model.h5 old.npz --frames 0,2-3", "--frames is one range here"),
+        ("model.h5 old.npz --frames 3-2", "'3-2' is not a range of frames"),
+        ("model.h5 old.npz --frames 1-2 --start 0", "leave out --start"),
         ("model.h5 old.npz --end 1e300", "is outside the sequence, 0 to 0.3 s"),
         ("model.h5 old.npz --start nan", "time nan s is outside"),
         ("model.h5 old.npz --start 0.2 --end 0.1", "no time between the start, 0.2 s, and the end, 0.1 s"),

@@ -195,7 +195,7 @@ def test_contacts_are_told(run: Run, bar: MeshSequence) -> None:
         ("bar.npz large.npz out.npz --map map.txt", "map.txt"),
         ("bar.npz fine.npz out.npz --map missing.npz", "missing.npz"),
         ("bar.npz large.npz out.npz --reverse", "give both, or neither"),
-        ("bar.npz large.npz out.npz --rest 4", "a frame from 0 to 3 is expected"),
+        ("bar.npz large.npz out.npz --rest 4", "there is no frame 4; frames are 0 to 3"),
         ("bar.npz large.npz out.npz --rest other.npz", "give the same mesh"),
         ("bar.npz large.npz out.npz --rest missing.npz", "missing.npz does not exist"),
         ("bar.npz large.npz out.npz --method gradients --parts 2", "leave out --parts"),

@@ -172,7 +172,10 @@ def test_a_model_may_last_longer_than_its_frames(model: Model) -> None:
         ({"fps": np.nan}, "fps is nan"),
         ({"speed": 0}, "speed is 0; a positive number"),
         ({"speed": -1}, "speed is -1"),
-        ({"start": -0.5}, "time -0.5 s is outside the sequence, 0 to 0.8 s; models do not extrapolate"),
+        (
+            {"start": -0.5},
+            r"time -0.5 s is outside the sequence, 0 to 0.8 s \(frames 0 to 8\); models do not extrapolate",
+        ),
         ({"end": 0.9}, "time 0.9 s is outside the sequence, 0 to 0.8 s"),
         ({"end": np.nan}, "time nan s is outside"),
         ({"start": 0.5, "end": 0.4}, "no time between the start, 0.5 s, and the end, 0.4 s"),
