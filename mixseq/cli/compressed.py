@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+import mixseq
 from mixseq.cli.console import format_bytes
 from mixseq.cli.limits import as_bytes
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
-    from mixseq.sequence import SequenceHeader
+    from mixseq.progress import Progress
+    from mixseq.sequence import Frames, SequenceHeader
 
 Rows = list[tuple[str, str]]
 
@@ -70,6 +72,14 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         command(*args, aim=aim, **settings)
 
     return with_options
+
+
+def compressed(frames: Frames, aim: Mapping[str, Any], progress: Progress) -> CompressedSequence:
+    """Compress a sequence to an aim, of which a size is that of the file."""
+    from mixseq_io.hdf5.compressed_writer import room_for_signals
+
+    within = {"size": room_for_signals(frames.header, aim["size"])} if "size" in aim else aim
+    return mixseq.compress(frames, **within, progress=progress)
 
 
 def _check_aim(context: click.Context, names: list[str]) -> None:

@@ -11,7 +11,7 @@ import click
 
 import mixseq
 from mixseq.choices import POSE_FORMS, PoseForm
-from mixseq.cli.compressed import aim_options, coding_facts, coding_rows
+from mixseq.cli.compressed import aim_options, coding_facts, coding_rows, compressed
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
 from mixseq.cli.files import Decoded, check_model_name
 from mixseq.cli.info import dimension_rows
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
     from mixseq.mapping import Executor
     from mixseq.metrics import Comparison
-    from mixseq.sequence import SequenceHeader
     from mixseq.signals import Model
 
 
@@ -111,7 +110,7 @@ def command(
     ):
         model: Model | CompressedSequence
         if aim:
-            model = mixseq.compress(reader, **_within(aim, reader.header), progress=progress)
+            model = compressed(reader, aim, progress)
         else:
             if labels is not None or label_source is not None:
                 fitting = fitting | {
@@ -132,13 +131,6 @@ def command(
             rows["KG error"] = f"{error.kg_percent:.2g} %"
         print_table(rows.items())
     announce(target)
-
-
-def _within(aim: dict[str, Any], header: SequenceHeader) -> dict[str, Any]:
-    """Return the aim for signals: a size is that of the file."""
-    from mixseq_io.hdf5.compressed_writer import room_for_signals
-
-    return {"size": room_for_signals(header, aim["size"])} if "size" in aim else aim
 
 
 def _rows(model: Model | CompressedSequence, path: Path) -> dict[str, str]:

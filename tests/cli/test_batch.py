@@ -113,6 +113,34 @@ def test_done_with_other_settings_is_not_done(arguments: list[str]) -> None:
 
 
 @pytest.mark.usefixtures("shots")
+@pytest.mark.parametrize("aim", [("--max-error", "0.003"), ("--kg", "2"), ("--size", "20kB")])
+def test_assets_are_compressed(aim: tuple[str, str], bent_bar: MeshSequence) -> None:
+    arguments = ["batch", "shots", "--out", "models", *aim]
+    CliRunner().invoke(main, arguments, catch_exceptions=False)
+    assert states() == {"one.npz": "done", "three.npz": "failed", "two.usdc": "done"}
+    found = mixseq.verify("models/one.h5", bent_bar)
+    assert found.holds
+    (stored, *_) = json.loads(Path("models/report.json").read_text())["assets"]
+    assert stored["max_error"] == pytest.approx(found.max_error, rel=1e-6)
+    assert stored["bytes"] <= 20_000
+    before = times()
+    CliRunner().invoke(main, arguments, catch_exceptions=False)
+    assert times() == before
+    CliRunner().invoke(main, [*arguments[:-2], "--max-error", "0.02"], catch_exceptions=False)
+    assert times() != before
+
+
+@pytest.mark.usefixtures("shots")
+def test_progress_tells_which_asset_it_is() -> None:
+    told: list[str] = []
+    assets = plan(find_sources([Path("shots")]), Path("models").resolve(), {})
+    Path("models").mkdir()
+    work = in_turn(serially, lambda done, total, what: told.append(what))
+    list(work(SETTINGS, assets))
+    assert {line.partition(":")[0] for line in told} == {"asset 1 of 3, one", "asset 3 of 3, two"}
+
+
+@pytest.mark.usefixtures("shots")
 def test_interrupted_and_continued(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, calls = mixseq.fit, []
 
@@ -292,6 +320,8 @@ def test_a_source_is_no_target(tmp_path: Path) -> None:
         ("shots none.npz --out models", "none.npz does not exist"),
         ("empty --out models", "empty: there are no sequences in this folder"),
         ("shots --out models --exact --rank 3", "--exact, --tolerance and --rank exclude each other"),
+        ("shots --out models --kg 1 --size 1MB", "give one of --kg and --size"),
+        ("shots --out models --kg 1 --exact", "--exact is for models that are not compressed"),
         ("shots --out shots/one.npz", "one.npz is a file; give the name of a folder"),
         ("shots --out none/models", "cannot make the folder none/models: No such file"),
         ("shots --out models --animation Run", "none of the sequences is read with an option 'animation'"),

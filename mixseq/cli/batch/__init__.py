@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mixseq.cli.compressed import aim_options
 from mixseq.cli.console import print_table, progress_bar, say
 from mixseq.cli.files import options_of
 from mixseq.cli.options import FILE, examples, fit_options, quiet_option, reader_options, workers_options
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
     epilog=examples(
         "mixseq batch shots/*.usdc --out models",
         "mixseq batch shots --out models --tolerance 0.001",
+        "mixseq batch shots --out small --max-error 0.001",
         "mixseq batch shots --out models --cluster tcp://host:8786",
     ),
 )
 @click.argument("caches", nargs=-1, required=True, type=FILE)
 @click.option("--out", required=True, type=FILE, metavar="FOLDER", help="Folder for models and report.")
 @click.option("--force", is_flag=True, help="Encode everything again, also what is done.")
+@aim_options
 @fit_options
 @workers_options
 @reader_options
@@ -42,6 +45,7 @@ def command(
     caches: tuple[Path, ...],
     out: Path,
     force: bool,
+    aim: dict[str, Any],
     fitting: dict[str, Any],
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
@@ -55,6 +59,8 @@ def command(
 
     The same command goes on where it was interrupted, and does again only what failed or has changed. Files in the
     folder that no batch has made are not replaced unless --overwrite says so, or you on a terminal.
+
+    With --max-error, --kg or --size every model is compressed, each of them so far, see "mixseq encode".
     """
     if fitting["exact"] + (fitting["tolerance"] is not None) + (fitting["rank"] is not None) > 1:
         raise SettingsError("--exact, --tolerance and --rank exclude each other; give one of them")
@@ -68,7 +74,7 @@ def command(
     read_with = {
         name: str(value.resolve()) if isinstance(value, Path) else value for name, value in reading.items()
     }
-    settings = {**fitting, "reading": read_with}
+    settings = {**({"aim": aim} if aim else fitting), "reading": read_with}
     earlier = read_report(out).without_lost()
     names = {source: Path(entry.target).name for source, entry in earlier.entries.items()}
     assets = plan(find_sources(caches), out, names)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import mixseq
 from mixseq.cli.batch.plan import Asset
 from mixseq.cli.batch.report import Entry, Report, write_report
+from mixseq.cli.compressed import compressed
 from mixseq.cli.files import Decoded, options_of
 from mixseq.errors import GivenUpError, MixseqError, MixseqWarning, OutputError
 from mixseq.progress import Progress, silent
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from mixseq.mapping import Executor
 
 Settings = Mapping[str, Any]
-"""The settings of `mixseq.fit`, and under ``reading`` those of the readers; all of them can be written as JSON."""
+"""The settings of `mixseq.fit`, or under ``aim`` those of `mixseq.compress`, and under ``reading`` those of the
+readers; all of them can be written as JSON."""
 
 Work = Callable[[Settings, Iterable[Asset]], Iterator[tuple[Asset, Callable[[], Entry]]]]
 """Yields assets as they are done, with a function that returns what became of each."""
@@ -113,8 +115,10 @@ def in_turn(workers: Executor, progress: Progress) -> Work:
     """Return what encodes assets here, one after the other, the frames of each spread over `workers`."""
 
     def work(settings: Settings, assets: Iterable[Asset]) -> Iterator[tuple[Asset, Callable[[], Entry]]]:
-        for asset in assets:
-            entry = encode_asset(settings, asset, workers, _naming(asset, progress))
+        left = list(assets)
+        for number, asset in enumerate(left, start=1):
+            place = f"asset {number} of {len(left)}, {asset.target.stem}"
+            entry = encode_asset(settings, asset, workers, _naming(place, progress))
             yield asset, lambda entry=entry: entry  # type: ignore[misc]
 
     return work
@@ -133,8 +137,8 @@ def on_cluster(cluster: Cluster, progress: Progress) -> Work:
     return work
 
 
-def _naming(asset: Asset, progress: Progress) -> Progress:
-    return lambda done, total, what: progress(done, total, f"{asset.target.stem}: {what}")
+def _naming(place: str, progress: Progress) -> Progress:
+    return lambda done, total, what: progress(done, total, f"{place}: {what}")
 
 
 def encode_asset(
@@ -169,7 +173,7 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
 
     mapped = workers or serially
     reading = options_of(asset.source, settings["reading"])
-    fitting = {name: value for name, value in settings.items() if name != "reading"}
+    fitting = {name: value for name, value in settings.items() if name not in ("reading", "aim")}
     unfinished = asset.target.parent / UNFINISHED
     unfinished.mkdir(exist_ok=True)
     with (
@@ -178,7 +182,10 @@ def _encode(settings: Settings, asset: Asset, workers: Executor | None, progress
     ):
         file = Path(folder) / asset.target.name
         start = perf_counter()
-        mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
+        if "aim" in settings:
+            mixseq.save(file, compressed(reader, settings["aim"], progress))
+        else:
+            mixseq.save(file, mixseq.fit(reader, **fitting, progress=progress, workers=mapped))
         seconds = perf_counter() - start
         error = mixseq.compare(reader, Decoded(mixseq.load(file), progress, mapped))
         size = file.stat().st_size
