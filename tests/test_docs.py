@@ -97,6 +97,11 @@ BROUGHT = {
     "lion.npz tall.obj wolf.glb horse.glb pairs.txt feet.json man.glb painted.ply decoded.usdc",
     "docs/file-format.md": "walk.h5",
     "docs/formats.md": "robot.glb long.usdc man.usdz",
+    "docs/how-to/blender.md": "shot.usdc shot.abc",
+    "docs/how-to/houdini.md": "shot.usdc shot.abc",
+    "docs/how-to/maya.md": "shot.usdc shot.abc",
+    "docs/how-to/unreal-unity.md": "shot.abc",
+    "docs/how-to/web.md": "shot.glb",
     "docs/index.md": "shot.usdc",
     "docs/scale.md": "long.usdc walk.h5",
     "docs/segmentation.md": "man.glb npz/horse_gallop.npz npz/q_horse_gallop.npz npz/fox_run.npz "
@@ -121,6 +126,8 @@ NOT_RUN = {
 NO_CODE = {
     "docs/architecture.md": 3,  # diagrams
     "docs/cli.md": 1,  # the form of commands
+    "docs/how-to/blender.md": 2,  # scripts for Blender
+    "docs/how-to/maya.md": 2,  # scripts for Maya
     "docs/file-format.md": 2,  # formulas of decoders, see tests/coding
     "docs/transfer.md": 2,  # a file of markers, and a report that is printed
 }
