@@ -51,10 +51,11 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="Alembic",
         extensions=(".abc",),
-        holds=Holds(animation="point samples, transforms", velocities=True),
+        holds=Holds(animation="point samples, transforms", velocities=True, materials="carried along"),
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
+        write_options={"flatten": _FLATTEN, "onto": _ONTO},
         signatures=(b"Ogawa", b"\x89HDF\r\n\x1a\n"),
         isolated=True,
     ),

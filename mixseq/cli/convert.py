@@ -48,9 +48,9 @@ def command(
     block at a time, so sequences may be larger than memory. What TARGET's format cannot hold is told in a
     warning.
 
-    A USD or glTF file that comes from one of its kind builds on it: USD as a layer over SOURCE, which must stay where
-    it is, glTF as a copy with new points, so that materials and everything else stay. --flatten writes meshes that
-    stand alone.
+    A USD, Alembic or glTF file that comes from one of its kind builds on it: USD as a layer over SOURCE, which must
+    stay where it is, the others as a copy with new points, so that materials, cameras and everything else stay.
+    --flatten writes meshes that stand alone.
     """
     claim(target)
     with progress_bar(quiet) as progress, mixseq.open_sequence(source, **reading) as reader:

@@ -102,7 +102,7 @@ def writer_options(command: Command) -> Command:
     """Add the options of the formats' writers; the command gets those that are given as ``writing``."""
 
     @click.option(
-        "--flatten", is_flag=True, help="Write USD or glTF that does not build on the original file."
+        "--flatten", is_flag=True, help="Write USD, Alembic or glTF that does not build on the original file."
     )
     @setting(
         "--keep-start",

@@ -19,6 +19,10 @@ from mixseq_io.blocks import warn
 from mixseq_io.choosing import SceneObject, chosen, listed, moving
 
 _MOST_OBJECTS = 1_000_000
+LAID_OVER = "mixseq_laid_over"
+"""Metadata of meshes that we laid over an archive: frames are at the times of their points, whatever moves above them,
+and velocities are rates of the points in the space of the mesh."""
+
 _DEEPEST = 200
 """Deeper than any scene; instances of what they lie in would nest without end."""
 
@@ -64,6 +68,11 @@ class Mesh:
         return bool(AbcGeom.ISubD.matches(self.node.getMetaData()))
 
     @property
+    def laid_over(self) -> bool:
+        """Whether we laid its points over an archive."""
+        return bool(self.node.getMetaData().get(LAID_OVER))
+
+    @property
     def moves(self) -> bool:
         """Whether its points have several samples, be they equal, or a transform above it changes."""
         sampled = self.schema.getPositionsProperty().getNumSamples() > 1
@@ -94,7 +103,7 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
     MixseqWarning
         If meshes are left out because they stand still, or are hidden at times.
     """
-    meshes, others = _find(path, archive)
+    meshes, others = find_meshes(path, archive)
     if not meshes:
         found = (
             ", ".join(f"{count} {kind}" for kind, count in sorted(others.items())) or "nothing else either"
@@ -116,7 +125,7 @@ def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
     return picked
 
 
-def _find(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
+def find_meshes(path: Path, archive: Any) -> tuple[list[Mesh], Counter[str]]:
     """Return all meshes that have points, and how many objects of other kinds there are."""
     meshes: list[Mesh] = []
     others: Counter[str] = Counter()

@@ -35,6 +35,7 @@ __all__ = [
     "length",
     "open_archive",
     "selector",
+    "stored_array",
     "values",
 ]
 
@@ -97,10 +98,15 @@ def values(array: Any, sample: int, room: int) -> NDArray[Any]:
     FormatError
         If the array claims to be larger.
     """
+    return np.array(stored_array(array, sample, room))
+
+
+def stored_array(array: Any, sample: int, room: int) -> Any:
+    """Return what `values` does as an array of imath."""
     count = length(array, sample)
     if count * array.getDataType().getNumBytes() > room:
         raise FormatError(f"an array claims {count} values, more than the file can hold; it is damaged")
-    return np.array(array.getValue(selector(array, sample)))
+    return array.getValue(selector(array, sample))
 
 
 def array_of(kind: Any, rows: ArrayLike) -> Any:

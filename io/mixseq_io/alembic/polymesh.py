@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, Index
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons, reversed_corners
@@ -71,14 +71,7 @@ def read_scene_mesh(source: Source) -> SceneMesh:
         If it has several sets of texture coordinates, or what is on it does not fit it.
     """
     schema, mesh = source.mesh.schema, source.mesh
-    stored = Polygons(
-        _constant(source, schema.getFaceCountsProperty()), _constant(source, schema.getFaceIndicesProperty())
-    )
-    order = (
-        np.arange(stored.indices.size)
-        if source.mirrored
-        else reversed_corners(stored.counts, keep_first=False)
-    )
+    stored, order = stored_polygons(source)
     polygons = Polygons(stored.counts, stored.indices[order])
     uvs, hard_edges = _texture_coordinates(source, stored), None
     if not mesh.subdivided:
@@ -95,6 +88,17 @@ def read_scene_mesh(source: Source) -> SceneMesh:
         face_sets=_face_sets(source, len(stored.counts)),
         subdivision=_scheme(source) if mesh.subdivided else "none",
     )
+
+
+def stored_polygons(source: Source) -> tuple[Polygons, Index]:
+    """Return the polygons as the file has them, and its corner for each of theirs in our direction."""
+    schema = source.mesh.schema
+    stored = Polygons(
+        _constant(source, schema.getFaceCountsProperty()), _constant(source, schema.getFaceIndicesProperty())
+    )
+    if source.mirrored:
+        return stored, np.arange(stored.indices.size)
+    return stored, reversed_corners(stored.counts, keep_first=False)
 
 
 def _constant(source: Source, array: Any) -> NDArray[np.int32]:

@@ -1,7 +1,8 @@
 """Alembic, reading: the points of the meshes of an archive over time, in world space (.abc).
 
 Frames are all times at which the points, or a transform above them, have a sample; what has none there is interpolated
-linearly. Points are float32, which is Alembic's precision. Alembic has no units and no up axis: tools take it for Y up.
+linearly. Where we laid points over an archive, frames are at their times only. Points are float32, which is Alembic's
+precision. Alembic has no units and no up axis: tools take it for Y up.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -19,8 +20,10 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import SequenceHeader
+from mixseq.surface import Origin
 from mixseq_io.alembic.archive_meshes import Mesh, choose_meshes
 from mixseq_io.alembic.library import ERRORS, length, open_archive, values
+from mixseq_io.alembic.placing import Placing
 from mixseq_io.alembic.polymesh import Source, read_scene_mesh
 from mixseq_io.alembic.samples import (
     SAME_TIME,
@@ -64,14 +67,16 @@ def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
         meshes = choose_meshes(path, archive, prim)
         frames = _frames(meshes)
         room = path.stat().st_size
-        animated_meshes = _animated_meshes(path, room, meshes, frames)
-        polygons, surface = join([read_scene_mesh(animated.source) for animated in animated_meshes], None)
         metadata = archive.getTop().getMetaData()
+        fps = frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit"))
+        animated_meshes = _animated_meshes(path, room, meshes, frames, fps)
+        origin = Origin("Alembic", str(path.resolve()))
+        polygons, surface = join([read_scene_mesh(animated.source) for animated in animated_meshes], origin)
         header = SequenceHeader(
             polygons=polygons,
             vertex_count=animated_meshes[-1].source.vertices.stop,
             times=frames,
-            fps=frame_rate(frames, metadata.get("_ai_DCC_FPS") or metadata.get("FramesPerTimeUnit")),
+            fps=fps,
             name=common_name([mesh.place for mesh in meshes]) or path.stem,
             surface=surface,
         )
@@ -85,6 +90,7 @@ class _AnimatedMesh:
     source: Source
     samples: SampleWeights
     transforms: Transforms
+    placing: Placing | None = None  # of a mesh laid over an archive whose transforms move
 
     def place(self, frame: int) -> str:
         """Name a frame in a message."""
@@ -122,14 +128,19 @@ class _AlembicReader(SequenceReader):
 
 def _frames(meshes: list[Mesh]) -> Float:
     """Return the times at which something changes; if nothing does, those of the samples that are there."""
-    points = [mesh.schema.getPositionsProperty() for mesh in meshes]
+    laid_over = [mesh for mesh in meshes if mesh.laid_over]
+    points = [mesh.schema.getPositionsProperty() for mesh in laid_over or meshes]
+    if laid_over:
+        return joined([sample_times(each) for each in points], SAME_TIME)
     transforms = [schema for mesh in meshes for schema in mesh.above]
     changing = [each for each in (*points, *transforms) if not each.isConstant()]
     longest = max(points, key=lambda each: int(each.getNumSamples()))
     return joined([sample_times(each) for each in changing or [longest]], SAME_TIME)
 
 
-def _animated_meshes(path: Path, room: int, meshes: list[Mesh], frames: Float) -> list[_AnimatedMesh]:
+def _animated_meshes(
+    path: Path, room: int, meshes: list[Mesh], frames: Float, fps: float
+) -> list[_AnimatedMesh]:
     animated_meshes, vertex = [], 0
     for mesh in meshes:
         points, transforms = mesh.schema.getPositionsProperty(), Transforms.at(mesh.above, frames)
@@ -140,9 +151,10 @@ def _animated_meshes(path: Path, room: int, meshes: list[Mesh], frames: Float) -
                 f"{path}: {mesh.path} claims {end - vertex} vertices, more than the file can hold"
             )
         mirrored = determinant(transforms.to_world(0)) < 0
-        animated_meshes.append(
-            _AnimatedMesh(Source(path, room, mesh, slice(vertex, end), mirrored, frames), samples, transforms)
-        )
+        source = Source(path, room, mesh, slice(vertex, end), mirrored, frames)
+        still = all(schema.isConstant() for schema in mesh.above)
+        placing = None if still or not mesh.laid_over else Placing.at(mesh.above, frames, fps)
+        animated_meshes.append(_AnimatedMesh(source, samples, transforms, placing))
         vertex = end
     return animated_meshes
 
@@ -182,9 +194,11 @@ def _world_velocities(animated: _AnimatedMesh, frame: int) -> NDArray[np.float32
     velocities = animated.source.mesh.schema.getVelocitiesProperty()
     if not velocities.valid():  # a mesh that stands still
         return np.zeros((animated.source.vertices.stop - animated.source.vertices.start, 3), np.float32)
-    return moved(
-        _sampled(animated, velocities, frame, "velocities"), animated.transforms.to_world(frame)[:3, :3]
-    )
+    own = _sampled(animated, velocities, frame, "velocities")
+    if animated.placing is None:
+        return moved(own, animated.transforms.to_world(frame)[:3, :3])
+    points = animated.source.mesh.schema.getPositionsProperty()
+    return animated.placing.world_velocities(own, _sampled(animated, points, frame, "points"), frame)
 
 
 def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
@@ -203,7 +217,7 @@ def _have_velocities(path: Path, animated_meshes: list[_AnimatedMesh]) -> bool:
             problem = "are not sampled at the times of the points"
         elif length(velocities, 0) != animated.source.vertices.stop - animated.source.vertices.start:
             problem = f"are {length(velocities, 0)}, not as many as its points"
-        elif not all(schema.isConstant() for schema in mesh.above):
+        elif not (mesh.laid_over or all(schema.isConstant() for schema in mesh.above)):
             problem = "are those under a transform that moves, too"
         elif mesh.moves and not animated.samples.exact:
             problem = "are not sampled in every frame"

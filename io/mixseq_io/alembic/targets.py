@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,8 +12,10 @@ import numpy as np
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
 from mixseq.polygons import reversed_corners
+from mixseq.sequence import SequenceHeader
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, array_of, imath
-from mixseq_io.scene_meshes import SceneMesh
+from mixseq_io.alembic.object_paths import Place, object_places, unique_names
+from mixseq_io.scene_meshes import SceneMesh, split
 
 _SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
@@ -27,21 +29,21 @@ class Target:
     ----------
     scene_mesh : SceneMesh
         The mesh.
-    name : str
-        Its name in the file.
+    place : Place
+        Where it is in the file.
     """
 
     scene_mesh: SceneMesh
-    name: str
+    place: Place
 
     @property
     def subdivided(self) -> bool:
         """Whether it becomes a SubD, which has no normals."""
         return self.scene_mesh.subdivision != "none"
 
-    def make(self, parent: Any, sampling: int) -> Any:
-        """Make the object and its face sets; `write` adds the samples."""
-        mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.name, sampling)
+    def make(self, parent: Any, sampling: int) -> MadeMesh:
+        """Make the object and its face sets, without samples."""
+        mesh = (AbcGeom.OSubD if self.subdivided else AbcGeom.OPolyMesh)(parent, self.place[-1], sampling)
         sets = self.scene_mesh.face_sets
         together = np.concatenate([each.polygons for each in sets]) if sets else np.zeros(0)
         exclusive = len(np.unique(together)) == len(together)
@@ -53,33 +55,9 @@ class Target:
                 node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
             if each.material:
                 AbcMaterial.addMaterialAssignment(node, each.material)
-        return mesh
+        return MadeMesh(self, mesh)
 
-    def write(self, mesh: Any, points: FloatArray, velocities: FloatArray | None) -> None:
-        """Add samples for a block of frames.
-
-        Parameters
-        ----------
-        mesh : OPolyMesh or OSubD
-            What `make` made.
-        points, velocities : (B, V, 3) float32
-            The frames of the whole sequence.
-        """
-        schema, own = mesh.getSchema(), points[:, self.scene_mesh.vertices]
-        for frame, rows in enumerate(own):
-            # A sample only points to its arrays: they must stay until it is set.
-            positions, speeds, normals = array_of(imath.V3fArray, rows), None, None
-            sample = self._sample(positions, complete=not schema.getNumSamples())
-            if velocities is not None:
-                speeds = array_of(imath.V3fArray, velocities[frame, self.scene_mesh.vertices])
-                sample.setVelocities(speeds)
-            if self.scene_mesh.hard_edges is not None and not self.subdivided:
-                shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
-                normals = array_of(imath.V3fArray, shared)
-                sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._groups, _CORNERS))
-            schema.set(sample)
-
-    def _sample(self, positions: Any, complete: bool) -> Any:
+    def sample(self, positions: Any, complete: bool) -> Any:
         """Return a sample of points; a complete one has everything that does not change."""
         sample = AbcGeom.OSubDSchemaSample() if self.subdivided else AbcGeom.OPolyMeshSchemaSample()
         sample.setPositions(positions)
@@ -91,6 +69,15 @@ class Target:
             if self.scene_mesh.uvs is not None:
                 sample.setUVs(AbcGeom.OV2fGeomParamSample(self._uv_values, self._uv_indices, _CORNERS))
         return sample
+
+    def add_normals(self, sample: Any, rows: FloatArray) -> Any:
+        """Add normals of points ``(V, 3)``, if there are hard edges; return what must stay until the sample is set."""
+        if self.scene_mesh.hard_edges is None or self.subdivided:
+            return None
+        shared = shared_normals(rows[None], self.scene_mesh.polygons, self.scene_mesh.hard_edges)[0]
+        normals = array_of(imath.V3fArray, shared)
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(normals, self._groups, _CORNERS))
+        return normals
 
     @cached_property
     def _order(self) -> IntArray:
@@ -123,44 +110,74 @@ class Target:
         scene_mesh = self.scene_mesh
         normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
         uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
-        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + _PER_SAMPLE
-        sets = sum(4 * each.polygons.size + _PER_OBJECT for each in scene_mesh.face_sets)
+        per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + PER_SAMPLE
+        sets = sum(4 * each.polygons.size + PER_OBJECT for each in scene_mesh.face_sets)
         once = (
             12 * scene_mesh.polygons.indices.size
             + 4 * scene_mesh.polygons.counts.size
             + 8 * uvs
             + sets
-            + _PER_OBJECT
+            + PER_OBJECT
         )
         return frames * per_frame + once
 
 
-_PER_SAMPLE = 300
-"""Bytes of keys, sizes, places and bounds of one frame."""
-_PER_OBJECT = 8000
-"""Bytes of names and headers."""
+@dataclass(frozen=True, eq=False)
+class MadeMesh:
+    """A mesh in the file, which gets its samples.
 
-
-def valid_name(name: str) -> str:
-    """Return a name that an object can have: any but an empty one, without slashes."""
-    return name.replace("/", "_") or "mesh"
-
-
-def unique_names(names: Iterable[str]) -> list[str]:
-    """Return valid names, those that occur again with a number.
-
-    Examples
-    --------
-    >>> unique_names(["a", "a/b", "a", "a_2"])
-    ['a', 'a_b', 'a_2', 'a_2_2']
+    Parameters
+    ----------
+    target : Target
+        What is written.
+    mesh : OPolyMesh or OSubD
+        The object.
     """
-    taken: dict[str, None] = {}
-    numbers: dict[str, int] = {}
-    for name in map(valid_name, names):
-        number, free = numbers.get(name, 1), name
-        while free in taken:
-            number += 1
-            free = f"{name}_{number}"
-        numbers[name] = number
-        taken[free] = None
-    return list(taken)
+
+    target: Target
+    mesh: Any
+
+    def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
+        """Add samples for a block of frames.
+
+        Parameters
+        ----------
+        first : int
+            The first of them.
+        points, velocities : (B, V, 3) float32
+            The frames of the whole sequence.
+        """
+        schema, vertices = self.mesh.getSchema(), self.target.scene_mesh.vertices
+        for frame, rows in enumerate(points[:, vertices]):
+            # A sample only points to its arrays: they must stay until it is set.
+            positions, speeds = array_of(imath.V3fArray, rows), None
+            sample = self.target.sample(positions, complete=not schema.getNumSamples())
+            if velocities is not None:
+                speeds = array_of(imath.V3fArray, velocities[frame, vertices])
+                sample.setVelocities(speeds)
+            normals = self.target.add_normals(sample, rows)
+            schema.set(sample)
+            del speeds, normals
+
+
+def make_targets(header: SequenceHeader) -> list[Target]:
+    """Return what is to be written of a sequence that stands alone."""
+    scene_meshes = split(header)
+    return list(map(Target, scene_meshes, object_places(header, scene_meshes)))
+
+
+def make_meshes(top: Any, targets: Sequence[Target], sampling: int) -> list[MadeMesh]:
+    """Make all meshes below transforms that do nothing."""
+    made: dict[Place, Any] = {(): top}
+    for target in targets:
+        for end in range(1, len(target.place)):
+            place = target.place[:end]
+            if place not in made:
+                made[place] = AbcGeom.OXform(made[place[:-1]], place[-1])
+    return [target.make(made[target.place[:-1]], sampling) for target in targets]
+
+
+PER_SAMPLE = 300
+"""Bytes of keys, sizes, places and bounds of one frame."""
+PER_OBJECT = 8000
+"""Bytes of names and headers."""

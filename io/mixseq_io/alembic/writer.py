@@ -1,9 +1,9 @@
-"""Alembic, writing: an Ogawa file with one mesh per object of the sequence (.abc).
+"""Alembic, writing: Ogawa files (.abc).
 
-A mesh is below a transform of its name that does nothing, ``/<name>/<name>``; several are below one more,
-``/<name>/<object>/<object>``, because tools name what they import by the transforms. Meshes to be subdivided are
-SubDs, the others PolyMeshes; points are float32. Texture coordinates are at the corners, with indices; normals at the
-corners, frame by frame, where there are hard edges. Materials of face sets are assigned as Alembic assigns them.
+A sequence that was read from an archive is written as a copy of it with new points (`overlay`). Other sequences are
+written alone (`targets`), with one mesh per object: those to be subdivided are SubDs, the others PolyMeshes; points are
+float32. Texture coordinates are at the corners, with indices; normals at the corners, frame by frame, where there are
+hard edges. Materials of face sets are assigned as Alembic assigns them.
 
 Specification: https://docs.alembic.io/reference/index.html
 """
@@ -21,16 +21,18 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import FormatError, OutputError
+from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
-from mixseq_io.alembic.library import ERRORS, Abc, AbcCoreAbstract, AbcGeom, open_archive
-from mixseq_io.alembic.targets import Target, unique_names, valid_name
+from mixseq_io.alembic.library import ERRORS, Abc, AbcCoreAbstract, open_archive
+from mixseq_io.alembic.object_paths import valid_name
+from mixseq_io.alembic.original import Original, open_original
+from mixseq_io.alembic.overlay import MovedMesh, largest_size, lay_over
+from mixseq_io.alembic.targets import MadeMesh, Target, make_meshes, make_targets
 from mixseq_io.atomic import replacing
-from mixseq_io.blocks import Numbered, as_float32, checked
+from mixseq_io.blocks import Numbered, as_float32, checked, warn
 from mixseq_io.losses import lost_scale, warn_of_losses
 from mixseq_io.reader import brief
-from mixseq_io.scene_meshes import split
 
 _ERRORS: tuple[type[Exception], ...] = (*ERRORS, FormatError)
 
@@ -40,6 +42,8 @@ def write_alembic(
     header: SequenceHeader,
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
+    flatten: bool = False,
+    onto: str | os.PathLike[str] | None = None,
 ) -> None:
     """Write an Alembic file.
 
@@ -49,26 +53,40 @@ def write_alembic(
         The file.
     header, blocks, velocities
         See `mixseq_io.write_blocks`.
+    flatten : bool
+        Write the sequence alone. By default, everything else of the archive that it came from is taken along.
+    onto : path-like, optional
+        The archive whose cameras, transforms and other objects are taken along, in place of that one.
 
     Raises
     ------
     OutputError
-        If the file cannot be written.
+        If the file cannot be written, or is the one that everything else comes from; or if `onto` cannot be read or has
+        other meshes.
     InvalidSequenceError
         If points or velocities are too large for float32.
+    SettingsError
+        If both `flatten` and `onto` are given.
 
     Warns
     -----
     MixseqWarning
-        If the sequence has units, an up axis, names, or hard edges of subdivided meshes, which Alembic cannot hold.
+        If the sequence has units, an up axis, names, or hard edges of subdivided meshes, which Alembic cannot hold; if
+        the archive that it came from is not there any more or has other meshes; see also `lay_over`.
     """
-    targets = _targets(header)
+    if flatten and onto is not None:
+        raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
+    original = None if flatten else _original(path, header, onto)
+    targets = [] if original else make_targets(header)
+    moving = velocities is not None
     with replacing(path) as temporary:
         _, numbered = checked(header, blocks, velocities)
         warn_of_losses(path, "Alembic files", _losses(header, targets))
-        size = sum(target.largest_size(header.frame_count, velocities is not None) for target in targets)
-        _check_room(temporary, size)
-        _write(path, temporary, header, targets, numbered)
+        if original:
+            _check_room(temporary, largest_size(original, header, moving))
+        else:
+            _check_room(temporary, sum(each.largest_size(header.frame_count, moving) for each in targets))
+        _write(path, temporary, header, original or targets, numbered, moving)
         with _writing(path):
             open_archive(temporary)
 
@@ -82,39 +100,51 @@ def _writing(path: Path) -> Iterator[None]:
         raise OutputError(f"cannot write {path}: {brief(error)}; check the disk and the path") from error
 
 
-def _targets(header: SequenceHeader) -> list[Target]:
-    scene_meshes = split(header)
-    names = (
-        [header.name]
-        if len(scene_meshes) == 1
-        else unique_names(scene_mesh.name for scene_mesh in scene_meshes)
-    )
-    return [
-        Target(scene_mesh, valid_name(name)) for scene_mesh, name in zip(scene_meshes, names, strict=True)
-    ]
+def _original(path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None) -> Original | None:
+    """Return the archive that the sequence is laid over, None if there is none."""
+    if onto is not None:
+        file = Path(onto)
+    elif header.surface.origin is not None and header.surface.origin.format == "Alembic":
+        file = Path(header.surface.origin.path)
+    else:
+        return None
+    if path.exists() and file.exists() and path.samefile(file):
+        raise OutputError(f"{path} is the original and would be lost; write to another name")
+    try:
+        return open_original(file, header)
+    except (FormatError, InvalidSequenceError) as error:
+        if onto is not None:
+            raise OutputError(f"cannot write {path} onto another file: {error}") from error
+        warn(
+            f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
+        )
+        return None
 
 
 def _write(
     path: Path,
     temporary: Path,
     header: SequenceHeader,
-    targets: Sequence[Target],
+    source: Original | Sequence[Target],
     numbered: Iterable[Numbered],
+    velocities: bool,
 ) -> None:
     """Write everything. The library completes the file when the last of its objects is gone, at the return."""
     with _writing(path):
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
         sampling = archive.addTimeSampling(_time_sampling(header))
-        root = AbcGeom.OXform(archive.getTop(), valid_name(header.name))
-        parents = [root] if len(targets) == 1 else [AbcGeom.OXform(root, target.name) for target in targets]
-        meshes = [target.make(parent, sampling) for target, parent in zip(targets, parents, strict=True)]
+        meshes: Sequence[MovedMesh | MadeMesh] = (
+            lay_over(archive, path, source, header, sampling, velocities)
+            if isinstance(source, Original)
+            else make_meshes(archive.getTop(), source, sampling)
+        )
     for first, block, speeds in numbered:
         points = as_float32(block, first, "Alembic", header=header)
         of = "the velocity of vertex"
         moving = None if speeds is None else as_float32(speeds, first, "Alembic", of, header)
         with _writing(path):
-            for target, mesh in zip(targets, meshes, strict=True):
-                target.write(mesh, points, moving)
+            for mesh in meshes:
+                mesh.write(first, points, moving)
 
 
 def _time_sampling(header: SequenceHeader) -> Any:
@@ -149,6 +179,8 @@ def _losses(header: SequenceHeader, targets: Sequence[Target]) -> list[str]:
     lost = lost_scale(header, moving=False)
     if any(each.subdivided and each.scene_mesh.hard_edges is not None for each in targets):
         lost.append("hard edges of subdivided meshes")
-    names = {header.name, *(target.scene_mesh.name for target in targets if len(targets) > 1)}
+    names = (
+        {header.name, *(target.scene_mesh.name for target in targets if len(targets) > 1)} if targets else ()
+    )
     changed = sorted(repr(name) for name in names if valid_name(name) != name)
     return [*lost, f"the names {', '.join(changed)}"] if changed else lost

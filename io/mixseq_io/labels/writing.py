@@ -72,7 +72,9 @@ def write_labels(
     sets = tuple(FaceSet(name, np.flatnonzero(of_polygon == part)) for part, name in enumerate(labels.names))
     kept = tuple(each for each in header.surface.face_sets if each.material)
     surface = replace(header.surface, face_sets=kept + tuple(each for each in sets if each.polygons.size))
-    write_blocks(file, replace(header, surface=surface), *_values(sequence))
+    points, velocities = _values(sequence)
+    alone = {"flatten": True} if form == "Alembic" else {}  # a copy of the original would have its face sets
+    write_blocks(file, replace(header, surface=surface), points, velocities, **alone)
 
 
 def check_holds_labels(path: PathLike) -> str:

@@ -1,0 +1,158 @@
+"""A copy of an archive, object by object and property by property, but for the points of some meshes.
+
+What an object is, a camera, curves, a transform, follows from the names and types of its properties. So these are
+copied as they are stored, with their metadata and the times of their samples. Instances stay instances.
+
+Specification: https://docs.alembic.io/reference/index.html (``Abc``)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Any
+
+from mixseq_io.alembic.archive_meshes import LAID_OVER
+from mixseq_io.alembic.library import Abc, AbcCoreAbstract, selector, stored_array
+from mixseq_io.alembic.samples import sample_times
+
+_SCHEMA = ".geom"
+"""What all kinds of meshes have their properties in."""
+
+_OF_POINTS = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
+"""What a mesh with other points has of its own: the points, and what depends on them."""
+
+_OF_CHILDREN = frozenset([".childBnds"])
+_OF_THE_ARCHIVE = re.compile(r"\.childBnds|statistics|\d+\.samples")
+"""What the top object tells of all others; of a copy with other points it would be wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class Copied:
+    """What became of the objects of an archive.
+
+    Parameters
+    ----------
+    schemas : dict of str to OCompoundProperty
+        Of the meshes that get other points, by path: where these go.
+    moving : dict of str to (float, float)
+        Paths of the objects with something that changes, and its first and last time in seconds.
+    lost : list of str
+        Paths of what the library cannot copy, ``/rig/hair.tint``.
+    """
+
+    schemas: dict[str, Any] = field(default_factory=dict)
+    moving: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lost: list[str] = field(default_factory=list)
+
+
+def copy_archive(source: Any, target: Any, moved: Collection[str], room: int) -> Copied:
+    """Copy all objects of an archive.
+
+    Parameters
+    ----------
+    source : IArchive
+        The archive.
+    target : OArchive
+        The new one.
+    moved : collection of str
+        Paths of the meshes that get other points: these are not copied, nor normals, velocities and bounds.
+    room : int
+        Size of the source in bytes, see `mixseq_io.alembic.library.values`.
+    """
+    return _Copier(target, moved, room).copy(source.getTop())
+
+
+class _Copier:
+    def __init__(self, target: Any, moved: Collection[str], room: int) -> None:
+        self._target, self._moved, self._room = target, moved, room
+        self._above = _at_or_above(moved)
+        self._copied = Copied()
+
+    def copy(self, top: Any) -> Copied:
+        new = self._target.getTop()
+        for header in top.getProperties().propertyheaders:
+            if not _OF_THE_ARCHIVE.fullmatch(header.getName()):
+                self._property("/", header, top.getProperties(), new.getProperties(), frozenset())
+        made, instances, stack = {}, [], [(top, new)]
+        while stack:
+            node, parent = stack.pop()
+            for child in [node.getChild(index) for index in range(node.getNumChildren())]:
+                path = str(child.getFullName())
+                if (
+                    child.isInstanceRoot() and path not in self._above
+                ):  # whose points are those of the original
+                    instances.append((child, parent))
+                    continue
+                made[path] = self._object(path, child, parent)
+                stack.append((child, made[path]))
+        for child, parent in instances:
+            original = made.get(str(child.instanceSourcePath()))
+            if original is None or not parent.addChildInstance(original, child.getName()):
+                self._copied.lost.append(str(child.getFullName()))
+        return self._copied
+
+    def _object(self, path: str, node: Any, parent: Any) -> Any:
+        metadata = AbcCoreAbstract.MetaData(node.getMetaData())
+        if path in self._moved:
+            metadata.set(LAID_OVER, "1")
+        new = Abc.OObject(parent, node.getName(), metadata)
+        stale = _OF_POINTS if path in self._moved else _OF_CHILDREN if path in self._above else frozenset()
+        for header in node.getProperties().propertyheaders:
+            made = self._property(path, header, node.getProperties(), new.getProperties(), stale)
+            if path in self._moved and header.getName() == _SCHEMA:
+                self._copied.schemas[path] = made
+        return new
+
+    def _property(self, path: str, header: Any, source: Any, target: Any, stale: Collection[str]) -> Any:
+        """Copy a property of an object, without what is `stale` in it; return the new one."""
+        stored = source.getProperty(header.getName())
+        if not header.isCompound():
+            self._samples(path, header, stored, target)
+            return None
+        new = Abc.OCompoundProperty(target, header.getName(), header.getMetaData())
+        for each in stored.propertyheaders:
+            if each.getName() not in stale:
+                self._property(path, each, stored, new, ())
+        return new
+
+    def _samples(self, path: str, header: Any, stored: Any, target: Any) -> None:
+        kind = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
+        sampling = self._target.addTimeSampling(stored.getTimeSampling())
+        times, constant = sample_times(stored), stored.isConstant()
+        try:
+            # Read before anything is made that would stay empty.
+            value = self._value(stored, 0) if len(times) else None
+            new = kind(target, header.getName(), header.getDataType(), header.getMetaData(), sampling)
+            for sample in range(len(times)):
+                if sample and constant:
+                    new.setFromPrevious()
+                else:
+                    new.setValue(self._value(stored, sample) if sample else value)
+        except (RuntimeError, TypeError):  # types that the library has no words for in Python
+            self._copied.lost.append(f"{path}.{header.getName()}")
+            return
+        if not constant:
+            first, last = self._copied.moving.get(path, (times[0], times[-1]))
+            self._copied.moving[path] = min(first, times[0]), max(last, times[-1])
+
+    def _value(self, stored: Any, sample: int) -> Any:
+        if stored.isArray():
+            return stored_array(stored, sample, self._room)
+        return stored.getValue(selector(stored, sample))
+
+
+def _at_or_above(paths: Collection[str]) -> set[str]:
+    """Return paths and the paths of all that they are in.
+
+    Examples
+    --------
+    >>> sorted(_at_or_above(["/rig/body/body"]))
+    ['/rig', '/rig/body', '/rig/body/body']
+    """
+    return {
+        "/".join(names[:end])
+        for names in (path.split("/") for path in paths)
+        for end in range(2, len(names) + 1)
+    }

@@ -1,0 +1,155 @@
+"""Alembic, writing: an archive copied with new points in some of its meshes.
+
+Paths, transforms, cameras, curves, other meshes, and what else is on the meshes stay. The points are in the spaces of
+the meshes, below the transforms of the archive, and tell that frames are at their times only. Normals are computed
+anew where the archive has some.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.geometry.normals import shared_normals
+from mixseq.sequence import SequenceHeader
+from mixseq_io.alembic.archive_copy import Copied, copy_archive
+from mixseq_io.alembic.library import Abc, AbcGeom, array_of, imath
+from mixseq_io.alembic.original import Fit, Original
+from mixseq_io.alembic.targets import PER_SAMPLE
+from mixseq_io.blocks import warn
+from mixseq_io.choosing import listed
+
+_CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
+
+_GROWTH = 2
+"""How many times the size of an archive its copy has at most: an instance that moves becomes an object of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovedMesh:
+    """A mesh of the copy whose points are written.
+
+    Parameters
+    ----------
+    fit : Fit
+        Its mesh of the sequence, and where its transforms place it.
+    positions, bounds : OArrayProperty, OBox3dProperty
+        Where points and bounds go.
+    velocities : OV3fArrayProperty, optional
+        Where velocities go.
+    normals : ON3fGeomParam, optional
+        Where normals go.
+    """
+
+    fit: Fit
+    positions: Any
+    bounds: Any
+    velocities: Any | None
+    normals: Any | None
+
+    @classmethod
+    def make(cls, fit: Fit, schema: Any, sampling: int, velocities: bool) -> MovedMesh:
+        """Make the properties in the copied schema; `write` adds the samples."""
+        stored, place = fit.mesh.schema, (sampling,)
+        header = stored.getPositionsProperty().getHeader()
+        positions = Abc.OArrayProperty(schema, "P", header.getDataType(), header.getMetaData(), *place)
+        bounds = Abc.OBox3dProperty(schema, ".selfBnds", *place)
+        speeds = Abc.OV3fArrayProperty(schema, ".velocities", *place) if velocities else None
+        has_normals = not fit.mesh.subdivided and stored.getNormalsParam().valid()
+        normals = AbcGeom.ON3fGeomParam(schema, "N", True, _CORNERS, 1, *place) if has_normals else None
+        return cls(fit, positions, bounds, speeds, normals)
+
+    def write(self, first: int, points: FloatArray, velocities: FloatArray | None) -> None:
+        """Add samples for a block of frames.
+
+        Parameters
+        ----------
+        first : int
+            The first of them.
+        points, velocities : (B, V, 3) float32
+            The frames of the whole sequence.
+        """
+        vertices, placing = self.fit.scene_mesh.vertices, self.fit.placing
+        for row, world in enumerate(points[:, vertices]):
+            own = placing.own_points(world, first + row)
+            # A sample only points to its array, which must stay until it is set.
+            stored = array_of(imath.V3fArray, own)
+            self.positions.setValue(stored)
+            least, most = (imath.V3d(*map(float, corner)) for corner in (own.min(axis=0), own.max(axis=0)))
+            self.bounds.setValue(imath.Box3d(least, most))
+            if self.velocities is not None and velocities is not None:
+                rates = placing.own_velocities(velocities[row, vertices], own, first + row)
+                stored = array_of(imath.V3fArray, rates)
+                self.velocities.setValue(stored)
+            if self.normals is not None:
+                polygons = self.fit.scene_mesh.polygons
+                shared = shared_normals(own[None], polygons, self._groups)[0]
+                stored = array_of(imath.V3fArray, -shared if self.fit.mirrored else shared)
+                self.normals.set(AbcGeom.ON3fGeomParamSample(stored, self._corner_groups, _CORNERS))
+
+    @property
+    def _groups(self) -> IntArray:
+        scene_mesh = self.fit.scene_mesh
+        return scene_mesh.polygons.indices if scene_mesh.hard_edges is None else scene_mesh.hard_edges
+
+    @cached_property
+    def _corner_groups(self) -> Any:
+        return array_of(imath.UnsignedIntArray, self._groups[self.fit.corners])
+
+
+def largest_size(original: Original, header: SequenceHeader, velocities: bool) -> int:
+    """Return how many bytes the copy takes at most."""
+    vertices = sum(fit.scene_mesh.vertex_count for fit in original.fits)
+    normals = sum(fit.corners.size for fit in original.fits)
+    per_frame = 12 * (vertices * (2 if velocities else 1) + normals) + PER_SAMPLE * len(original.fits)
+    return _GROWTH * original.room + header.frame_count * per_frame + 4 * normals
+
+
+def lay_over(
+    archive: Any, path: Path, original: Original, header: SequenceHeader, sampling: int, velocities: bool
+) -> list[MovedMesh]:
+    """Copy an archive, and return the meshes of the copy whose points are to be written.
+
+    Parameters
+    ----------
+    archive : OArchive
+        An empty archive.
+    path : Path
+        Where it will be, for warnings.
+    original : Original
+        What is copied.
+    header : SequenceHeader
+        The sequence.
+    sampling : int
+        The archive's number of its times.
+    velocities : bool
+        Whether it has velocities.
+
+    Warns
+    -----
+    MixseqWarning
+        If something cannot be copied, or moves at times of its own while the sequence goes on.
+    """
+    moved = {fit.mesh.path for fit in original.fits}
+    copied = copy_archive(original.archive, archive, moved, original.room)
+    if copied.lost:
+        warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
+    _warn_of_times(path, header, copied)
+    return [MovedMesh.make(fit, copied.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
+
+
+def _warn_of_times(path: Path, header: SequenceHeader, copied: Copied) -> None:
+    """Warn of what stands still for more than a frame of the sequence, before or after it moves."""
+    first, last = (float(time) for time in header.times[[0, -1]])
+    frame = 1 / header.fps
+    still = sorted(
+        each for each, (start, end) in copied.moving.items() if first < start - frame or last > end + frame
+    )
+    if still:
+        start, end = (pick(copied.moving[each][k] for each in still) for k, pick in ((0, min), (1, max)))
+        warn(
+            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: {listed(still)}"
+        )

@@ -1,0 +1,44 @@
+"""Where transforms place a mesh, and how fast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("imath")
+from mixseq.errors import FormatError
+from mixseq_io.alembic.placing import Placing
+from tests.formats.alembic.alembic_maker import SQUARE, shift
+
+
+def turning(angle: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def test_to_own_space_and_back() -> None:
+    placing = Placing(shift(x=1, scale=(2, 2, 4))[None], np.zeros((1, 4, 4)))
+    own = placing.own_points(SQUARE, 0)
+    np.testing.assert_allclose(own, (SQUARE - [1, 0, 0]) / [2, 2, 4])
+    speeds = placing.own_velocities(np.ones_like(SQUARE), own, 0)
+    np.testing.assert_allclose(speeds, np.tile([0.5, 0.5, 0.25], (4, 1)))
+    np.testing.assert_allclose(placing.world_velocities(speeds, own, 0), 1)
+
+
+def test_what_rests_on_what_turns_moves_in_circles() -> None:
+    """A quarter turn, at one radian per second: x' is (-y, x)."""
+    rate = turning(np.pi)  # the derivative of a rotation is the rotation a quarter turn later
+    rate[2, 2] = rate[3, 3] = 0
+    placing = Placing(turning(np.pi / 2)[None], rate[None])
+    world = SQUARE @ turning(np.pi / 2)[:3, :3]
+    circling = np.stack([-world[:, 1], world[:, 0], 0 * world[:, 0]], axis=1)
+    np.testing.assert_allclose(placing.own_velocities(circling, SQUARE, 0), 0, atol=1e-7)
+    np.testing.assert_allclose(placing.world_velocities(0 * SQUARE, SQUARE, 0), circling, atol=1e-7)
+
+
+def test_flat() -> None:
+    Placing(np.stack([np.eye(4), shift(scale=(1e-9, 1, 1))]), np.zeros((2, 4, 4))).check()
+    for matrix in (shift(scale=(1, 0, 1)), np.full((4, 4), np.nan)):
+        with pytest.raises(FormatError, match="flat in frame 1"):
+            Placing(np.stack([np.eye(4), matrix]), np.zeros((2, 4, 4))).check()
