@@ -18,6 +18,7 @@ from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.mapping import Executor
+    from mixseq.operations.script import Edit
     from mixseq.signals import Model
 
 
@@ -58,6 +59,12 @@ A script has a table for every edit:
     metavar="FOLDER",
     help="Let the script read files in this folder, too, besides its own; may be given several times.",
 )
+@setting(
+    "--travel",
+    type=FILE,
+    metavar="FILE",
+    help="Also write what in_place takes away, for engines to move the character by: a CSV file of seconds,x,y,z.",
+)
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1_000_000),
@@ -79,6 +86,7 @@ def command(
     target: Path,
     script: Path,
     folders: tuple[Path, ...],
+    travel: Path | None,
     fps: float | None,
     velocities: bool,
     writing: dict[str, Any],
@@ -91,9 +99,9 @@ def command(
     OUT is a model if it ends in .h5 or .hdf5, and a sequence in any other format, see "mixseq formats".
 
     Edits are applied in the order of the script, a TOML file. Operations are cut, repeat, loop, shift, speed,
-    reverse, retime, concatenate, transition, blend, exaggerate, exaggerate_part, hold, smooth, sculpt, drag, sketch
-    and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script are
-    relative to it, and lead to its folder or those below.
+    reverse, retime, concatenate, transition, blend, in_place, exaggerate, exaggerate_part, hold, smooth, sculpt, drag,
+    sketch and swap_key; their settings are the parameters of these functions in mixseq.operations. Paths in a script
+    are relative to it, and lead to its folder or those below.
     """
     from mixseq.operations.arguments import Readers
     from mixseq.operations.script import read_script
@@ -104,7 +112,7 @@ def command(
         named = next(name for name, value in of_sequences.items() if value)
         raise SettingsError(f"--{named} is for sequences; OUT is a model, decode or resample it then")
 
-    claim(target)
+    claim(target, travel)
 
     def unlike_target(path: Path) -> Path:
         check_target(target, path)
@@ -119,10 +127,17 @@ def command(
             folders=folders,
         ),
     )
+    in_place = [edit for edit in edits if edit.operation == "in_place"]
+    if travel is not None and len(in_place) != 1:
+        raise SettingsError(
+            f"the script has the operation in_place {len(in_place)} times; travel is what it takes away, have it once"
+        )
     rows = []
     with workers as work, progress_bar(quiet) as progress:
         for edit in edits:
             progress(edit.number - 1, len(edits), edit.operation)
+            if travel is not None and edit in in_place:
+                _write_travel(travel, model, edit)
             edited = edit(model)
             rows.append((f"{edit.number}  {edit.operation}", _extent(model), _extent(edited)))
             model = edited
@@ -134,6 +149,20 @@ def command(
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
     announce(target)
+
+
+def _write_travel(path: Path, model: Model, edit: Edit) -> None:
+    """Write how far a body has got at every frame, before an edit takes it away."""
+    from mixseq.operations import travel_of
+    from mixseq_io.atomic import replacing
+
+    places = travel_of(model, **edit.arguments)(model.times)
+    rows = (
+        ",".join(f"{number:.9g}" for number in (time, *place))
+        for time, place in zip(model.times, places, strict=True)
+    )
+    with replacing(path) as file:
+        file.write_text("\n".join(["seconds,x,y,z", *rows, ""]), encoding="utf-8")
 
 
 def _extent(model: Model) -> str:

@@ -11,7 +11,8 @@ Operations are pure functions from models to a model, which compose::
 
 from mixseq.operations.common_space import into
 from mixseq.operations.dragging import drag
-from mixseq.operations.filters import exaggerate, smooth
+from mixseq.operations.exaggeration import exaggerate
+from mixseq.operations.filters import smooth
 from mixseq.operations.hand_edits import swap_key
 from mixseq.operations.limb_edits import exaggerate_part, hold
 from mixseq.operations.resampling import resample
@@ -21,6 +22,7 @@ from mixseq.operations.sculpt import sculpt
 from mixseq.operations.sketch import sketch
 from mixseq.operations.timeline import cut, loop, repeat, reverse, shift, speed
 from mixseq.operations.transitions import blend, concatenate, transition
+from mixseq.operations.travel import in_place, travel_of
 
 __all__ = [
     "Retiming",
@@ -31,6 +33,7 @@ __all__ = [
     "exaggerate",
     "exaggerate_part",
     "hold",
+    "in_place",
     "into",
     "loop",
     "read_retiming",
@@ -45,4 +48,5 @@ __all__ = [
     "speed",
     "swap_key",
     "transition",
+    "travel_of",
 ]

@@ -1,4 +1,4 @@
-r"""Filters: a motion with its shapes exaggerated or damped, or without its fastest changes.
+r"""Filters: a motion without its fastest changes.
 
 A smoothing spline f through values y minimises
 
@@ -15,8 +15,7 @@ with the mean :math:`\omega` of angular velocities: quaternions are smoothed as 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
@@ -30,57 +29,11 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
 
-LARGEST_GAIN = 1000.0
-"""Largest gain."""
-
-
 FEWEST = 5
 """Values that a smoothing spline needs."""
 
 LONGEST = 1e9
 """Periods of more steps all leave a line."""
-
-
-def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
-    r"""Return the model with its change of shape exaggerated or damped.
-
-    .. math:: c_i(t) \to \bar c_i + \text{gain}\, (c_i(t) - \bar c_i)
-
-    with the mean over the frames. Where parts are does not change; `exaggerate_part` does that.
-    The residual layer is kept.
-
-    Parameters
-    ----------
-    model : Model
-        The motion.
-    gain : float
-        1 changes nothing, 0 freezes the modes at their means, more than 1 exaggerates, less damps.
-    modes : sequence of int, optional
-        Coordinates of pose space, from 0 on: in a model that was fitted the modes, the largest first. All of them by
-        default.
-
-    Raises
-    ------
-    SettingsError
-        If the gain is not finite, or there is no such mode.
-    """
-    check_gain(gain)
-    count = model.time.dim
-    wanted = range(count) if modes is None else modes
-    for mode in wanted:
-        if not 0 <= mode < count:
-            raise SettingsError(f"there is no mode {mode}; the model has {count}, from 0 on")
-    gains = np.ones(count)
-    gains[list(wanted)] = gain
-    mean = model.time(model.times).mean(axis=0)
-    values = np.where(gains == 1.0, model.time.values, mean + gains * (model.time.values - mean))
-    return replace(model, time=Curve(model.time.times, values))
-
-
-def check_gain(gain: float) -> None:
-    """Refuse what no motion survives."""
-    if not abs(gain) <= LARGEST_GAIN:
-        raise SettingsError(f"gain is {gain}; a number is expected, at most {LARGEST_GAIN:g} in size")
 
 
 def smooth(model: Model, seconds: float) -> Model:

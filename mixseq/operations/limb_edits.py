@@ -22,17 +22,16 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.filters import check_gain
+from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.joining import CurveSection, Seam, join, snapped
 from mixseq.operations.limb_joints import Limb, limb_of
 from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import (
-    between,
-    breakpoints,
+    ACCURACY,
     placement_measure,
     sampled,
     shape_measure,
-    sites_of,
+    sites_within,
 )
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -40,9 +39,6 @@ from mixseq.signals.pose import PoseMap
 
 Change = Callable[[Float, Float], Float]
 """From times ``(N,)`` and stances ``(N, 6)`` to other stances."""
-
-ACCURACY = 1e-5
-"""Largest error of signals between sites, in diagonals."""
 
 NEGLIGIBLE = 1e-3
 """Modes of a part and its joints below this fraction of the largest are left out where it is held."""
@@ -74,7 +70,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     limb = limb_of(model, part)
     check_gain(gain)
     mean = limb.stance(model.placement, model.times).mean(axis=0)
-    sites = _sites(model, model.start, model.end)
+    sites = sites_within(model, model.start, model.end)
     placement = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
     return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
 
@@ -121,7 +117,7 @@ def hold(model: Model, part: int, time: float, start: float, end: float, fade: f
 
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
-    sites = _sites(model, first, last, knots)
+    sites = sites_within(model, first, last, knots)
     still = limb.stance(model.placement, np.array([time]))
     placement = _moved(model, limb, sites, lambda times, stance: stance + rest(times) * (still - stance))
     wider, resting = _with_rest(model, limb)
@@ -148,15 +144,6 @@ def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
         return limb.moved(whole, times, change(times, limb.stance(whole, times)))
 
     return sampled(moved, sites, ACCURACY, placement_measure(model))
-
-
-def _sites(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
-    """Return sites from one time to another, with frames, breakpoints of the signals, and knots."""
-    if start == end:
-        return np.array([start])
-    times = [breakpoints(model.placement), breakpoints(model.time), model.times]
-    inner = np.concatenate(times if knots is None else [*times, knots])
-    return sites_of(np.array([start, end]), between(inner, start, end))
 
 
 def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:

@@ -10,6 +10,9 @@ from mixseq.arrays import Float
 from mixseq.signals.curve import Curve, Measure
 from mixseq.signals.model import Model
 
+ACCURACY = 1e-5
+"""Largest error of signals between sites, in diagonals."""
+
 ROUNDS = 6
 """An interval between two sites is halved at most so often."""
 
@@ -47,6 +50,15 @@ def sites_of(edges: Float, inner: Float) -> Float:
     if len(breaks) == 2:
         return np.linspace(breaks[0], breaks[1], 4)
     return np.sort(np.concatenate([breaks, (breaks[[0, -2]] + breaks[[1, -1]]) / 2]))
+
+
+def sites_within(model: Model, start: float, end: float, knots: Float | None = None) -> Float:
+    """Return sites from one time to another, with the frames of a model, breakpoints of its signals, and knots."""
+    if start == end:
+        return np.array([start])
+    times = [breakpoints(model.placement), breakpoints(model.time), model.times]
+    inner = np.concatenate(times if knots is None else [*times, knots])
+    return sites_of(np.array([start, end]), between(inner, start, end))
 
 
 def refined(times: Float, parts: int) -> Float:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.joining import (
     ModelSection,
@@ -17,9 +14,7 @@ from mixseq.operations.joining import (
     section_of,
     shifted,
 )
-from mixseq.operations.placements import centre_columns
-from mixseq.sequence import UP_AXES
-from mixseq.signals.curve import Curve
+from mixseq.operations.travel import carried, step_of
 from mixseq.signals.model import Model
 
 MOST = 10_000
@@ -76,8 +71,8 @@ def repeat(
         Seconds before and after every seam over which jumps are taken up, at most the section; by default a quarter
         of it.
     travel : bool
-        Whether it starts every time where it got to before: it is moved along the ground by the mean of what the
-        parts moved by. It is not turned, nor moved up or down. A section should be a whole cycle.
+        Whether it starts every time where it got to before: it is moved along the ground by what the body moved by
+        (`travel_of`). It is not turned, nor moved up or down. A section should be a whole cycle.
 
     Raises
     ------
@@ -89,10 +84,10 @@ def repeat(
     if not 1 <= times <= MOST:
         raise SettingsError(f"times is {times}; a section is shown 1 to {MOST:,} times")
     seconds = fade_of(fade, last - first)
-    step = _travelled(model, first, last) if travel else np.zeros(3)
+    step = step_of(model, first, last) if travel else np.zeros(3)
     sections = []
     for number in range(times):
-        here = shifted(_translated(model, number * step), number * (last - first)) if number else model
+        here = shifted(carried(model, number * step), number * (last - first)) if number else model
         later = number * (last - first)
         sections.append(
             ModelSection(
@@ -104,7 +99,7 @@ def repeat(
     return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 
-def loop(model: Model, fade: float | None = None) -> Model:
+def loop(model: Model, fade: float | None = None, travel: bool = False) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
     The last frame is the first one again. A part that turned by whole turns turns on. The residual layer is left out.
@@ -112,25 +107,30 @@ def loop(model: Model, fade: float | None = None) -> Model:
     Parameters
     ----------
     model : Model
-        The motion, such as one cycle of a walk on the spot; `cut` makes one of a longer sequence.
+        The motion, such as one cycle of a walk; `cut` makes one of a longer sequence.
     fade : float, optional
         Seconds at the start and at the end over which jumps are taken up, at most half the model; by default a
         quarter of that.
+    travel : bool
+        Whether it gets as far along the ground as it did (`travel_of`), and only the rest of the last frame is that of
+        the first: played again from where it got to, it goes on. By default the body goes back to where it started.
 
     Raises
     ------
     SettingsError
-        If the model does not last, or the fade is out of range.
+        If the model does not last, the fade is out of range, or the space has no placement that could travel.
     """
     start, end = section_of(model, model.start, model.end)
     seconds, length = fade_of(fade, (end - start) / 2), end - start
+    step = step_of(model, start, end) if travel else np.zeros(3)
     # The model twice: the second pass knows how to start after an end, the first how to end before a start.
+    again = shifted(carried(model, step), length)
     twice = concatenated(
-        [ModelSection(model, start, end), ModelSection(shifted(model, length), start + length, end + length)],
-        [Seam(seconds)],
+        [ModelSection(model, start, end), ModelSection(again, start + length, end + length)], [Seam(seconds)]
     )
     middle = (start + end) / 2
-    sections = [ModelSection(shifted(twice, -length), start, middle), ModelSection(twice, middle, end)]
+    second = shifted(carried(twice, -step), -length)
+    sections = [ModelSection(second, start, middle), ModelSection(twice, middle, end)]
     return concatenated(sections, [Seam(length / 4)])
 
 
@@ -171,23 +171,3 @@ def reverse(model: Model) -> Model:
     The residual layer is left out.
     """
     return affine(model, -1.0, model.start + model.end)
-
-
-def _travelled(model: Model, start: float, end: float) -> Float:
-    """Return the mean of what the parts moved by along the ground ``(3,)``, in the space's unit."""
-    columns = centre_columns(model.space)
-    if not len(columns):
-        raise SettingsError(
-            f"the {model.space.name} space does not say where parts are, so nothing can travel; leave out travel"
-        )
-    places = model.placement([start, end])[:, columns].mean(axis=1)
-    along_ground = np.array([axis != model.header.up_axis for axis in UP_AXES])
-    return np.asarray((places[1] - places[0]) * along_ground)
-
-
-def _translated(model: Model, offset: Float) -> Model:
-    """Return the model with all parts moved by an offset ``(3,)`` in the space's unit."""
-    placement = model.placement
-    values = placement.values.copy()
-    values[:, centre_columns(model.space)] += offset
-    return replace(model, placement=Curve(placement.times, values))

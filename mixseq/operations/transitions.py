@@ -31,6 +31,7 @@ from mixseq.operations.joining import (
 )
 from mixseq.operations.placements import continued, mean, mean_placements
 from mixseq.operations.splines import between, breakpoints, refined, sites_of
+from mixseq.operations.travel import carried, drift, place_of
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
@@ -40,7 +41,7 @@ DENSE = 8
 Weight = Callable[[Float], Float]
 
 
-def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
+def concatenate(a: Model, b: Model, fade: float | None = None, travel: bool = False) -> Model:
     """Return one model after the other.
 
     The second one starts where the first ends, in time; what value, slope and curvature of the signals jump by is
@@ -52,23 +53,28 @@ def concatenate(a: Model, b: Model, fade: float | None = None) -> Model:
         Models of one mesh. The result is in the space of `a`.
     fade : float, optional
         Seconds before and after the seam, at most the shorter model; by default a quarter of that.
+    travel : bool
+        Whether the second model starts where the first got to: it is moved along the ground (`travel_of`), neither
+        turned nor moved up or down. By default it stays where it is, and the body slides there.
 
     Raises
     ------
     InvalidSequenceError
         If the meshes differ.
     SettingsError
-        If a model does not last, or the fade is out of range.
+        If a model does not last, the fade is out of range, or the space has no placement that could travel.
     """
     a, b = together(a, b)
     start, seam = section_of(a, a.start, a.end)
     first, last = section_of(b, b.start, b.end)
     seconds = fade_of(fade, min(seam - start, last - first))
+    if travel:
+        b = carried(b, (place_of(a)([seam]) - place_of(b)([first]))[0])
     later = shifted(b, seam - first)
     return concatenated([ModelSection(a, start, seam), ModelSection(later, seam, later.end)], [Seam(seconds)])
 
 
-def transition(a: Model, b: Model, at: float, duration: float) -> Model:
+def transition(a: Model, b: Model, at: float, duration: float, travel: bool = False) -> Model:
     """Return the first model, which passes over into the second one.
 
     The residual layer is left out.
@@ -82,13 +88,17 @@ def transition(a: Model, b: Model, at: float, duration: float) -> Model:
         When the second model starts, in seconds of the first. Until then the result is `a`.
     duration : float
         Seconds until the result is `b`. Both models last that long.
+    travel : bool
+        Whether the second model goes on from where the first gets to: it is moved along the ground, neither turned nor
+        moved up or down, and in between the body goes at the speed that is between both (`mixseq.operations.travel`).
+        By default it stays where it is, and the body slides there.
 
     Raises
     ------
     InvalidSequenceError
         If the meshes differ.
     SettingsError
-        If a time is out of range.
+        If a time is out of range, or the space has no placement that could travel.
     """
     if not (np.isfinite(duration) and duration > 0):
         raise SettingsError(f"duration is {duration}; a positive number of seconds is expected")
@@ -103,7 +113,12 @@ def transition(a: Model, b: Model, at: float, duration: float) -> Model:
     end = min(snapped(later, at + duration), a.end, later.end)
     if not end - at > SLACK / a.header.fps:
         raise SettingsError(f"duration is {duration:g} s, next to no time; give more, or concatenate")
+    if travel:
+        later = carried(later, drift(a, later, (at, end), _step_slope(at, end))(np.array([end]))[0])
     middle = _mix(a, later, (at, end), _step(at, end), parts=DENSE)
+    if travel:
+        apart = drift(a, later, (at, end), _step_slope(at, end))
+        middle = carried(middle, apart(middle.placement.times))
     sections = [
         ModelSection(a, a.start, at),
         ModelSection(middle, at, end),
@@ -174,6 +189,16 @@ def _step(start: float, end: float) -> Weight:
         return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)))
 
     return weight
+
+
+def _step_slope(start: float, end: float) -> Weight:
+    """The derivative of `_step` by time, per second."""
+
+    def slope(times: Float) -> Float:
+        x = (times[:, None] - start) / (end - start)
+        return np.asarray(30.0 * np.square(x * (1.0 - x)) / (end - start))
+
+    return slope
 
 
 def _mix(

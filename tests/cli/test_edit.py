@@ -10,7 +10,7 @@ import pytest
 from click.testing import Result
 
 import mixseq
-from mixseq.operations import repeat, reverse, transition
+from mixseq.operations import repeat, reverse, transition, travel_of
 from mixseq.operations.script import OPERATIONS
 from mixseq.signals import Model
 
@@ -151,3 +151,30 @@ def test_what_goes_wrong_is_one_line_and_nothing_changes(
     assert message in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert contents() == before
+
+
+IN_PLACE = '[[edit]]\noperation = "in_place"\neven = true\n'
+
+
+def test_what_is_taken_away_is_written(run: Run, folder: Path, bar_model: Model) -> None:
+    (folder / "spot.toml").write_text(IN_PLACE)
+    result = run("edit", "model.h5", "spot.npz", "--script", "spot.toml", "--set", "travel=travel.csv")
+    assert (result.exit_code, result.stderr) == (0, "")
+    header, *rows = (folder / "travel.csv").read_text().splitlines()
+    assert header == "seconds,x,y,z"
+    table = np.array([row.split(",") for row in rows], dtype=np.float64)
+    np.testing.assert_allclose(table[:, 0], bar_model.times, atol=1e-8)
+    np.testing.assert_allclose(table[:, 1:], travel_of(bar_model, even=True)(bar_model.times), atol=1e-7)
+    both = mixseq.read("spot.npz").points + table[:, None, 1:]
+    np.testing.assert_allclose(both, bar_model.sample().points, atol=1e-6)
+
+
+@pytest.mark.parametrize(("script", "times"), [(REPEAT, 0), (2 * IN_PLACE, 2)])
+def test_travel_is_that_of_one_edit(run: Run, folder: Path, script: str, times: int) -> None:
+    (folder / "spot.toml").write_text(script)
+    result = run("edit", "model.h5", "spot.npz", "--script", "spot.toml", "--set", "travel=travel.csv")
+    assert result.exit_code == 2
+    assert (
+        f"the script has the operation in_place {times} times; travel is what it takes away" in result.stderr
+    )
+    assert not (folder / "travel.csv").exists()

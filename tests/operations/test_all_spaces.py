@@ -36,6 +36,7 @@ EDITS: dict[str, Callable[[Model, Model], Model]] = {
     "speed": lambda a, b: operations.speed(a, 2.0),
     "retime": lambda a, b: operations.retime(a, [[0.0, 0.0], [0.5, 0.7], [1.0, 0.2]]),
     "drag": lambda a, b: operations.drag(a, 0.3, a.embedding([0.3])[0] + 0.01),
+    "in_place": lambda a, b: a if a.space.name == "vertex" else operations.in_place(a),
     "smooth": lambda a, b: operations.smooth(a, 0.1),
     "exaggerate": lambda a, b: operations.exaggerate(a, 1.1),
     "concatenate": lambda a, b: operations.concatenate(a, b),

@@ -60,6 +60,7 @@ EDITS: dict[str, Callable[[Model], Model]] = {
     "transition": lambda model: operations.transition(model, model, 0.2, 0.3),
     "blend": lambda model: operations.blend(model, model, 0.25),
     "into": lambda model: operations.into(model, bar_motion("vertex").space),
+    "in_place": operations.in_place,
     "exaggerate": lambda model: operations.exaggerate(model, 1.1),
     "exaggerate_part": lambda model: operations.exaggerate_part(model, hanging(model), 1.1),
     "hold": lambda model: operations.hold(model, hanging(model), 0.2, 0.3, 0.4),

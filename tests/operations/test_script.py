@@ -121,7 +121,7 @@ def test_keys_of_a_retiming_are_lists_or_files(edits: Edits, tmp_path: Path, key
         (table("operation = [3]"), r"edit 1: the operation \[3\] is not known; known are cut"),
         (
             table('operation = "loop"') + table('operation = "loop"\nfad = 1'),
-            r"edit 2 \(loop\): the key 'fad' is not known; its keys are fade$",
+            r"edit 2 \(loop\): the key 'fad' is not known; its keys are fade, travel$",
         ),
         (table('operation = "reverse"\nfade = 1'), "the key 'fade' is not known; it has none"),
         (table('operation = "loop"\nmodel = "a"'), "the key 'model' is not known"),
