@@ -45,8 +45,8 @@ def test_a_model_becomes_a_model(run: Run, script: Path, bar_model: Model, targe
     cells = [[cell.strip() for cell in line if cell.strip()] for line in lines]
     assert cells[:3] == [
         ["edit", "before", "after"],
-        ["1", "repeat", "0 to 0.3 s, 4 frames", "0 to 0.7 s, 8 frames"],
-        ["2", "reverse", "0 to 0.7 s, 8 frames", "0 to 0.7 s, 8 frames"],
+        ["1", "repeat", "0 to 0.3 s, 4 frames (0 to 3)", "0 to 0.7 s, 8 frames (0 to 7)"],
+        ["2", "reverse", "0 to 0.7 s, 8 frames (0 to 7)", "0 to 0.7 s, 8 frames (0 to 7)"],
     ]
     assert result.stdout.splitlines()[-1].startswith(f"wrote {target} (")
     expected = reverse(repeat(bar_model, 0.1, 0.3, times=3))
@@ -121,7 +121,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
         (
             "model.h5 old.h5 --script edits.toml",
             '[[edit]]\noperation = "cut"\nstart = 0\nend = 3',
-            "edit 1 (cut): end is 3 s; the model is from 0 to 0.3 s, give a time within",
+            "edit 1 (cut): end is 3 s; the model is from 0 to 0.3 s (frames 0 to 3), give a time within",
         ),
         (
             "model.h5 old.h5 --script edits.toml",
