@@ -34,6 +34,8 @@ FORMATS: tuple[Format, ...] = (
             "onto": _ONTO,
             "clips": "frames per file of value clips, for long shots; 0, the default, keeps all in one file",
             "pack_from": "folder from which textures may be packed into .usdz, besides that of the original",
+            "sources": "times of the original that the frames show, where these are others than their own",
+            "whole_stage": "retime everything else that moves in the original, too, by sources",
         },
         signatures=(b"PXR-USDC", b"#usda", b"#sdf", b"PK\x03\x04"),
         isolated=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -104,7 +105,7 @@ def command(
     are relative to it, and lead to its folder or those below.
     """
     from mixseq.operations.arguments import Readers
-    from mixseq.operations.script import read_script
+    from mixseq.operations.script import RETIMING, read_script
 
     as_model = target.suffix.lower() in MODEL_EXTENSIONS
     of_sequences = {"fps": fps, "velocities": velocities, **writing}
@@ -145,7 +146,9 @@ def command(
             mixseq.save(target, model)
         else:
             header = model.header_at(fps=fps)
-            write_frames(target, model, header, velocities, writing, progress, work)
+            retimed = any(edit.operation in RETIMING for edit in edits)
+            sources = [math.nan] * header.frame_count if retimed else None
+            write_frames(target, model, header, velocities, writing, progress, work, sources)
     if not quiet:
         print_table(rows, ("edit", "before", "after"))
     announce(target)

@@ -14,6 +14,8 @@ from mixseq.errors import OutputError, SettingsError
 from mixseq.progress import Progress
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from mixseq.arrays import FloatArray
     from mixseq.mapping import Executor
     from mixseq.scene import SceneItem
@@ -67,16 +69,17 @@ def write_frames(
     writing: Mapping[str, Any],
     progress: Progress,
     workers: Executor,
+    sources: ArrayLike | None = None,
 ) -> None:
     """Decode the frames of a header and write them as they come, with velocities or without."""
     from mixseq_io import in_step
 
     if velocities:
         points, speeds = in_step(model.moving_blocks(header.times, progress=progress, workers=workers))
-        write_sequence(path, header, points, speeds, writing)
+        write_sequence(path, header, points, speeds, writing, sources)
     else:
         blocks = model.blocks(header.times, progress=progress, workers=workers)
-        write_sequence(path, header, blocks, None, writing)
+        write_sequence(path, header, blocks, None, writing, sources)
 
 
 def write_sequence(
@@ -85,10 +88,19 @@ def write_sequence(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None,
     writing: Mapping[str, Any],
+    sources: ArrayLike | None = None,
 ) -> None:
-    """Write frames as they come, but never over the file that they once came from."""
+    """Write frames as they come, but never over the file that they once came from.
+
+    Formats that ask for `sources` are told them: the times (T,) of the original that the frames show, in seconds.
+    """
+    from mixseq_io import FORMATS
+
     check_origin(path, header)
-    mixseq.write_blocks(path, header, blocks, velocities, **writing)
+    forms = (form for form in FORMATS if path.suffix.lower() in form.extensions)
+    told = {} if sources is None else {"sources": sources}
+    taken = told if any("sources" in form.write_options for form in forms) else {}
+    mixseq.write_blocks(path, header, blocks, velocities, **writing, **taken)
 
 
 def check_origin(path: Path, header: SequenceHeader) -> None:

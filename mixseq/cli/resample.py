@@ -88,6 +88,11 @@ if TYPE_CHECKING:
     help="Fit a sequence only up to this fraction of its diagonal.",
 )
 @click.option("--exact", is_flag=True, help="Fit a sequence exactly, which is the default.")
+@setting(
+    "--whole-stage",
+    is_flag=True,
+    help="Retime everything else in the original of a USD layer, too: cameras, hair, lights, other meshes.",
+)
 @reader_options
 @writer_options
 @workers_options
@@ -107,6 +112,7 @@ def command(
     velocities: bool,
     tolerance: float | None,
     exact: bool,
+    whole_stage: bool,
     reading: dict[str, Any],
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
@@ -132,6 +138,8 @@ def command(
     from mixseq.operations.retiming_files import read_retiming
     from mixseq_io import in_step
 
+    if whole_stage:
+        writing = writing | {"whole_stage": True}
     retiming = None if retime is None else read_retiming(retime, smooth=not linear)
     with workers as work, progress_bar(quiet) as progress:
         model = _model(source, tolerance, reading, progress, work)
@@ -140,10 +148,10 @@ def command(
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))
-            write_sequence(target, planned.header, points, speeds, writing)
+            write_sequence(target, planned.header, points, speeds, writing, planned.sources)
         else:
             blocks = planned.blocks(progress=progress, workers=work)
-            write_sequence(target, planned.header, blocks, None, writing)
+            write_sequence(target, planned.header, blocks, None, writing, planned.sources)
     if not quiet:
         print_table(_rows(planned))
     announce(target)

@@ -54,6 +54,9 @@ OPERATIONS: Mapping[str, str] = {
 }
 """Modules of this package and functions in them, by the names of operations; imported when they are asked for."""
 
+RETIMING = frozenset({"repeat", "loop", "shift", "speed", "reverse", "retime", "concatenate", "transition"})
+"""Operations after which frames show other times of the model than their own."""
+
 
 @dataclass(frozen=True)
 class Edit:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from pxr import Gf, Usd, UsdGeom
 
 import mixseq
 from mixseq.cli import main
@@ -66,3 +67,18 @@ def contents(folder: Path) -> Callable[[], dict[str, bytes | None]]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
+
+
+@pytest.fixture
+def scene(folder: Path) -> Path:
+    """A mesh that bends, below something that slides, and a camera that slides."""
+    stage = Usd.Stage.CreateNew(str(folder / "scene.usda"))
+    stage.GetRootLayer().subLayerPaths.append("./bar.usdc")
+    stage.SetTimeCodesPerSecond(10)
+    (bar,) = stage.GetPseudoRoot().GetChildren()
+    for prim in (bar, UsdGeom.Camera.Define(stage, "/camera").GetPrim()):
+        slide = UsdGeom.Xformable(prim).AddTranslateOp()
+        for code in range(4):
+            slide.Set(Gf.Vec3d(code, 0, 0), code)
+    stage.Save()
+    return folder / "scene.usda"

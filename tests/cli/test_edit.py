@@ -73,6 +73,14 @@ def test_a_model_becomes_a_sequence(run: Run, script: Path, bar_model: Model) ->
     np.testing.assert_allclose(written, moving, atol=1e-9)
 
 
+def test_what_else_moves_in_a_scene_is_told_where_edits_retime(run: Run, script: Path, scene: Path) -> None:
+    assert run("encode", str(scene), "scene.h5", "--exact").exit_code == 0
+    result = run("edit", "scene.h5", "new.usdc", "--script", "edits.toml")
+    assert result.stderr.endswith("scene.usda is not retimed: /camera\n")
+    script.write_text('[[edit]]\noperation = "cut"\nstart = 0.1\nend = 0.2\n')
+    assert run("edit", "scene.h5", "new.usdc", "--script", "edits.toml").stderr == ""
+
+
 def test_files_are_found_from_the_script(run: Run, folder: Path, bar_model: Model) -> None:
     (folder / "scripts").mkdir()
     (folder / "scripts" / "over.toml").write_text(

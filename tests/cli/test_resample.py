@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import Result
+from pxr import Usd, UsdGeom
 
 import mixseq
 from mixseq.mapping import serially
@@ -215,3 +216,24 @@ def test_failures(run: Run, folder: Path, contents: Contents, line: str, message
     assert result.stderr.count("\n") == 1
     assert re.search(message, result.stderr), result.stderr
     assert contents() == before
+
+
+def test_the_rest_of_a_scene(run: Run, scene: Path) -> None:
+    slow = run("resample", "scene.usda", "new.usdc", "--speed", "0.5", "--velocities")
+    assert slow.exit_code == 0
+    assert re.search(r"is not retimed: /camera; whole_stage=True \(--whole-stage\)", slow.stderr)
+    new = mixseq.read("new.usdc")
+    assert new.times == pytest.approx(np.arange(7) / 10)
+    assert new.velocities is not None
+    succeed(run("resample", "scene.usda", "all.usdc", "--speed", "0.5", "--whole-stage"))
+    stage = Usd.Stage.Open("all.usdc")
+    camera = UsdGeom.Xformable(stage.GetPrimAtPath("/camera"))
+    assert camera.ComputeLocalToWorldTransform(5).ExtractTranslation()[0] == pytest.approx(2.5)
+    succeed(run("resample", "scene.usda", "part.usdc", "--start", "0.1", "--end", "0.2"))
+    assert Usd.Stage.Open("part.usdc").GetEndTimeCode() == 2
+
+
+def test_other_formats_have_no_stage(run: Run) -> None:
+    result = run("resample", "model.h5", "new.npz", "--whole-stage")
+    assert result.exit_code == 2
+    assert "npz has no option 'whole_stage'" in result.stderr

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from contextlib import suppress
 from pathlib import Path
 
@@ -52,7 +52,7 @@ class Samples:
         code, values = frame
         for path, value in values.items():
             self._layer.SetTimeSample(path, code, value)
-            self._unsaved += 12 * len(value)
+            self._unsaved += 12 * (len(value) if isinstance(value, Sized) else 1)
         if self._binary and self._unsaved > _BYTES_BETWEEN_SAVES:
             self.save()
 

@@ -1,12 +1,10 @@
 """USD, motion: what moves a mesh, and where its points are in the world.
 
-Specifications: https://openusd.org/release/api/class_usd_geom_xformable.html,
-https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
+Specification: https://openusd.org/release/api/class_usd_geom_point_based.html (velocities)
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,18 +13,10 @@ from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, Vt
 
 from mixseq.errors import InvalidSequenceError
-from mixseq_io.usd.prims import Notes, lineage
+from mixseq_io.usd.prims import Notes
 from mixseq_io.usd.seams import Weld, weld
 from mixseq_io.usd.skeletons import Pose, Skin
-
-
-def local_to_world(prim: Usd.Prim, code: float) -> NDArray[np.float64]:
-    """Return the transform (4, 4) from a prim's space to the world at a time code, for rows: p' = p M."""
-    return np.array(_to_world(prim, code), dtype=np.float64)
-
-
-def _to_world(prim: Usd.Prim, code: float) -> Gf.Matrix4d:
-    return UsdGeom.XformCache(Usd.TimeCode(code)).GetLocalToWorldTransform(prim)
+from mixseq_io.usd.transforms import Placement, varies
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +35,19 @@ class Mover:
     skin: Skin | None
 
     @cached_property
-    def space(self) -> Usd.Prim:
-        """The prim in whose space the points are: the skeleton's, if joints move them."""
-        return self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
+    def placement(self) -> Placement:
+        """Where the space of the points is: that of the skeleton, if joints move them."""
+        return Placement(
+            self.skin.skeleton.prim if self.skin and self.skin.has_joints else self.mesh.GetPrim()
+        )
 
     @cached_property
     def sources(self) -> tuple[Usd.Attribute, ...]:
-        """The attributes that change over time and move it. A single sample holds at all times."""
+        """The attributes that change over time and move it."""
         deforming = self.skin.attributes() if self.skin else ()
-        every = (self.mesh.GetPointsAttr(), *_transform_attributes(self.space), *deforming)
-        return tuple(each for each in every if _varies(each))
+        transforms = (each.GetAttr() for each in self.placement.operations)
+        every = (self.mesh.GetPointsAttr(), *transforms, *deforming)
+        return tuple(each for each in every if varies(each))
 
     @property
     def only_points_move(self) -> bool:
@@ -106,7 +99,7 @@ class AnimatedMesh:
     @cached_property
     def _first_determinant(self) -> float:
         """That of the first frame in which there is one: things pop up by a scale that starts at zero."""
-        every = (_to_world(self.mover.space, code).GetDeterminant3() for code in self.codes.tolist())
+        every = (self.mover.placement.to_world(code).GetDeterminant3() for code in self.codes.tolist())
         return next((each for each in every if each), 1.0)
 
     @property
@@ -136,7 +129,7 @@ class AnimatedMesh:
             )
         if self.mover.skin and pose:
             value = self.mover.skin.deformed(value, pose, code)
-        matrix = _to_world(self.mover.space, code)
+        matrix = self.mover.placement.to_world(code)
         if matrix.GetDeterminant3() * self._first_determinant < 0:
             raise InvalidSequenceError(
                 f"the transform of {path} mirrors it relative to earlier frames, which turns its faces inside "
@@ -157,7 +150,7 @@ class AnimatedMesh:
             raise InvalidSequenceError(
                 f"{self.mesh.GetPath()} has {len(value or ())} velocities for {self.point_count} points; give as many"
             )
-        return _placed(value, _to_world(self.mover.space, code), 0.0)[self.weld.representatives]
+        return _placed(value, self.mover.placement.to_world(code), 0.0)[self.weld.representatives]
 
     def has_velocities(self, notes: Notes) -> bool:
         """Whether velocities can be read; those that cannot are noted."""
@@ -175,30 +168,6 @@ class AnimatedMesh:
             return True
         notes.add(self.mesh.GetPrim(), f"velocities {problem}; they are left out")
         return False
-
-
-def moves(prim: Usd.Prim) -> bool:
-    """Whether the local-to-world transform of a prim changes over time."""
-    return any(map(_varies, _transform_attributes(prim)))
-
-
-def _transform_attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
-    """Yield the attributes that the local-to-world transform depends on."""
-    for each in lineage(prim):
-        xformable = UsdGeom.Xformable(each)
-        if xformable:
-            yield from (operation.GetAttr() for operation in xformable.GetOrderedXformOps())
-            if xformable.GetResetXformStack():
-                return
-
-
-def _varies(attribute: Usd.Attribute) -> bool:
-    return attribute.GetNumTimeSamples() > 1 or is_spline(attribute)
-
-
-def is_spline(attribute: Usd.Attribute) -> bool:
-    """Whether an attribute changes over time without samples."""
-    return bool(attribute.ValueMightBeTimeVarying()) and not attribute.GetNumTimeSamples()
 
 
 def _placed(value: Vt.Vec3fArray, to_world: Gf.Matrix4d, weight: float) -> NDArray[np.float32]:

@@ -70,6 +70,11 @@ class Original:
     stage: Usd.Stage
     fits: tuple[Fit, ...]
 
+    @property
+    def rate(self) -> float:
+        """Its time codes per second."""
+        return self.stage.GetTimeCodesPerSecond()
+
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
     """Open a file on which a sequence may be laid.

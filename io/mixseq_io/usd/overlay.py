@@ -17,23 +17,25 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import OutputError
 from mixseq_io.blocks import warn
 from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.frame_values import WORLD, Bounds, Cast, Normals, Placed, Space, SpaceAt
+from mixseq_io.usd.holding import Holding, holding_of
 from mixseq_io.usd.layers import attribute_in
-from mixseq_io.usd.mesh_motion import local_to_world, moves
 from mixseq_io.usd.original import Fit, Original
 from mixseq_io.usd.paths import reference_to
 from mixseq_io.usd.prims import lineage, shortened
 from mixseq_io.usd.seams import VERTICES
+from mixseq_io.usd.shown import Shown
+from mixseq_io.usd.transforms import Placement, product
 
 _COPIED = (
     "defaultPrim",
@@ -46,7 +48,7 @@ _COPIED = (
 """What USD takes from the root layer only, and not from sublayers."""
 
 
-def lay_over(layer: Sdf.Layer, target: Path, original: Original, start: float, velocities: bool) -> Cast:
+def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, velocities: bool) -> Cast:
     """Author everything but samples, and return what is to get them.
 
     Parameters
@@ -57,8 +59,8 @@ def lay_over(layer: Sdf.Layer, target: Path, original: Original, start: float, v
         Where it will be.
     original : Original
         What it is laid over.
-    start : float
-        Time of the first frame, in seconds.
+    shown : Shown
+        Which time of that is shown when.
     velocities : bool
         Whether there are velocities.
 
@@ -70,20 +72,35 @@ def lay_over(layer: Sdf.Layer, target: Path, original: Original, start: float, v
     Warns
     -----
     MixseqWarning
-        If instances become prims of their own, or velocities are left out under transforms that move.
+        If instances become prims of their own, or meshes with others below them still move with what is above them.
     """
     put_over(layer, target, original)
-    meshes = tuple(_placed(original, fit, velocities) for fit in original.fits)
+    moving = [fit for fit in original.fits if Placement(fit.mesh.GetPrim()).moves]
+    holdings = {fit: held for fit in moving if (held := holding_of(fit.mesh.GetPrim()))}
+    for held in holdings.values():
+        held.author(layer, shown)
+    not_held = [str(fit.mesh.GetPath()) for fit in moving if fit not in holdings]
+    if not_held:
+        warn(
+            f"{target}: meshes with other things below them still move with what is above them, between frames and "
+            f"beyond them, and have no velocities: {shortened(not_held)}; flatten keeps everything"
+        )
+    meshes = tuple(
+        Placed(
+            path=str(fit.mesh.GetPath()),
+            scene_mesh=fit.scene_mesh,
+            of_point=None if fit.weld.is_identity else fit.weld.of_point,
+            space=_space(original, fit.mesh.GetPrim(), shown, holdings.get(fit)),
+            normals=_normals(fit),
+            velocities=velocities and (fit in holdings or fit not in moving),
+        )
+        for fit in original.fits
+    )
     for fit, placed in zip(original.fits, meshes, strict=True):
         _switch_off(layer, fit.mesh, placed)
-        _orient(layer, fit, placed, start)
+        _orient(layer, fit, placed, shown.start)
         _tell_vertices(layer, fit)
-    left_out = [each.path for each in meshes if velocities and not each.velocities]
-    if left_out:
-        warn(
-            f"{target}: velocities are left out where transforms move, too: {shortened(left_out)}; flatten keeps them"
-        )
-    return Cast(meshes, _bounds(original))
+    return Cast(meshes, _bounds(original, shown))
 
 
 def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
@@ -99,12 +116,18 @@ def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
     for key in _COPIED:
         if below.pseudoRoot.HasInfo(key):
             layer.pseudoRoot.SetInfo(key, below.pseudoRoot.GetInfo(key))
-    _split_instances(layer, target, original)
+    split_instances(layer, target, [fit.mesh.GetPrim() for fit in original.fits])
 
 
-def _split_instances(layer: Sdf.Layer, target: Path, original: Original) -> None:
-    """Give instances prims of their own, on which there can be opinions."""
-    above = [prim for fit in original.fits for prim in lineage(fit.mesh.GetPrim()) if prim.IsInstance()]
+def split_instances(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
+    """Give instances with some prims below them prims of their own, on which there can be opinions.
+
+    Warns
+    -----
+    MixseqWarning
+        If there are any.
+    """
+    above = [each for prim in prims for each in lineage(prim) if each.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
     for path in paths:
         Sdf.CreatePrimInLayer(layer, path).SetInfo("instanceable", False)
@@ -112,36 +135,34 @@ def _split_instances(layer: Sdf.Layer, target: Path, original: Original) -> None
         warn(f"{target}: instances with moving meshes are instances no longer: {shortened(paths)}")
 
 
-def _placed(original: Original, fit: Fit, velocities: bool) -> Placed:
-    prim = fit.mesh.GetPrim()
-    return Placed(
-        path=str(prim.GetPath()),
-        scene_mesh=fit.scene_mesh,
-        of_point=None if fit.weld.is_identity else fit.weld.of_point,
-        space=_space(original, prim),
-        normals=_normals(fit),
-        velocities=velocities and not moves(prim),
-    )
+def _space(original: Original, prim: Usd.Prim, shown: Shown, holding: Holding | None = None) -> SpaceAt:
+    placement = Placement(prim)
 
-
-def _space(original: Original, prim: Usd.Prim) -> SpaceAt:
-    rate = original.stage.GetTimeCodesPerSecond()
-
-    def at(time: float) -> Space:
-        to_world = local_to_world(prim, time * rate)
-        if np.array_equal(to_world, np.eye(4)):
-            return WORLD
-        if np.linalg.matrix_rank(to_world[:3, :3]) < 3:
+    def check(matrix: Gf.Matrix4d, time: float) -> None:
+        if np.linalg.matrix_rank(np.array(matrix)[:3, :3]) < 3:
             raise OutputError(
                 f"{original.path}: the transform of {prim.GetPath()} is singular at {time:g} s, so that points in its "
                 "space do not reach everywhere; write a stand-alone file with flatten=True (--flatten)"
             )
+
+    def space(matrix: Gf.Matrix4d, time: float) -> Space:
+        if matrix == Gf.Matrix4d(1.0):
+            return WORLD
+        check(matrix, time)
+        to_world = np.array(matrix, dtype=np.float64)
         return Space(to_world, np.asarray(np.linalg.inv(to_world), dtype=np.float64))
 
-    if moves(prim):
-        return at
-    fixed = at(0.0)
-    return lambda time: fixed
+    if not holding and placement.moves:
+        return lambda time: space(placement.to_world(shown.below(time)), time)
+    start = shown.start
+    fixed = space(holding.to_world(shown.below(start)) if holding else placement.to_world(0.0), start)
+
+    def still(time: float) -> Space:
+        if holding:
+            check(product(holding.undone, shown.below(time)), time)
+        return fixed
+
+    return still
 
 
 def _normals(fit: Fit) -> Normals | None:
@@ -232,7 +253,7 @@ def _block(layer: Sdf.Layer, attribute: Usd.Attribute) -> None:
     ).default = Sdf.ValueBlock()
 
 
-def _bounds(original: Original) -> tuple[Bounds, ...]:
+def _bounds(original: Original, shown: Shown) -> tuple[Bounds, ...]:
     """Return the roots of skeletons: their extents follow the skeleton, and count instead of those of the meshes."""
     below: dict[Usd.Prim, list[SceneMesh]] = {}
     for fit in original.fits:
@@ -243,23 +264,23 @@ def _bounds(original: Original) -> tuple[Bounds, ...]:
         Bounds(
             path=str(root.GetPath()),
             scene_meshes=tuple(scene_meshes),
-            space=_space(original, root),
-            others=_others(original, root, len(scene_meshes)),
+            space=_space(original, root, shown),
+            others=_others(root, shown, len(scene_meshes)),
         )
         for root, scene_meshes in below.items()
     )
 
 
-def _others(original: Original, root: Usd.Prim, count: int) -> Callable[[float], FloatArray]:
+def _others(root: Usd.Prim, shown: Shown, count: int) -> Callable[[float], FloatArray]:
     """Return the extent that a root has in the file, if there is more below it than meshes that get new points."""
     nothing = np.zeros((0, 3))
     gprims = [each for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if UsdGeom.Gprim(each)]
     if len(gprims) <= count:
         return lambda time: nothing
-    boundable, rate = UsdGeom.Boundable(root), original.stage.GetTimeCodesPerSecond()
+    boundable = UsdGeom.Boundable(root)
 
     def extent(time: float) -> FloatArray:
-        code = Usd.TimeCode(time * rate)
+        code = Usd.TimeCode(shown.below(time))
         known = boundable.GetExtentAttr().Get(code) or UsdGeom.Boundable.ComputeExtentFromPlugins(
             boundable, code
         )

@@ -33,12 +33,13 @@ from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
 from mixseq_io.usd.diagnostics import quiet, reading_usd
-from mixseq_io.usd.mesh_motion import AnimatedMesh, Mover, is_spline
+from mixseq_io.usd.mesh_motion import AnimatedMesh, Mover
 from mixseq_io.usd.mesh_surface import scene_mesh_of
 from mixseq_io.usd.part_labels import markings_of
 from mixseq_io.usd.prims import Notes, absolute, open_stage
 from mixseq_io.usd.skeletons import skins_of
 from mixseq_io.usd.stage_meshes import meshes_of, places_of
+from mixseq_io.usd.transforms import is_spline
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:

@@ -7,14 +7,14 @@ USD's points are float32; larger precision is rounded to that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from pxr import Ar, Sdf
 
 from mixseq.arrays import FloatArray
@@ -31,8 +31,10 @@ from mixseq_io.usd.materials import is_gone
 from mixseq_io.usd.original import Original, open_original
 from mixseq_io.usd.overlay import lay_over, put_over
 from mixseq_io.usd.part_labels import Parts, define_parts
-from mixseq_io.usd.paths import time_codes
+from mixseq_io.usd.played import author_times
 from mixseq_io.usd.prims import open_stage, shortened
+from mixseq_io.usd.rest import retime_rest, warn_of_rest
+from mixseq_io.usd.shown import shown_by
 
 
 def write_usd(
@@ -44,6 +46,8 @@ def write_usd(
     onto: str | PathLike[str] | None = None,
     clips: int = 0,
     pack_from: str | PathLike[str] | None = None,
+    sources: ArrayLike | None = None,
+    whole_stage: bool = False,
     parts: Parts | None = None,
 ) -> None:
     """Write a USD file; see `mixseq_io.write_blocks`.
@@ -62,6 +66,11 @@ def write_usd(
     pack_from : path-like, optional
         Folder from which textures may be packed into a .usdz, besides that of the file that the sequence was read from
         and those below.
+    sources : (T,) array-like, optional
+        Time of the original that every frame shows, in seconds, where that is another one than its own; NaN where it
+        shows no single one. What else moves in the original is told, or retimed.
+    whole_stage : bool
+        Retime everything else that moves in the original, too: cameras, hair, lights, other meshes.
     parts : Parts, optional
         Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
 
@@ -77,32 +86,46 @@ def write_usd(
     -----
     MixseqWarning
         If the file that the sequence was read from is gone or does not fit, so that the new one stands alone; of
-        what is lost, see `lay_over` and `define_component`; of textures elsewhere that are not packed; and of clips
-        that an older file has left.
+        what is lost, see `lay_over` and `define_component`; of what keeps its own speed beside frames that show
+        `sources`; of textures elsewhere that are not packed; and of clips that an older file has left.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips, pack_from)
+    if whole_stage and (flatten or packed or sources is None):
+        raise SettingsError(
+            "whole_stage retimes what a layer is laid over; leave out flatten, write .usdc, and give sources=..., the "
+            "time of the original that every frame shows"
+        )
     if header.up_axis == "X":
         raise OutputError(
             f"{path}: USD stages have Y or Z up, this mesh has X; turn it first, or write .npz or .h5"
         )
     original = _original(path, header, flatten, onto)
-    codes = time_codes(header.times, header.fps)
+    if whole_stage and not original:
+        raise OutputError(
+            f"{path} stands alone, without a stage that could be retimed; leave out whole_stage"
+        )
+    asked = np.asarray(sources, dtype=np.float64) if whole_stage else None
+    shown = shown_by(header, original.rate if original else header.fps, asked)
     _, numbered = checked(header, blocks, velocities)
 
     def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
         layer = Sdf.Layer.CreateNew(str(file))
-        _author_times(layer, header, codes, original)
-        moving, start = velocities is not None, float(header.times[0])
+        author_times(layer, header, shown, original)
+        moving = velocities is not None
         cast = (
-            lay_over(layer, path, original, start, moving)
+            lay_over(layer, path, original, shown, moving)
             if original
             else define_component(layer, path, header, moving)
         )
         declare(layer, cast)
+        if original and whole_stage:
+            retime_rest(layer, path, original, shown)
+        elif original and sources is not None:
+            warn_of_rest(path, header, original, sources)
         if parts is not None:
             define_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
-        return layer, cast, frames(cast, codes, header.times, numbered)
+        return layer, cast, frames(cast, shown.codes, header.times, numbered)
 
     elsewhere: list[str] = []
     with (
@@ -150,7 +173,7 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
         return False
     with replacing(path) as temporary, quiet(), writing_usd(path):
         layer = Sdf.Layer.CreateNew(str(temporary))
-        _author_times(layer, header, time_codes(header.times, header.fps), original)
+        author_times(layer, header, shown_by(header, original.rate), original)
         put_over(layer, path, original)
         define_parts(layer, [str(fit.mesh.GetPath()) for fit in original.fits], _laid(parts, original))
         save_layer(layer)
@@ -227,36 +250,3 @@ def _check_not_needed(path: Path, original: Path) -> None:
         raise OutputError(
             f"{path} is the original, or a layer that it uses, and would be lost; write to another name"
         )
-
-
-def _author_times(
-    layer: Sdf.Layer, header: SequenceHeader, codes: NDArray[np.float64], original: Original | None
-) -> None:
-    """Author units and times; over a file its range is kept, and grows where frames are outside of it."""
-    layer.timeCodesPerSecond = layer.framesPerSecond = header.fps
-    start, end = float(codes[0]), float(codes[-1])
-    if original:
-        below = original.stage
-        scale = header.fps / below.GetTimeCodesPerSecond()
-        if scale == 1.0:
-            layer.framesPerSecond = below.GetFramesPerSecond()
-        if below.HasAuthoredTimeCodeRange():
-            start = min(start, _scaled(below.GetStartTimeCode(), scale, np.ceil))
-            end = max(end, _scaled(below.GetEndTimeCode(), scale, np.floor))
-    layer.startTimeCode, layer.endTimeCode = start, end
-    layer.pseudoRoot.SetInfo("upAxis", header.up_axis)
-    layer.pseudoRoot.SetInfo("metersPerUnit", header.metres_per_unit)
-
-
-def _scaled(code: float, scale: float, inwards: Callable[[float], float]) -> float:
-    """Return an end of a range at another rate; whole if it was, so that players show whole frames, all of the range.
-
-    Examples
-    --------
-    >>> _scaled(1, 30 / 24, np.ceil), _scaled(0.5, 30 / 24, np.ceil), _scaled(1001, 29.97 / 999, np.floor)
-    (2.0, 0.625, 30.0)
-    """
-    scaled, nearest = scale * code, np.rint(scale * code)
-    if abs(scaled - nearest) <= 1e-9 * max(1.0, abs(scaled)):
-        return float(nearest)
-    return float(inwards(scaled)) if float(code).is_integer() else scaled

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, UsdUtils
+from pxr import Sdf, UsdUtils, Vt
 
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
 from mixseq.sequence import MeshSequence, Polygons, header_fields
 from mixseq.surface import Origin, Surface
 from tests.formats.usd_maker import (
+    CORNERS,
     FACES,
     Asset,
     lift,
@@ -176,10 +177,10 @@ def test_an_origin_that_is_gone_is_told_once(
 @pytest.mark.parametrize(
     ("below", "fps", "expected"),
     [
-        ((1, 48), 30, (2, 57)),
-        ((1, 48), 50, (2, 96)),
-        ((1, 48), 25, (1, 48)),
-        ((1.25, 48), 30, (1.5, 57)),
+        ((-1, 48), 30, (-1, 57)),
+        ((-1, 48), 50, (-2, 96)),
+        ((-1, 48), 25, (-1, 48)),
+        ((-1.25, 48), 30, (-1.5, 57)),
         ((0, 3), 29.97 * 25, (0, 89)),
     ],
 )
@@ -189,11 +190,45 @@ def test_a_range_at_another_rate_stays_whole(
     asset.stage.SetStartTimeCode(below[0])
     asset.stage.SetEndTimeCode(below[1])
     before = asset.read()
-    stage = save(
-        path,
-        MeshSequence.from_header(before.header.with_times(np.array([2, 3, 4]) / fps, fps), before.points),
-    )
+    stage = save(path, MeshSequence.from_header(before.header.with_times(before.times, fps), before.points))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == expected
+
+
+@pytest.mark.parametrize(
+    ("codes", "expected"),
+    [
+        ([10, 11, 12], (1, 48)),  # all of the motion: the range stays
+        ([11, 12], (11, 48)),  # the body stood still after it, and does again
+        ([10, 11], (1, 11)),
+        ([11], (11, 11)),
+        ([10, 60], (1, 60)),
+        ([10.5, 11.5], (1, 48)),  # at whole frames of the new rate, less than one away from the ends
+    ],
+)
+def test_a_section_has_a_range_of_its_own(
+    asset: Asset, path: Path, codes: list[float], expected: tuple[float, float]
+) -> None:
+    asset.stage.SetStartTimeCode(1)
+    asset.stage.SetEndTimeCode(48)
+    points = asset.mesh.GetPointsAttr()
+    points.Clear()
+    for code in (10, 11, 12):
+        points.Set(Vt.Vec3fArrayFromBuffer(lift()[code - 10]), code)
+    before = asset.read()
+    cut = before.header.with_times(np.array(codes) / 25)
+    stage = save(path, MeshSequence.from_header(cut, lift(len(codes))))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == expected
+    np.testing.assert_allclose(load(path).times, cut.times)
+
+
+def test_a_mesh_that_stood_still_keeps_the_range(asset: Asset, path: Path) -> None:
+    asset.stage.SetStartTimeCode(1)
+    asset.stage.SetEndTimeCode(48)
+    asset.mesh.GetPointsAttr().Clear()
+    asset.mesh.GetPointsAttr().Set(Vt.Vec3fArrayFromBuffer(CORNERS))
+    before = asset.read()
+    stage = save(path, MeshSequence.from_header(before.header.with_times(np.array([0, 9, 10]) / 25), lift()))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, 48)
 
 
 def test_origins_of_other_formats_are_none(path: Path) -> None:

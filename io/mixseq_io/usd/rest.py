@@ -1,0 +1,109 @@
+"""USD, writing: what else moves in the file below: cameras, hair, lights, materials.
+
+What the layer tells itself, the points of meshes and what is held or undone for them, is not the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import warn
+from mixseq_io.usd.layers import Samples, attribute_in
+from mixseq_io.usd.mesh_motion import Mover
+from mixseq_io.usd.original import Original
+from mixseq_io.usd.overlay import split_instances
+from mixseq_io.usd.paths import reference_to
+from mixseq_io.usd.prims import Notes, prims_of, shortened
+from mixseq_io.usd.shown import Shown
+from mixseq_io.usd.skeletons import Skin, skins_of
+from mixseq_io.usd.transforms import Placement
+
+_SAME_FRAME = 1e-3
+"""Fraction of a frame by which times may differ where nothing is retimed: ends are typed with a few digits."""
+
+
+def what_else_moves(original: Original) -> list[str]:
+    """Return the paths of what can be seen to move, or to change, besides the meshes of a sequence."""
+    ours = {fit.mesh.GetPath() for fit in original.fits}
+    prims = [each for each in prims_of(original.path, original.stage) if each.GetPath() not in ours]
+    skins = skins_of([mesh for each in prims if (mesh := UsdGeom.Mesh(each))], Notes(original.path))
+    return [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]
+
+
+def warn_of_rest(target: Path, header: SequenceHeader, original: Original, sources: ArrayLike) -> None:
+    """Tell what else moves in a file, if the frames of a sequence show `sources`, other times of it than their own.
+
+    Warns
+    -----
+    MixseqWarning
+        If there is anything.
+    """
+    times = np.asarray(sources, dtype=np.float64)
+    if np.allclose(times, header.times, rtol=0, atol=_SAME_FRAME / header.fps):
+        return
+    cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
+    if paths := what_else_moves(original):
+        warn(f"{target}: what else moves in {original.path} is not retimed: {shortened(paths)}{cure}")
+
+
+def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown) -> None:
+    """Give what moves in a file, as far as its layer does not tell it itself, samples at the layer's frames.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        The layer, with everything that it tells itself.
+    target : Path
+        Where it will be.
+    original : Original
+        The file.
+    shown : Shown
+        Which time of the file is shown when.
+
+    Warns
+    -----
+    MixseqWarning
+        If instances become prims of their own.
+    """
+    every = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
+    moving = [
+        each for prim in every for each in _animated(prim) if not layer.GetAttributeAtPath(each.GetPath())
+    ]
+    split_instances(layer, target, [each.GetPrim() for each in moving])
+    samples = Samples(layer)
+    for attribute in moving:
+        path = str(attribute.GetPath())
+        attribute_in(layer, path, attribute.GetTypeName(), attribute.GetVariability())
+        for code, value in shown.samples(attribute):
+            samples.put((code, {path: _as_named_from(target, value)}))
+
+
+def _is_seen(prim: Usd.Prim) -> bool:
+    """Whether a prim shows something itself, which groups, skeletons and their animations do not."""
+    groups = (UsdGeom.Scope, UsdSkel.Root, UsdSkel.Skeleton, UsdSkel.Animation)
+    return prim.GetTypeName() not in ("", "Xform") and not any(kind(prim) for kind in groups)
+
+
+def _changes(prim: Usd.Prim, skins: Mapping[Sdf.Path, Skin]) -> bool:
+    if mesh := UsdGeom.Mesh(prim):
+        return bool(Mover(mesh, skins.get(prim.GetPath())).sources)
+    moves = bool(UsdGeom.Xformable(prim)) and Placement(prim).moves
+    return moves or any(True for _ in _animated(prim))
+
+
+def _animated(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    return (each for each in prim.GetAuthoredAttributes() if each.ValueMightBeTimeVarying())
+
+
+def _as_named_from(target: Path, value: Any) -> Any:
+    """Return a value, a file in it as another file names it."""
+    if isinstance(value, Sdf.AssetPath) and value.resolvedPath:
+        return Sdf.AssetPath(reference_to(Path(value.resolvedPath), target))
+    return value
