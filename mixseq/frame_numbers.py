@@ -12,6 +12,10 @@ In Python frames are counted from 0, by their *index*; people are told the numbe
 from __future__ import annotations
 
 from math import isfinite
+from typing import Annotated
+
+Seconds = Annotated[float, "seconds"]
+"""A time, or how long something lasts: parameters that scripts may give as numbers of frames."""
 
 NEAR = 1e-3
 """Fraction of a frame by which times may miss a whole number: they are typed, and stored, with a few digits."""

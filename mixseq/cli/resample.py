@@ -24,6 +24,7 @@ from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import SettingsError
 from mixseq.frame_numbers import span_text
+from mixseq.frame_rates import exact_rate
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,7 +73,8 @@ if TYPE_CHECKING:
     "--retime",
     type=FILE,
     metavar="FILE",
-    help="Play by a curve instead: lines output,source in seconds (CSV), or TOML.",
+    help="Play by a curve instead: lines output,source (CSV), or TOML, in seconds, or in frames if the first line is "
+    'unit = "frames".',
 )
 @setting("--linear", is_flag=True, help="Join the points of --retime by straight lines, not smoothly.")
 @click.option(
@@ -135,16 +137,22 @@ def command(
         raise SettingsError("--frames tells the section; leave out --start, --end and --retime")
     claim(target)
     from mixseq.operations.resampling import plan
-    from mixseq.operations.retiming_files import read_retiming
+    from mixseq.operations.retiming import Retiming
+    from mixseq.operations.retiming_files import read_keys
     from mixseq_io import in_step
 
     if whole_stage:
         writing = writing | {"whole_stage": True}
-    retiming = None if retime is None else read_retiming(retime, smooth=not linear)
+    keys = None if retime is None else read_keys(retime)
     with workers as work, progress_bar(quiet) as progress:
         model = _model(source, tolerance, reading, progress, work)
         if frames is not None:
             start, end = frames.span(model.header)
+        retiming = None
+        if keys is not None:
+            own = model.header.fps
+            outputs, sources = keys.in_seconds(own if rate is None else exact_rate(rate, own), own).T
+            retiming = Retiming.through(outputs, sources, smooth=not linear)
         planned = plan(model, rate, start, end, speed, reverse, retiming)
         if velocities:
             points, speeds = in_step(planned.moving_blocks(progress=progress, workers=work))

@@ -13,7 +13,8 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
-from mixseq.operations.retiming_files import read_keys
+from mixseq.frame_numbers import time_of
+from mixseq.operations.retiming_files import RetimingKeys, Unit, read_keys
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -36,6 +37,7 @@ class Readers(NamedTuple):
 
 
 Read = Callable[[Any, Path, Readers], Any]
+InSeconds = Callable[[Any, float, Unit], Any]
 
 
 class WrongTypeError(Exception):
@@ -56,26 +58,30 @@ class Key(NamedTuple):
     read : callable
         Makes the argument from the value, the folder that paths start from, and readers of files; raises
         `WrongTypeError` if the value is something else.
+    in_seconds : callable, optional
+        For times: makes seconds of what was read, with the frames per second of the model and the script's unit.
     """
 
     parameter: str
     required: bool
     holds: str
     read: Read
+    in_seconds: InSeconds | None = None
 
 
 def keys_of(function: Callable[..., Model]) -> dict[str, Key]:
     """Return the keys of an operation: all parameters but the model that a script can give."""
-    hints = get_type_hints(function)
+    hints, marked = get_type_hints(function), get_type_hints(function, include_extras=True)
     _, *parameters = signature(function).parameters.values()
     keys = {}
     for parameter in parameters:
         name, required = parameter.name, parameter.default is Parameter.empty
         if name in FILES:
             key, holds, read = FILES[name]
-            keys[key] = Key(name, required, holds, read)
+            keys[key] = Key(name, required, holds, read, TIMES.get(name))
         elif holds := _holds(hints[name]):
-            keys[name] = Key(name, required, holds, partial(_plain, hints[name]))
+            time = _number_in_seconds if marked[name] != hints[name] else None
+            keys[name] = Key(name, required, holds, partial(_plain, hints[name]), time)
     return keys
 
 
@@ -182,12 +188,24 @@ def _weight(value: Any, folder: Path, readers: Readers) -> float | Curve:
     return Curve(pairs[:, 0], pairs[:, 1:])
 
 
-def _keys(value: Any, folder: Path, readers: Readers) -> Float:
-    return (
-        _pairs(value, folder, readers)
-        if isinstance(value, list)
-        else read_keys(_path(value, folder, readers))
-    )
+def _keys(value: Any, folder: Path, readers: Readers) -> RetimingKeys:
+    if isinstance(value, list):
+        return RetimingKeys(_pairs(value, folder, readers), None)
+    return read_keys(_path(value, folder, readers))
+
+
+def _number_in_seconds(value: float, fps: float, unit: Unit) -> float:
+    return time_of(value, fps) if unit == "frames" else value
+
+
+def _weight_in_seconds(value: float | Curve, fps: float, unit: Unit) -> float | Curve:
+    if isinstance(value, Curve) and unit == "frames":
+        return Curve(value.times / fps, value.values)
+    return value
+
+
+def _keys_in_seconds(value: RetimingKeys, fps: float, unit: Unit) -> Float:
+    return value.in_seconds(fps, fps, unit)
 
 
 FILES: Mapping[str, tuple[str, str, Read]] = {
@@ -199,3 +217,6 @@ FILES: Mapping[str, tuple[str, str, Read]] = {
     "weight": ("weight", "a number, or pairs of time and weight as a list or a CSV file,", _weight),
 }
 """Parameters that are no plain values, in all operations: key in a script, what it holds, and how it is read."""
+
+TIMES: Mapping[str, InSeconds] = {"keys": _keys_in_seconds, "weight": _weight_in_seconds}
+"""Those of them that hold times."""

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import between, breakpoints, sites_of
@@ -39,7 +40,7 @@ FRAMES = 2
 
 
 def drag(
-    model: Model, time: float, to: ArrayLike, reach: float | None = None, plane: Plane | None = None
+    model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None
 ) -> Model:
     """Return the model with its curve in the embedding pulled to a place.
 

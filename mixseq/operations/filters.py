@@ -22,6 +22,7 @@ from scipy.interpolate import make_smoothing_spline
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.geometry.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
 from mixseq.operations.splines import between, sites_of
 from mixseq.prediction.poses import Poses
@@ -36,7 +37,7 @@ LONGEST = 1e9
 """Periods of more steps all leave a line."""
 
 
-def smooth(model: Model, seconds: float) -> Model:
+def smooth(model: Model, seconds: Seconds) -> Model:
     """Return the model without changes that are faster than a period: all its signals, shape and placement.
 
     A sine of this period loses half its power. Of the amplitude, 0.13 are left at half the period, 0.97 at twice

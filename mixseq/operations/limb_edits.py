@@ -22,6 +22,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.exaggeration import check_gain
 from mixseq.operations.joining import CurveSection, Seam, join, snapped
 from mixseq.operations.limb_joints import Limb, limb_of
@@ -75,7 +76,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
 
 
-def hold(model: Model, part: int, time: float, start: float, end: float, fade: float = FADE) -> Model:
+def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, fade: Seconds = FADE) -> Model:
     """Return the model with a part at rest against its parent, as it is at a time.
 
     The residual layer is kept.

@@ -5,14 +5,46 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.operations.toml_text import parse_toml
+
+Lines = list[tuple[int, list[str]]]
+"""Lines of a file: their numbers, and what stands between the commas."""
+
+Unit = Literal["seconds", "frames"]
+
+
+class RetimingKeys(NamedTuple):
+    """Points of a retiming as a file tells them.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+        Output and source times.
+    unit : {"seconds", "frames"}, optional
+        What they are in; None where the file does not tell.
+    """
+
+    points: Float
+    unit: Unit | None
+
+    def in_seconds(self, output_fps: float, source_fps: float, unit: Unit = "seconds") -> Float:
+        """Return the points in seconds.
+
+        Parameters
+        ----------
+        output_fps, source_fps : float
+            Frames per second that frame numbers are of.
+        unit : {"seconds", "frames"}
+            What times are in where the file does not tell.
+        """
+        return self.points / [output_fps, source_fps] if (self.unit or unit) == "frames" else self.points
 
 
 class _Key(NamedTuple):
@@ -23,7 +55,12 @@ class _Key(NamedTuple):
     source: float
 
 
-def read_retiming(path: str | os.PathLike[str], smooth: bool = True) -> Retiming:
+def read_retiming(
+    path: str | os.PathLike[str],
+    smooth: bool = True,
+    output_fps: float | None = None,
+    source_fps: float | None = None,
+) -> Retiming:
     """Read a retiming from a text file.
 
     Parameters
@@ -31,21 +68,31 @@ def read_retiming(path: str | os.PathLike[str], smooth: bool = True) -> Retiming
     path : path-like
         CSV: one line ``output,source`` per point, in seconds; lines of another order begin with a header of these
         names; empty lines and what follows ``#`` are skipped. Or TOML, if the name ends in ``.toml``: tables
-        ``[[key]]`` with ``output`` and ``source``, or two arrays of these names.
+        ``[[key]]`` with ``output`` and ``source``, or two arrays of these names. In both, the first line may be
+        ``unit = "frames"``: times are frame numbers then.
     smooth : bool
         As in `Retiming.through`.
+    output_fps, source_fps : float, optional
+        Frames per second of the output and of the source, for files that speak in frames; that of the output is by
+        default that of the source.
 
     Raises
     ------
     FormatError
         If the file cannot be read, or its points are no retiming; the message names the file and the line.
+    SettingsError
+        If the file speaks in frames, and it is not known how many there are per second.
     """
-    outputs, sources = read_keys(path).T
+    keys = read_keys(path)
+    if source_fps is None and keys.unit == "frames":
+        raise SettingsError(f"{path} speaks in frames; give source_fps, the frames per second of the source")
+    rate = source_fps or 1.0
+    outputs, sources = keys.in_seconds(output_fps or rate, rate).T
     return Retiming.through(outputs, sources, smooth)
 
 
-def read_keys(path: str | os.PathLike[str]) -> Float:
-    """Read the points ``(n, 2)`` of a retiming, output and source times; file and errors as in `read_retiming`."""
+def read_keys(path: str | os.PathLike[str]) -> RetimingKeys:
+    """Read the points of a retiming; file and errors as in `read_retiming`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -53,26 +100,54 @@ def read_keys(path: str | os.PathLike[str]) -> Float:
         raise FormatError(f"{file} cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise FormatError(f"{file} is not text; a CSV or TOML file is expected") from None
-    keys = list(_toml_keys(file, text) if file.suffix.lower() == ".toml" else _csv_keys(file, text))
+    unit: Unit | None
+    if file.suffix.lower() == ".toml":
+        data = parse_toml(file, text)
+        unit = checked_unit(data.pop("unit", None), f"{file}")
+        keys = list(_toml_keys(file, data))
+    else:
+        unit, lines = _csv_lines(file, text)
+        keys = list(_csv_keys(file, lines))
     for before, key in zip([None, *keys], keys, strict=False):
         if not (np.isfinite(key.output) and np.isfinite(key.source)):
             raise FormatError(f"{file}, {key.place}: the times {key.output:g}, {key.source:g} are not finite")
         if before is not None and key.output <= before.output:
             raise FormatError(
-                f"{file}, {key.place}: the output time {key.output:g} s is not after {before.output:g} s of "
+                f"{file}, {key.place}: the output time {key.output:g} is not after {before.output:g} of "
                 f"{before.place}; output times must increase"
             )
     if len(keys) < 2:
         raise FormatError(f"{file} has {len(keys)} points; a retiming needs two or more")
-    return np.array([[key.output, key.source] for key in keys])
+    return RetimingKeys(np.array([[key.output, key.source] for key in keys]), unit)
 
 
-def _csv_keys(file: Path, text: str) -> Iterable[_Key]:
+def checked_unit(unit: object, where: str) -> Unit | None:
+    """Return the unit that a file tells, or None.
+
+    Raises
+    ------
+    SettingsError
+        If it is none.
+    """
+    if unit not in (None, "seconds", "frames"):
+        raise SettingsError(f"{where}: the unit is {unit!r}; 'seconds' or 'frames' is expected")
+    return unit
+
+
+def _csv_lines(file: Path, text: str) -> tuple[Unit | None, Lines]:
+    """Return the unit that the first line tells, and the others: numbers and fields of those that have some."""
     lines = [
         (number, [field.strip() for field in line.partition("#")[0].split(",")])
         for number, line in enumerate(text.splitlines(), start=1)
         if line.partition("#")[0].strip()
     ]
+    name, told, unit = lines[0][1][0].partition("=") if lines else ("", "", "")
+    if not told or name.strip().lower() != "unit":
+        return None, lines
+    return checked_unit(unit.strip().strip("\"'"), f"{file}, line {lines[0][0]}"), lines[1:]
+
+
+def _csv_keys(file: Path, lines: Lines) -> Iterable[_Key]:
     names = [name.lower() for name in lines[0][1]] if lines else []
     if sorted(names) == ["output", "source"]:
         del lines[0]
@@ -83,14 +158,13 @@ def _csv_keys(file: Path, text: str) -> Iterable[_Key]:
             times = dict(zip(names, map(float, fields), strict=True))
         except ValueError:
             raise FormatError(
-                f"{file}, line {number}: {','.join(fields)[:40]!r} is no point of a retiming; two times in seconds, "
+                f"{file}, line {number}: {','.join(fields)[:40]!r} is no point of a retiming; two times, "
                 "output,source, are expected"
             ) from None
         yield _Key(f"line {number}", **times)
 
 
-def _toml_keys(file: Path, text: str) -> Iterable[_Key]:
-    data = parse_toml(file, text)
+def _toml_keys(file: Path, data: dict[str, Any]) -> Iterable[_Key]:
     tables = data.get("key")
     if data.keys() == {"output", "source"} and all(isinstance(times, list) for times in data.values()):
         if len(data["output"]) != len(data["source"]):
@@ -108,5 +182,5 @@ def _toml_keys(file: Path, text: str) -> Iterable[_Key]:
         if not isinstance(table, dict) or table.keys() != {"output", "source"}:
             raise FormatError(f"{file}, key {number}: an output and a source are expected, and nothing else")
         if not all(type(time) in (int, float) for time in table.values()):
-            raise FormatError(f"{file}, key {number}: the output or the source is not a time in seconds")
+            raise FormatError(f"{file}, key {number}: the output or the source is not a time")
         yield _Key(f"key {number}", float(table["output"]), float(table["source"]))

@@ -15,19 +15,21 @@
     duration = 0.25
 
 Operations are functions ``model -> model`` of this package, and the keys of a table are the names of their
-parameters, see `mixseq.operations.arguments`.
+parameters, see `mixseq.operations.arguments`. A script that begins with ``unit = "frames"`` gives times, and how long
+things last, as numbers of frames of the model that is edited (`mixseq.frame_numbers`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from mixseq.errors import FormatError, MixseqError, SettingsError
-from mixseq.operations.arguments import Readers, WrongTypeError, keys_of
+from mixseq.operations.arguments import InSeconds, Readers, WrongTypeError, keys_of
+from mixseq.operations.retiming_files import Unit, checked_unit
 from mixseq.operations.toml_text import parse_toml
 from mixseq.signals.model import Model
 
@@ -70,16 +72,25 @@ class Edit:
         Its name.
     arguments : mapping
         Arguments by the names of the parameters, files read.
+    times : mapping
+        Those of them that are times: what makes seconds of them.
+    unit : {"seconds", "frames"}
+        What times are in.
     """
 
     number: int
     operation: str
     arguments: Mapping[str, Any]
+    times: Mapping[str, InSeconds] = field(default_factory=dict)
+    unit: Unit = "seconds"
 
     def __call__(self, model: Model) -> Model:
         """Return the edited model; errors tell which edit it was."""
+        seconds = {
+            name: made(self.arguments[name], model.header.fps, self.unit) for name, made in self.times.items()
+        }
         try:
-            edited: Model = function_of(self.operation)(model, **self.arguments)
+            edited: Model = function_of(self.operation)(model, **{**self.arguments, **seconds})
         except MixseqError as error:
             raise type(error)(f"edit {self.number} ({self.operation}): {error}") from error
         return edited
@@ -111,6 +122,7 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
     except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not a TOML file: {error}") from error
     script = parse_toml(path, text)
+    unit = checked_unit(script.pop("unit", None), f"{path}") or "seconds"
     tables = script.pop("edit", [])
     if script:
         raise SettingsError(
@@ -120,7 +132,7 @@ def read_script(path: Path, readers: Readers) -> list[Edit]:
         raise SettingsError(
             f"{path} has no edits; write each as a table [[edit]] with operation = and its settings"
         )
-    return [_edit(number, table, path.parent, readers) for number, table in enumerate(tables, start=1)]
+    return [_edit(number, table, path.parent, readers, unit) for number, table in enumerate(tables, start=1)]
 
 
 def function_of(operation: str) -> Callable[..., Model]:
@@ -130,7 +142,7 @@ def function_of(operation: str) -> Callable[..., Model]:
     return function
 
 
-def _edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers) -> Edit:
+def _edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers, unit: Unit) -> Edit:
     where = f"edit {number}"
     if "operation" not in table:
         raise SettingsError(f"{where} has no key 'operation'; it is one of {', '.join(OPERATIONS)}")
@@ -157,4 +169,6 @@ def _edit(number: int, table: Mapping[str, Any], folder: Path, readers: Readers)
     for key, expected in keys.items():
         if expected.required and expected.parameter not in arguments:
             raise SettingsError(f"{where}: the key {key!r} is missing; {expected.holds} is expected")
-    return Edit(number, operation, arguments)
+    times = {each.parameter: each.in_seconds for each in keys.values() if each.in_seconds is not None}
+    given = {name: made for name, made in times.items() if name in arguments}
+    return Edit(number, operation, arguments, given, unit)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.hand_edits import edited_difference
 from mixseq.operations.joining import snapped
 from mixseq.operations.splines import breakpoints, refined, sampled, shape_measure, sites_of
@@ -46,11 +47,11 @@ ACCURACY = 1e-3
 
 def sculpt(
     model: Model,
-    time: float,
+    time: Seconds,
     points: ArrayLike | MeshSequence,
     where: Where = "everywhere",
-    start: float | None = None,
-    end: float | None = None,
+    start: Seconds | None = None,
+    end: Seconds | None = None,
     radius: float | None = None,
 ) -> Model:
     """Return the model with a change that was made by hand in one frame.

@@ -28,6 +28,7 @@ from scipy.spatial.distance import cdist
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.splines import placement_measure, sampled, shape_measure
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve
@@ -47,7 +48,7 @@ ACCURACY = 1e-4
 """Largest error, in diagonals, of the splines between sites."""
 
 
-def sketch(model: Model, curve: ArrayLike, duration: float, plane: Plane | None = None) -> Model:
+def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | None = None) -> Model:
     """Return the motion that a curve in the embedding of a model tells.
 
     The motion starts at 0 s and runs along the curve at even speed. A curve that goes through the place of a frame

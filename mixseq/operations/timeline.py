@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.joining import (
     ModelSection,
     Seam,
@@ -21,7 +22,7 @@ MOST = 10_000
 """A section shown more often would be a slip."""
 
 
-def cut(model: Model, start: float, end: float, at: float | None = None) -> Model:
+def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -> Model:
     """Return a section of a model.
 
     The residual layer is left out.
@@ -47,10 +48,10 @@ def cut(model: Model, start: float, end: float, at: float | None = None) -> Mode
 
 def repeat(
     model: Model,
-    start: float,
-    end: float,
+    start: Seconds,
+    end: Seconds,
     times: int = 2,
-    fade: float | None = None,
+    fade: Seconds | None = None,
     travel: bool = False,
 ) -> Model:
     """Show a section of a model several times.
@@ -99,7 +100,7 @@ def repeat(
     return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 
-def loop(model: Model, fade: float | None = None, travel: bool = False) -> Model:
+def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
     The last frame is the first one again. A part that turned by whole turns turns on. The residual layer is left out.
@@ -134,7 +135,7 @@ def loop(model: Model, fade: float | None = None, travel: bool = False) -> Model
     return concatenated(sections, [Seam(length / 4)])
 
 
-def shift(model: Model, seconds: float) -> Model:
+def shift(model: Model, seconds: Seconds) -> Model:
     """Return the model with everything later by so many seconds, or earlier where they are negative.
 
     The residual layer is left out.

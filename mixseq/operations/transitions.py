@@ -17,6 +17,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import Seconds
 from mixseq.operations.common_space import together
 from mixseq.operations.joining import (
     SLACK,
@@ -41,7 +42,7 @@ DENSE = 8
 Weight = Callable[[Float], Float]
 
 
-def concatenate(a: Model, b: Model, fade: float | None = None, travel: bool = False) -> Model:
+def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Return one model after the other.
 
     The second one starts where the first ends, in time; what value, slope and curvature of the signals jump by is
@@ -74,7 +75,7 @@ def concatenate(a: Model, b: Model, fade: float | None = None, travel: bool = Fa
     return concatenated([ModelSection(a, start, seam), ModelSection(later, seam, later.end)], [Seam(seconds)])
 
 
-def transition(a: Model, b: Model, at: float, duration: float, travel: bool = False) -> Model:
+def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Return the first model, which passes over into the second one.
 
     The residual layer is left out.

@@ -129,7 +129,7 @@ def test_the_help_knows_all_operations(run: Run) -> None:
         (
             "model.h5 old.h5 --script edits.toml",
             '[[edit]]\noperation = "cut"\nstart = 0\nend = 3',
-            "edit 1 (cut): end is 3 s; the model is from 0 to 0.3 s (frames 0 to 3), give a time within",
+            "edit 1 (cut): end is 3 s; the model is from 0 to 0.3 s (frames 0 to 3), give a time within; frame 3",
         ),
         (
             "model.h5 old.h5 --script edits.toml",

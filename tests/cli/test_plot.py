@@ -66,8 +66,8 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5 new.png --kind parts --against bar.npz", "against is for .* not for parts"),
         ("plot model.h5 new.png --against none.npz", "none.npz.* does not exist"),
         ("plot model.h5 new.png --against other.npz", "errors need one mesh"),
-        ("plot model.h5 new.png --frames 0;1", "--frames.*'0;1' is not a list of frames such as 0,12,24"),
-        ("plot model.h5 new.png --frames 0.5", "--frames.*'0.5' is not a list of frames"),
+        ("plot model.h5 new.png --frames 0;1", "--frames.*'0;1' is not a range of frames such as 1005-1010"),
+        ("plot model.h5 new.png --frames 0.5", "--frames.*'0.5' is not a range of frames"),
         ("plot model.h5 new.png --frames 4", "there is no frame 4; frames are 0 to 3"),
         (
             "plot model.h5 new.png --frames 1 --kind parts",

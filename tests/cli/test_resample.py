@@ -110,6 +110,16 @@ def test_frames_are_a_section(run: Run) -> None:
     assert Path("by_frames.npz").read_bytes() == Path("by_seconds.npz").read_bytes()
 
 
+def test_retiming_in_frames_of_the_output_and_of_the_source(run: Run) -> None:
+    Path("frames.csv").write_text('unit = "frames"\n0,0\n8,2\n')
+    table = succeed(run("resample", "model.h5", "new.npz", "--retime", "frames.csv", "--fps", "20"))
+    assert table.splitlines()[:3] == [
+        "frames  9 (0 to 8)",
+        "time    0 to 0.4 s at 20 frames per second",
+        "source  0 to 0.2 s (frames 0 to 2)",
+    ]
+
+
 def test_quiet(run: Run) -> None:
     assert succeed(run("resample", "model.h5", "new.npz", "--quiet")).count("\n") == 1
 

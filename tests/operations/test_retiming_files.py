@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.operations.retiming_files import read_retiming
 
@@ -43,11 +43,11 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.csv", "0,1", "a.csv has 1 points"),
         ("a.csv", "time,value\n0,1\n1,2", "a.csv, line 1: 'time,value' is no point"),
         ("a.csv", "0,1\noutput,source\n1,2", "a.csv, line 2: 'output,source' is no point"),
-        ("a.csv", "0,1\n\n1,two", "a.csv, line 3: '1,two' is no point of a retiming; two times in seconds"),
+        ("a.csv", "0,1\n\n1,two", "a.csv, line 3: '1,two' is no point of a retiming; two times"),
         ("a.csv", "0,1\n1", "a.csv, line 2: '1' is no point"),
         ("a.csv", "0,1\n1,2,3", "a.csv, line 2: '1,2,3' is no point"),
         ("a.csv", "0;1\n1;2", "a.csv, line 1: '0;1' is no point"),
-        ("a.csv", "0,1\n2,1\n# no\n2,3", "a.csv, line 4: the output time 2 s is not after 2 s of line 2"),
+        ("a.csv", "0,1\n2,1\n# no\n2,3", "a.csv, line 4: the output time 2 is not after 2 of line 2"),
         ("a.csv", "0,1\nnan,1", "a.csv, line 2: the times nan, 1 are not finite"),
         ("a.csv", "0,1\n1,inf", "a.csv, line 2: the times 1, inf are not finite"),
         ("a.toml", "key = \n1", "a.toml is not a TOML file: .*line 1"),
@@ -64,12 +64,12 @@ def test_files(tmp_path: Path, name: str, text: str) -> None:
         ("a.toml", "[[key]]\noutput=0", "a.toml, key 1: an output and a source are expected"),
         ("a.toml", "[[key]]\noutput=0\nsource=1\nease=2", "a.toml, key 1: .* nothing else"),
         ("a.toml", "key = [1, 2]", "a.toml, key 1: an output and a source"),
-        ("a.toml", "output=[0, 'x']\nsource=[0, 1]", "a.toml, key 2: .* not a time in seconds"),
-        ("a.toml", "output=[0, 1]\nsource=[0, true]", "a.toml, key 2: .* not a time in seconds"),
+        ("a.toml", "output=[0, 'x']\nsource=[0, 1]", "a.toml, key 2: .* not a time"),
+        ("a.toml", "output=[0, 1]\nsource=[0, true]", "a.toml, key 2: .* not a time"),
         (
             "a.toml",
             "output=[0, 0]\nsource=[0, 1]",
-            "a.toml, key 2: the output time 0 s is not after 0 s of key 1",
+            "a.toml, key 2: the output time 0 is not after 0 of key 1",
         ),
     ],
 )
@@ -87,3 +87,29 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FormatError, match="is not text; a CSV or TOML file"):
         read_retiming(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", 'unit = "frames"\n# later\nsource,output\n1001,10\n1005,18\n'),
+        ("a.csv", "unit=frames\n10,1001\n18,1005\n"),
+        ("a.toml", 'unit = "frames"\noutput = [10, 18]\nsource = [1001, 1005]\n'),
+    ],
+)
+def test_times_may_be_frames(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    read = read_retiming(tmp_path / name, output_fps=20, source_fps=10)
+    assert (read.start, read.end) == (0.5, 0.9)
+    np.testing.assert_allclose(read([0.5, 0.9]), [100.1, 100.5])
+    same = read_retiming(tmp_path / name, source_fps=10)
+    assert (same.start, same.end) == (1.0, 1.8)
+    with pytest.raises(SettingsError, match="speaks in frames; give source_fps"):
+        read_retiming(tmp_path / name)
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.csv", "unit = days\n0,1\n1,2"), ("a.toml", "unit = 3\n")])
+def test_a_unit_that_is_none(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SettingsError, match=rf"{name}.*: the unit is (\'days\'|3); \'seconds\' or"):
+        read_retiming(tmp_path / name)

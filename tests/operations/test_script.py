@@ -224,7 +224,70 @@ def test_files_elsewhere_are_read_where_that_is_allowed(tmp_path: Path) -> None:
         '[[edit]]\noperation = "retime"\nkeys = "../keys.csv"\n'
     )
     (edit,) = read_script(script, Readers(load, read, (tmp_path,)))
-    np.testing.assert_array_equal(edit.arguments["keys"], [[0, 0], [1, 2]])
+    np.testing.assert_array_equal(edit.arguments["keys"].points, [[0, 0], [1, 2]])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "frames"),
+    [
+        (
+            'operation = "cut"\nstart = 0.2\nend = 0.6\nat = 1.0',
+            'operation = "cut"\nstart = 2\nend = 6\nat = 10',
+        ),
+        (
+            'operation = "transition"\nb = "other.h5"\nat = 0.4\nduration = 0.2',
+            'operation = "transition"\nb = "other.h5"\nat = 4\nduration = 2',
+        ),
+        (
+            'operation = "retime"\nkeys = [[0.0, 0.0], [1.2, 0.4]]',
+            'operation = "retime"\nkeys = [[0, 0], [12, 4]]',
+        ),
+        (
+            'operation = "blend"\nb = "other.h5"\nweight = [[0.0, 0.0], [0.8, 1.0]]',
+            'operation = "blend"\nb = "other.h5"\nweight = [[0, 0.0], [8, 1.0]]',
+        ),
+        ('operation = "exaggerate"\ngain = 2.0', 'operation = "exaggerate"\ngain = 2'),
+    ],
+)
+def test_scripts_may_speak_in_frames(edits: Edits, seconds: str, frames: str) -> None:
+    motion = bar_motion("vertex")
+    assert motion.header.fps == 10
+    one, other = (
+        apply(edits(table(seconds)), motion),
+        apply(edits('unit = "frames"\n' + table(frames)), motion),
+    )
+    np.testing.assert_allclose(other.times, one.times, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(other.sample().points, one.sample().points, atol=1e-9)
+
+
+def test_files_of_keys_tell_their_own_unit(edits: Edits, tmp_path: Path) -> None:
+    motion = bar_motion("vertex")
+    (tmp_path / "seconds.csv").write_text('unit = "seconds"\n0,0\n1.2,0.4\n')
+    (tmp_path / "frames.csv").write_text("unit = frames\n0,0\n12,4\n")
+    (tmp_path / "plain.csv").write_text("0,0\n12,4\n")
+    text = table('operation = "retime"\nkeys = "{}.csv"')
+    expected = apply(edits(text.format("seconds")), motion)
+    for unit, name in (("frames", "seconds"), ("seconds", "frames"), ("frames", "plain")):
+        found = apply(edits(f'unit = "{unit}"\n' + text.format(name)), motion)
+        np.testing.assert_allclose(found.times, expected.times, rtol=0, atol=1e-12)
+
+
+def test_all_times_may_be_frames() -> None:
+    """Those in seconds are marked in the signatures."""
+    told = {
+        (name, key.parameter)
+        for name in OPERATIONS
+        for key in keys_of(function_of(name)).values()
+        if key.in_seconds is not None
+    }
+    named = {"start", "end", "at", "time", "duration", "fade", "seconds", "reach", "keys", "weight"}
+    every = {(name, each) for name in OPERATIONS for each in signature(function_of(name)).parameters}
+    assert told == {(name, each) for name, each in every if each in named}
+
+
+def test_a_unit_that_is_none(edits: Edits) -> None:
+    with pytest.raises(SettingsError, match=r"edits.toml: the unit is 'hours'; 'seconds' or 'frames' is"):
+        edits('unit = "hours"\n' + table('operation = "reverse"'))
 
 
 def test_scripts_that_cannot_be_read(tmp_path: Path) -> None:
