@@ -24,6 +24,7 @@ NO_ANIMATION = "none"
 """What to ask for to get nodes as they are, mostly at rest."""
 
 _LONGEST_LIST = 20
+_LATEST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +184,17 @@ def _numbered(names: Sequence[str], first: int = 0) -> str:
     shown = [f"{number} {name!r}" for number, name in enumerate(names)][first : first + _LONGEST_LIST]
     more = len(names) - first - _LONGEST_LIST
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> float | None:
+    """Return what files written by mixseq tell of an animation, above `least`: its rate, or when it starts."""
+    extras = {} if animation is None else animation.values.get("extras")
+    value = extras.get(name) if isinstance(extras, dict) else None
+    return (
+        float(value)
+        if isinstance(value, int | float) and not isinstance(value, bool) and least < value < _LATEST
+        else None
+    )
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:

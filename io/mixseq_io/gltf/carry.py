@@ -8,13 +8,14 @@ are in world space, the nodes of these meshes become a root of the scene, or sev
 path means the mesh that moves. Where nothing above any of them transforms it, they stay where they are. What hung
 below them stays where it was. A file that is written again and again has one such root, and does not grow.
 
-All animations of the file are replaced by the sequence. What nothing refers to any more is taken out.
+All animations of the file are replaced by the sequence, and by what else moves. What nothing refers to any more is
+taken out.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -34,7 +35,6 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.document_edits import (
     detach,
     embed_images,
-    moved_by_animations,
     prune,
     used_extensions,
     vacant,
@@ -43,6 +43,7 @@ from mixseq_io.gltf.json_fields import COMPRESSIONS, Fields
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
 from mixseq_io.gltf.new_document import add_vertex_numbers, group, upright
 from mixseq_io.gltf.node_tree import Scene, read_scene
+from mixseq_io.gltf.other_motion import OtherMotion, moved_by_animations, other_motion
 from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.scene_meshes import SceneMesh, split
@@ -139,8 +140,8 @@ def _turned(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
     return triangles[:, [0, 2, 1]] if mirrored else triangles
 
 
-def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[MovingMesh]]:
-    """Return the file's document with its data, and what of it will move.
+def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[MovingMesh], OtherMotion]:
+    """Return the file's document with its data, what of it will move with the sequence, and what else moves.
 
     Raises
     ------
@@ -150,20 +151,21 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     Warns
     -----
     MixseqWarning
-        If something of the file is lost: other animations, points and lines; or if data that may be of
-        no use is kept, see `prune`.
+        If something of the file is lost: other animations, points and lines; if something stands still while the
+        sequence goes on; or if data that may be of no use is kept, see `prune`.
     """
     scene = read_scene(document)
     places = find_places(document, scene, header)
     carried = deepcopy(document.json)
+    others = other_motion(document, scene, [place.node for place in places])
+    others.warn_of_times(document.path, header)
     _drop_animations(carried, document, scene, places)
     meshes = [_new_mesh(carried, document, place) for place in places]
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
-    stay = not upright(header) and all(_stands_in_world(scene, place.node) for place in places)
-    for place in places:
-        detach(carried, place.node, stay)
+    stay = not upright(header) and all(_stands_in_world(scene, place.node, others.nodes) for place in places)
+    others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
     if not stay:
         root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
         for each in shown_in:
@@ -178,20 +180,22 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
             if place.mirrored:
                 turned = place.triangles(primitive).astype(np.uint32).reshape(-1)
                 moving.entry.update(indices=layout.add_array(turned, target=INDICES), mode=_TRIANGLES)
-    return layout, meshes
+    return layout, meshes, others
 
 
-def _stands_in_world(scene: Scene, node: int) -> bool:
-    """Whether a node is shown, and nothing above it transforms it; animations are dropped."""
+def _stands_in_world(scene: Scene, node: int, moved: Set[int]) -> bool:
+    """Whether a node is shown, and nothing above it transforms it."""
     parent = scene.parents[node]
-    return node not in scene.hidden and np.array_equal(scene.world([parent], {})[parent][0], np.eye(4))
+    if node in scene.hidden or not moved.isdisjoint(scene.above(parent)):
+        return False
+    return np.array_equal(scene.world([parent], {})[parent][0], np.eye(4))
 
 
 def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:
     animations = carried.pop("animations", [])
-    others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
-    if len(animations) < 2 and not others:
+    if len(animations) < 2:
         return
+    others = moved_by_animations(carried, animations, scene) - {place.node for place in places}
     names = [each.get("name") or f"animation {number}" for number, each in enumerate(animations)]
     still = [scene.paths[node] for node in sorted(others)]
     rest = f"; what else they moved will stand still: {listed(still)}" if still else ""

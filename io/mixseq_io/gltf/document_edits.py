@@ -117,7 +117,7 @@ _WORTH_A_NODE = ("children", "camera", "extensions")
 _OF_A_GROUP = {"name", "matrix", "translation", "rotation", "scale"}
 
 
-def detach(document: Json, node: int, in_place: bool = False) -> None:
+def detach(document: Json, node: int, in_place: bool = False) -> int | None:
     """Take a node with a mesh out of the tree, without its transform; what else it was, a new node is in its place.
 
     A new node is needed if it had children, was a joint, had a camera or a light.
@@ -130,6 +130,11 @@ def detach(document: Json, node: int, in_place: bool = False) -> None:
         The node.
     in_place : bool
         Whether it stays in the tree, before the new node; nothing above it may move it.
+
+    Returns
+    -------
+    int or None
+        The new node.
     """
     entry = document["nodes"][node]
     rest = {key: entry.pop(key) for key in list(entry) if key not in _OF_THE_MESH}
@@ -150,6 +155,7 @@ def detach(document: Json, node: int, in_place: bool = False) -> None:
         skin["joints"] = [place[0] if joint == node else joint for joint in skin["joints"]]
         if skin.get("skeleton") == node:
             skin["skeleton"] = place[0]
+    return place[0] if place else None
 
 
 def vacant(document: Json, scene: Scene, above: Collection[int]) -> int | None:
@@ -172,22 +178,6 @@ def _replace(owner: Json, key: str, node: int, place: Sequence[int]) -> None:
         owner[key] = [new for old in owner[key] for new in (place if old == node else [old])]
         if not owner[key]:
             del owner[key]
-
-
-def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene) -> set[int]:
-    """Return the nodes with something to see that animations move: meshes, cameras, lights."""
-    targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
-    moved = set()
-    for node in scene.paths:
-        entry = document["nodes"][node]
-        bearers = [node]
-        if "skin" in entry:
-            bearers += document["skins"][entry["skin"]]["joints"]
-        if any(key in entry for key in ("mesh", "camera", "extensions")) and any(
-            not targets.isdisjoint(scene.above(bearer)) for bearer in bearers
-        ):
-            moved.add(node)
-    return moved
 
 
 _BEGINNINGS = {

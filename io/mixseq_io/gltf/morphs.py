@@ -24,6 +24,7 @@ from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, BufferWriter, Json, Layout, append
+from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
 from mixseq_io.scene_meshes import SceneMesh
 
 _BYTES_PER_VECTOR = 12
@@ -70,6 +71,8 @@ class Morphs:
         How many frames there are, and when.
     keep_start : bool
         Whether the animation begins when the sequence does, and not at 0.
+    others : OtherMotion
+        What else of the document moves.
     """
 
     def __init__(
@@ -78,13 +81,14 @@ class Morphs:
         meshes: Sequence[MovingMesh],
         header: SequenceHeader,
         keep_start: bool = False,
+        others: OtherMotion = NOTHING,
     ) -> None:
         self._meshes = meshes
-        self._animate(layout, header, keep_start)
+        self._animate(layout, header, keep_start, others)
         self._frames = [self._lay_out(layout, frame) for frame in range(header.frame_count)]
         self._first: tuple[FloatArray, list[NDArray[np.float32]]] | None = None
 
-    def _animate(self, layout: Layout, header: SequenceHeader, keep_start: bool) -> None:
+    def _animate(self, layout: Layout, header: SequenceHeader, keep_start: bool, others: OtherMotion) -> None:
         """Add the animation that steps through the targets."""
         if header.frame_count == 1:
             return
@@ -101,6 +105,7 @@ class Morphs:
             ],
             "extras": extras,
         }
+        others.animate(layout, animation, header)
         append(layout.document, "animations", animation)
 
     def _lay_out(self, layout: Layout, frame: int) -> tuple[int, list[Json]]:

@@ -24,10 +24,9 @@ from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
-from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels
+from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels, told_by
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
-from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.node_meshes import chosen_nodes, colours_of, moving_nodes, scene_mesh_of, skinning_of
 from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
@@ -82,10 +81,10 @@ def open_gltf(
             channels = [channel for channel in channels if channel.node in influencing]
         shapes = _shapes(document, scene, nodes, channels)
         name = common_name([scene.objects[shape.node] for shape in shapes]) or path.stem
-        times, rate = _frames(path, channels, fps, _told(chosen, "fps", 0.0))
+        times, rate = _frames(path, channels, fps, told_by(chosen, "fps", 0.0))
         world = _world(scene, shapes, pose_at(channels, times[:1]))
         mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
-        start = _told(chosen, "start", -_LATEST) or 0.0
+        start = told_by(chosen, "start") or 0.0
         return _GltfReader(document, name, shapes, mirrored, channels, times, rate, start)
 
 
@@ -160,20 +159,6 @@ def _welded(document: Document, mesh: int) -> Weld | None:
 def _world(scene: Scene, shapes: Sequence[Shape], pose: Pose) -> Mapping[int, Float]:
     """Return the matrices of all nodes that bear meshes, which have many nodes above them in common."""
     return scene.world((node for shape in shapes for node in shape.bearers), pose)
-
-
-_LATEST = 1e9
-
-
-def _told(animation: Fields | None, name: str, least: float) -> float | None:
-    """Return what files written by mixseq tell of an animation, above `least`: its rate, or when it starts."""
-    extras = {} if animation is None else animation.values.get("extras")
-    value = extras.get(name) if isinstance(extras, dict) else None
-    return (
-        float(value)
-        if isinstance(value, int | float) and not isinstance(value, bool) and least < value < _LATEST
-        else None
-    )
 
 
 class _GltfReader(SequenceReader):

@@ -19,6 +19,7 @@ from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
+from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
 from mixseq_io.losses import lost_subdivision, warn_of_losses
 from mixseq_io.reader import reading
 from mixseq_io.scene_meshes import SceneMesh, split
@@ -69,11 +70,11 @@ def write_gltf(
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
     overlay = None if flatten else _overlay(path, header, onto)
-    layout, meshes = overlay or new_scene(header)
+    layout, meshes, others = overlay or (*new_scene(header), NOTHING)
     lost = [] if overlay else lost_alone(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
     warn_of_many_frames(path, header)
-    morphs = Morphs(layout, meshes, header, keep_start)
+    morphs = Morphs(layout, meshes, header, keep_start, others)
     _, numbered = checked(header, blocks, velocities)
     with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
@@ -84,7 +85,7 @@ def write_gltf(
 
 def _overlay(
     path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None
-) -> tuple[Layout, list[MovingMesh]] | None:
+) -> tuple[Layout, list[MovingMesh], OtherMotion] | None:
     """Return the document of the file that the sequence is laid over, None if there is none."""
     if onto is not None:
         file = Path(onto)

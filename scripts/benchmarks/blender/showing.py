@@ -14,6 +14,9 @@ from typing import Any
 import bpy
 import numpy as np
 
+STEP = 0.125
+"""Frames between the matrices whose differences are an object's own motion."""
+
 
 def main() -> None:
     for job in json.loads(Path(sys.argv[1]).read_text()):
@@ -55,9 +58,8 @@ def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
     cameras = [each for each in scene.objects if each.type == "CAMERA"]
     arrays: dict[str, list[Any]] = {}
     for frame in frames:
-        whole = int(frame // 1)
-        scene.frame_set(whole, subframe=frame - whole)
-        graph = bpy.context.evaluated_depsgraph_get()
+        moves = _rates(meshes, frame)
+        graph = _at(frame)
         for each in meshes:
             seen = each.evaluated_get(graph)
             matrix = np.array(seen.matrix_world)
@@ -67,7 +69,8 @@ def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
             )
             if "velocity" in mesh.attributes:
                 own = _vectors(mesh.attributes["velocity"].data, "vector")
-                arrays.setdefault(f"velocities/{each.name}", []).append(own @ matrix[:3, :3].T)
+                moved = _vectors(mesh.vertices, "co") @ moves[each.name][:3, :3].T + moves[each.name][:3, 3]
+                arrays.setdefault(f"velocities/{each.name}", []).append(own @ matrix[:3, :3].T + moved)
             seen.to_mesh_clear()
         for camera in cameras[:1]:
             arrays.setdefault("camera", []).append(np.array(camera.evaluated_get(graph).matrix_world))
@@ -85,6 +88,22 @@ def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
         ],
     }
     return {name: np.array(values) for name, values in arrays.items()}, names
+
+
+def _at(frame: float) -> bpy.types.Depsgraph:
+    whole = int(frame // 1)
+    bpy.context.scene.frame_set(whole, subframe=frame - whole)
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def _rates(meshes: list[bpy.types.Object], frame: float) -> dict[str, np.ndarray]:
+    """Return how fast the matrices of objects change, per second; velocities of points are in their object's space."""
+    before, after = (
+        {each.name: np.array(each.evaluated_get(graph).matrix_world) for each in meshes}
+        for graph in (_at(frame + step) for step in (-STEP, STEP))
+    )
+    seconds = 2 * STEP / bpy.context.scene.render.fps
+    return {name: (after[name] - matrix) / seconds for name, matrix in before.items()}
 
 
 def _vectors(data: Any, field: str) -> np.ndarray:

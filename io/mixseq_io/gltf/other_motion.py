@@ -1,0 +1,125 @@
+"""What else of a glTF file moves when a sequence is laid over it: cameras, lights and other meshes go on as they did.
+
+They keep their own times, and get keys at the frames of the sequence, so that the animation lasts as long as that. This
+needs a file with one animation: of several, nothing tells which of them goes with the sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.sequence import SequenceHeader
+from mixseq_io.blocks import warn
+from mixseq_io.choosing import listed
+from mixseq_io.gltf.animation import Channel, read_channels, told_by
+from mixseq_io.gltf.buffers import Json, Layout
+from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.node_tree import Scene
+
+_SEEN = ("mesh", "camera", "extensions")
+
+
+@dataclass(frozen=True, eq=False)
+class OtherMotion:
+    """What goes on.
+
+    Parameters
+    ----------
+    things : sequence of str
+        The paths of what is seen to move: meshes, cameras, lights.
+    channels : sequence of Channel
+        What moves it, by the original's times.
+    start : float
+        The time in seconds that 0 is there.
+    """
+
+    things: Sequence[str] = ()
+    channels: Sequence[Channel] = ()
+    start: float = 0.0
+
+    @property
+    def nodes(self) -> set[int]:
+        """The nodes that are moved."""
+        return {channel.node for channel in self.channels}
+
+    def instead(self, stand_ins: Mapping[int, int | None]) -> OtherMotion:
+        """Let other nodes move in place of some; where nothing is in their place, nothing moves."""
+        channels = []
+        for channel in self.channels:
+            node = stand_ins.get(channel.node, channel.node)
+            if node is not None and not (channel.node in stand_ins and channel.name == "weights"):
+                channels.append(replace(channel, node=node))
+        return replace(self, channels=channels)
+
+    def animate(self, layout: Layout, animation: Json, header: SequenceHeader) -> None:
+        """Add the channels to the sequence's animation, whose first sampler has a key at every frame."""
+        keys = animation["samplers"][0]["input"]
+        for channel in self.channels:
+            values = channel.at(header.times - self.start)
+            if channel.name == "rotation":
+                values /= np.linalg.norm(values, axis=1, keepdims=True)
+            if channel.name == "weights":
+                values = values.reshape(-1)
+            sampler = {
+                "input": keys,
+                "output": layout.add_array(values.astype(np.float32)),
+                "interpolation": "STEP" if channel.interpolation == "STEP" else "LINEAR",
+            }
+            target = {"node": channel.node, "path": channel.name}
+            animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
+            animation["samplers"].append(sampler)
+
+    def warn_of_times(self, path: Path, header: SequenceHeader) -> None:
+        """Warn of what stands still for more than a frame of the sequence, before or after it moves."""
+        ends = [
+            self.start + time for channel in self.channels if channel.moves for time in channel.times[[0, -1]]
+        ]
+        first, last = header.times[[0, -1]]
+        if ends and (first < min(ends) - 1 / header.fps or last > max(ends) + 1 / header.fps):
+            warn(
+                f"{path}: what else moves keeps its own times, {min(ends):g} to {max(ends):g} s, and is not retimed: "
+                f"{listed(self.things)}"
+            )
+
+
+NOTHING = OtherMotion()
+
+
+def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> OtherMotion:
+    """Return what goes on in a file with one animation, when the nodes `taken` get a motion of their own.
+
+    Raises
+    ------
+    FormatError
+        If a channel is not sound.
+    """
+    animations = document.items("animations")
+    if len(animations) != 1:
+        return NOTHING
+    moved = moved_by_animations(document.json, document.json["animations"], scene) - {*taken}
+    bearers = [bearer for node in moved for bearer in _bearers(document.json, node)]
+    channels = read_channels(document, animations[0], scene.with_above(bearers))
+    return OtherMotion(
+        [scene.paths[node] for node in sorted(moved)], channels, told_by(animations[0], "start") or 0.0
+    )
+
+
+def moved_by_animations(document: Json, animations: Sequence[Json], scene: Scene) -> set[int]:
+    """Return the nodes with something to see that animations move: meshes, cameras, lights."""
+    targets = {channel["target"].get("node") for each in animations for channel in each["channels"]}
+    return {
+        node
+        for node in scene.paths
+        if any(key in document["nodes"][node] for key in _SEEN)
+        and any(not targets.isdisjoint(scene.above(bearer)) for bearer in _bearers(document, node))
+    }
+
+
+def _bearers(document: Json, node: int) -> list[int]:
+    """Return a node, and the joints of its skin."""
+    entry = document["nodes"][node]
+    return [node, *(document["skins"][entry["skin"]]["joints"] if "skin" in entry else ())]
