@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
+    from mixseq.unit_conversion import convert_units
     from mixseq_io import open_sequence, read, write, write_blocks, write_rig
     from mixseq_io.correspondence.markers import read_markers
     from mixseq_io.hdf5.model_files import load, save
@@ -55,6 +56,7 @@ _HOME = {
     "Verification": "mixseq_io.verification",
     "compare": "mixseq.metrics",
     "compress": "mixseq.coding.encoder.compress",
+    "convert_units": "mixseq.unit_conversion",
     "correspond": "mixseq.correspondence.correspond",
     "fit": "mixseq.signals",
     "fit_morph": "mixseq.rigging",
@@ -90,6 +92,7 @@ __all__ = [
     "__version__",
     "compare",
     "compress",
+    "convert_units",
     "correspond",
     "fit",
     "fit_morph",

@@ -32,7 +32,7 @@ LAYERS = (
     ("cluster", "polygon_matching", "surface"),
     ("sequence_header",),
     ("sequence",),
-    ("topology", "geometry", "frame_store"),
+    ("topology", "geometry", "frame_store", "unit_conversion"),
     ("prediction", "segmentation"),
     ("shells",),
     ("spaces",),

@@ -12,6 +12,8 @@ from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.blocks import warn
 
+_SCALE = (" up", " metres per unit")
+
 
 def lost_scale(header: SequenceHeader, moving: bool) -> list[str]:
     """Return what is lost where up axis, units and velocities are."""
@@ -59,4 +61,6 @@ def lost_subdivision(surface: Surface) -> str:
 def warn_of_losses(path: Path, files: str, lost: Sequence[str]) -> None:
     """Warn once of all that files of a kind ("OBJ files") cannot hold, if there is anything."""
     if lost:
-        warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can")
+        convert = "; convert_units (--convert-axes Y, --convert-units m) turns and scales the sequence"
+        hint = convert if any(each.endswith(_SCALE) for each in lost) else ""
+        warn(f"{path}: {files} cannot hold {', '.join(lost)}; USD, .npz and .h5 can{hint}")

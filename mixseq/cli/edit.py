@@ -111,7 +111,9 @@ def command(
     of_sequences = {"fps": fps, "velocities": velocities, **writing}
     if as_model and any(of_sequences.values()):
         named = next(name for name, value in of_sequences.items() if value)
-        raise SettingsError(f"--{named} is for sequences; OUT is a model, decode or resample it then")
+        raise SettingsError(
+            f"--{named.replace('_', '-')} is for sequences; OUT is a model, decode or resample it then"
+        )
 
     claim(target, travel)
 

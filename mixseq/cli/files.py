@@ -90,17 +90,29 @@ def write_sequence(
     writing: Mapping[str, Any],
     sources: ArrayLike | None = None,
 ) -> None:
-    """Write frames as they come, but never over the file that they once came from.
+    """Write frames as they come, turned and scaled if asked for, but never over the file that they once came from.
 
     Formats that ask for `sources` are told them: the times (T,) of the original that the frames show, in seconds.
     """
+    from mixseq.unit_conversion import UnitConversion
     from mixseq_io import FORMATS
 
     check_origin(path, header)
     forms = (form for form in FORMATS if path.suffix.lower() in form.extensions)
     told = {} if sources is None else {"sources": sources}
     taken = told if any("sources" in form.write_options for form in forms) else {}
-    mixseq.write_blocks(path, header, blocks, velocities, **writing, **taken)
+    options = {
+        name: value for name, value in writing.items() if name not in ("convert_axes", "convert_units")
+    }
+    conversion = UnitConversion.of(header, writing.get("convert_axes"), writing.get("convert_units"))
+    mixseq.write_blocks(
+        path,
+        conversion.header(header),
+        conversion.blocks(blocks),
+        None if velocities is None else conversion.blocks(velocities),
+        **options,
+        **taken,
+    )
 
 
 def check_origin(path: Path, header: SequenceHeader) -> None:

@@ -98,8 +98,14 @@ def reader_options(command: Command) -> Command:
     return with_options
 
 
+def _unit(context: click.Context, option: click.Parameter, value: str | None) -> float | None:
+    from mixseq.unit_conversion import metres_of
+
+    return None if value is None else metres_of(value)
+
+
 def writer_options(command: Command) -> Command:
-    """Add the options of the formats' writers; the command gets those that are given as ``writing``."""
+    """Add the options of writing sequences; the command gets those that are given as ``writing``."""
 
     @click.option(
         "--flatten", is_flag=True, help="Write USD, Alembic or glTF that does not build on the original file."
@@ -124,6 +130,17 @@ def writer_options(command: Command) -> Command:
         metavar="FOLDER",
         help="Also pack textures that are in this folder into a .usdz, not only those in the original's.",
     )
+    @setting(
+        "--convert-axes",
+        type=click.Choice(["Y", "Z"]),
+        help="Turn the sequence, so that this axis points up.  [default: as it is]",
+    )
+    @setting(
+        "--convert-units",
+        callback=_unit,
+        metavar="m|cm|...",
+        help="Scale the sequence to mm, cm, m, km, in, ft, yd, or a unit of so many metres.  [default: as it is]",
+    )
     @wraps(command)
     def with_options(
         *args: Any,
@@ -132,9 +149,13 @@ def writer_options(command: Command) -> Command:
         onto: Path | None,
         clips: int | None,
         pack_from: Path | None,
+        convert_axes: str | None,
+        convert_units: float | None,
         **settings: Any,
     ) -> None:
         given = {
+            "convert_axes": convert_axes,
+            "convert_units": convert_units,
             "flatten": flatten or None,
             "keep_start": keep_start or None,
             "onto": onto,

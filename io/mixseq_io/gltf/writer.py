@@ -138,7 +138,8 @@ def warn_of_changes(
     if upright(header):
         warn(
             f"{path}: glTF is in metres with Y up; the points stay as they are, in {header.metres_per_unit:g} metres "
-            f"per unit with {header.up_axis} up, under a node that turns and scales them"
+            f"per unit with {header.up_axis} up, under a node that turns and scales them; convert_units "
+            "(--convert-axes Y, --convert-units m) turns and scales the points"
         )
     shift = time_shift(header, keep_start)
     if shift and (keep_start or header.frame_count == 1):  # else the file tells when it begins

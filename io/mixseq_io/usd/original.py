@@ -91,10 +91,15 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
         raise OutputError(str(error)) from error
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up != header.up_axis:
-        raise OutputError(f"{path} has {up} up, the sequence {header.up_axis}")
+        raise OutputError(
+            f"{path} has {up} up, the sequence {header.up_axis}; convert_units (--convert-axes {up}) turns it"
+        )
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not np.isclose(unit, header.metres_per_unit, rtol=1e-6):
-        raise OutputError(f"{path} has units of {unit:g} m, the sequence of {header.metres_per_unit:g} m")
+        raise OutputError(
+            f"{path} has units of {unit:g} m, the sequence of {header.metres_per_unit:g} m; convert_units "
+            f"(--convert-units {unit:g}) scales it"
+        )
     rate = stage.GetTimeCodesPerSecond()
     if not 0 < rate < np.inf:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")

@@ -98,7 +98,8 @@ def write_usd(
         )
     if header.up_axis == "X":
         raise OutputError(
-            f"{path}: USD stages have Y or Z up, this mesh has X; turn it first, or write .npz or .h5"
+            f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
+            "write .npz or .h5"
         )
     original = _original(path, header, flatten, onto)
     if whole_stage and not original:
