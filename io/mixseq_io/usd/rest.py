@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from mixseq.sequence import SequenceHeader
@@ -37,15 +37,16 @@ def what_else_moves(original: Original) -> list[str]:
     return [str(each.GetPath()) for each in prims if _is_seen(each) and _changes(each, skins)]
 
 
-def warn_of_rest(target: Path, header: SequenceHeader, original: Original, sources: ArrayLike) -> None:
-    """Tell what else moves in a file, if the frames of a sequence show `sources`, other times of it than their own.
+def warn_of_rest(
+    target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
+) -> None:
+    """Tell what else moves in a file, if the frames of a sequence show `times` of it that are not their own.
 
     Warns
     -----
     MixseqWarning
         If there is anything.
     """
-    times = np.asarray(sources, dtype=np.float64)
     if np.allclose(times, header.times, rtol=0, atol=_SAME_FRAME / header.fps):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pxr import Sdf, Usd
 
 from mixseq.errors import SettingsError
@@ -62,17 +62,34 @@ class Shown:
             yield code, Sdf.ValueBlock() if value is None else value
 
 
+def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float64]:
+    """Return the times (T,) that frames show, in seconds.
+
+    Raises
+    ------
+    SettingsError
+        If there are more or fewer than frames.
+    """
+    times = np.asarray(sources, dtype=np.float64)
+    if times.shape != header.times.shape:
+        raise SettingsError(
+            f"sources are {times.size} times for {header.frame_count} frames; give one for every frame"
+        )
+    return times
+
+
 def shown_by(header: SequenceHeader, rate_below: float, sources: NDArray[np.float64] | None = None) -> Shown:
     """Return what the frames of a sequence show of a file with a rate.
 
     Raises
     ------
     SettingsError
-        If there are more or fewer `sources` than frames, or one is not a time.
+        If one of the `sources` is not a time.
     """
-    if sources is not None and not (sources.shape == header.times.shape and np.isfinite(sources).all()):
+    if sources is not None and not np.isfinite(sources).all():
+        frame = int(np.argmin(np.isfinite(sources)))
         raise SettingsError(
-            f"sources are {np.isfinite(sources).sum()} times for {header.frame_count} frames; to retime the whole "
-            "stage every frame must show a single time of the original"
+            f"frame {frame} shows no single time of the original, so that the whole stage cannot be retimed; leave out "
+            "whole_stage"
         )
     return Shown(rate_below, header.fps, time_codes(header.times, header.fps), sources)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 from pxr import Ar, Sdf
 
@@ -34,7 +33,7 @@ from mixseq_io.usd.part_labels import Parts, define_parts
 from mixseq_io.usd.played import author_times
 from mixseq_io.usd.prims import open_stage, shortened
 from mixseq_io.usd.rest import retime_rest, warn_of_rest
-from mixseq_io.usd.shown import shown_by
+from mixseq_io.usd.shown import shown_by, source_times
 
 
 def write_usd(
@@ -106,8 +105,8 @@ def write_usd(
         raise OutputError(
             f"{path} stands alone, without a stage that could be retimed; leave out whole_stage"
         )
-    asked = np.asarray(sources, dtype=np.float64) if whole_stage else None
-    shown = shown_by(header, original.rate if original else header.fps, asked)
+    times = None if sources is None else source_times(header, sources)
+    shown = shown_by(header, original.rate if original else header.fps, times if whole_stage else None)
     _, numbered = checked(header, blocks, velocities)
 
     def begun(file: Path) -> tuple[Sdf.Layer, Cast, Iterable[Frame]]:
@@ -122,8 +121,8 @@ def write_usd(
         declare(layer, cast)
         if original and whole_stage:
             retime_rest(layer, path, original, shown)
-        elif original and sources is not None:
-            warn_of_rest(path, header, original, sources)
+        elif original and times is not None:
+            warn_of_rest(path, header, original, times)
         if parts is not None:
             define_parts(layer, [each.path for each in cast.meshes], _laid(parts, original))
         return layer, cast, frames(cast, shown.codes, header.times, numbered)

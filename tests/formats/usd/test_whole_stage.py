@@ -171,7 +171,7 @@ def test_files_of_every_frame(asset: Asset, path: Path) -> None:
         ("out.usda", {"sources": CODES / 50, "flatten": True}, SettingsError, "leave out flatten"),
         ("out.usdz", {"sources": CODES / 50}, SettingsError, r"write \.usdc"),
         ("out.usda", {"sources": CODES[:2]}, SettingsError, "sources are 2 times for 5 frames"),
-        ("out.usda", {"sources": CODES * np.nan}, SettingsError, "sources are 0 times for 5 frames"),
+        ("out.usda", {"sources": CODES * np.nan}, SettingsError, "frame 0 shows no single time"),
     ],
 )
 def test_settings_that_do_not_fit(
@@ -179,6 +179,12 @@ def test_settings_that_do_not_fit(
 ) -> None:
     with pytest.raises(error, match=message):
         save(tmp_path / name, retimed(asset, CODES / 2), whole_stage=True, **options)
+
+
+def test_as_many_sources_as_frames(asset: Asset, path: Path) -> None:
+    with pytest.raises(SettingsError, match="sources are 2 times for 5 frames; give one for every frame"):
+        save(path, retimed(asset, CODES / 2), sources=[0, 1])
+    assert not path.exists()
 
 
 def test_nothing_to_retime(path: Path) -> None:
