@@ -14,6 +14,7 @@ _START = "number of the first file, by default that of the first frame"
 _MESH = "file of the mesh; by default one of the same name beside it"
 _PRIM = "path of a mesh or of something above it; / takes all meshes, by default all that move are taken"
 _FLATTEN = "write a file that stands alone, not one that builds on the file that the sequence came from"
+_SOURCES = "times of the original that the frames show, where these are others than their own"
 _ONTO = "the file to build on, if it is another one than the sequence came from"
 
 FORMATS: tuple[Format, ...] = (
@@ -34,7 +35,7 @@ FORMATS: tuple[Format, ...] = (
             "onto": _ONTO,
             "clips": "frames per file of value clips, for long shots; 0, the default, keeps all in one file",
             "pack_from": "folder from which textures may be packed into .usdz, besides that of the original",
-            "sources": "times of the original that the frames show, where these are others than their own",
+            "sources": _SOURCES,
             "whole_stage": "retime everything else that moves in the original, too, by sources",
         },
         signatures=(b"PXR-USDC", b"#usda", b"#sdf", b"PK\x03\x04"),
@@ -57,7 +58,7 @@ FORMATS: tuple[Format, ...] = (
         reader="mixseq_io.alembic.reader:open_alembic",
         writer="mixseq_io.alembic.writer:write_alembic",
         read_options={"prim": _PRIM},
-        write_options={"flatten": _FLATTEN, "onto": _ONTO},
+        write_options={"flatten": _FLATTEN, "onto": _ONTO, "sources": _SOURCES},
         signatures=(b"Ogawa", b"\x89HDF\r\n\x1a\n"),
         isolated=True,
     ),

@@ -12,6 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import SequenceHeader
@@ -23,6 +26,9 @@ from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
 
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
+
+_SAME_FRAME = 1e-3
+"""Fraction of a frame by which times may differ; the value is ours."""
 
 _GROWTH = 2
 """How many times the size of an archive its copy has at most: an instance that moves becomes an object of its own."""
@@ -109,7 +115,13 @@ def largest_size(original: Original, header: SequenceHeader, velocities: bool) -
 
 
 def lay_over(
-    archive: Any, path: Path, original: Original, header: SequenceHeader, sampling: int, velocities: bool
+    archive: Any,
+    path: Path,
+    original: Original,
+    header: SequenceHeader,
+    sampling: int,
+    velocities: bool,
+    sources: ArrayLike | None = None,
 ) -> list[MovedMesh]:
     """Copy an archive, and return the meshes of the copy whose points are to be written.
 
@@ -127,29 +139,35 @@ def lay_over(
         The archive's number of its times.
     velocities : bool
         Whether it has velocities.
+    sources : (T,) array-like, optional
+        Times of the archive that the frames show, in seconds.
 
     Warns
     -----
     MixseqWarning
-        If something cannot be copied, or moves at times of its own while the sequence goes on.
+        If something cannot be copied, or moves at times of its own while the sequence is retimed, as `sources` or its
+        length tell.
     """
     moved = {fit.mesh.path for fit in original.fits}
     copied = copy_archive(original.archive, archive, moved, original.room)
     if copied.lost:
         warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
-    _warn_of_times(path, header, copied)
+    _warn_of_times(path, header, copied, sources)
     return [MovedMesh.make(fit, copied.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
 
 
-def _warn_of_times(path: Path, header: SequenceHeader, copied: Copied) -> None:
-    """Warn of what stands still for more than a frame of the sequence, before or after it moves."""
+def _warn_of_times(path: Path, header: SequenceHeader, copied: Copied, sources: ArrayLike | None) -> None:
+    """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame."""
     first, last = (float(time) for time in header.times[[0, -1]])
     frame = 1 / header.fps
-    still = sorted(
-        each for each, (start, end) in copied.moving.items() if first < start - frame or last > end + frame
+    retimed = sources is not None and not np.allclose(sources, header.times, rtol=0, atol=_SAME_FRAME * frame)
+    moving = sorted(
+        each
+        for each, (start, end) in copied.moving.items()
+        if retimed or first < start - frame or last > end + frame
     )
-    if still:
-        start, end = (pick(copied.moving[each][k] for each in still) for k, pick in ((0, min), (1, max)))
+    if moving:
+        start, end = (pick(copied.moving[each][k] for each in moving) for k, pick in ((0, min), (1, max)))
         warn(
-            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: {listed(still)}"
+            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: {listed(moving)}"
         )

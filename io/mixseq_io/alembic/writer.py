@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
@@ -44,6 +45,7 @@ def write_alembic(
     velocities: Iterable[FloatArray] | None = None,
     flatten: bool = False,
     onto: str | os.PathLike[str] | None = None,
+    sources: ArrayLike | None = None,
 ) -> None:
     """Write an Alembic file.
 
@@ -57,6 +59,8 @@ def write_alembic(
         Write the sequence alone. By default, everything else of the archive that it came from is taken along.
     onto : path-like, optional
         The archive whose cameras, transforms and other objects are taken along, in place of that one.
+    sources : (T,) array-like, optional
+        Times of the archive that the frames show, in seconds, for a warning if these are not their own.
 
     Raises
     ------
@@ -66,7 +70,7 @@ def write_alembic(
     InvalidSequenceError
         If points or velocities are too large for float32.
     SettingsError
-        If both `flatten` and `onto` are given.
+        If both `flatten` and `onto` are given, or `sources` are more or fewer than the frames.
 
     Warns
     -----
@@ -76,6 +80,10 @@ def write_alembic(
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
+    if sources is not None and np.shape(sources) != header.times.shape:
+        raise SettingsError(
+            f"sources are {np.size(sources)} times for {header.frame_count} frames; give one each"
+        )
     original = None if flatten else _original(path, header, onto)
     targets = [] if original else make_targets(header)
     moving = velocities is not None
@@ -86,7 +94,7 @@ def write_alembic(
             _check_room(temporary, largest_size(original, header, moving))
         else:
             _check_room(temporary, sum(each.largest_size(header.frame_count, moving) for each in targets))
-        _write(path, temporary, header, original or targets, numbered, moving)
+        _write(path, temporary, header, original or targets, numbered, moving, sources)
         with _writing(path):
             open_archive(temporary)
 
@@ -128,13 +136,14 @@ def _write(
     source: Original | Sequence[Target],
     numbered: Iterable[Numbered],
     velocities: bool,
+    sources: ArrayLike | None,
 ) -> None:
     """Write everything. The library completes the file when the last of its objects is gone, at the return."""
     with _writing(path):
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
         sampling = archive.addTimeSampling(_time_sampling(header))
         meshes: Sequence[MovedMesh | MadeMesh] = (
-            lay_over(archive, path, source, header, sampling, velocities)
+            lay_over(archive, path, source, header, sampling, velocities, sources)
             if isinstance(source, Original)
             else make_meshes(archive.getTop(), source, sampling)
         )

@@ -245,6 +245,8 @@ def test_without_the_original_it_is_written_alone(shot: Path, body: MeshSequence
 def test_refusals(shot: Path, body: MeshSequence, path: Path) -> None:
     with pytest.raises(SettingsError, match="give one of them"):
         mixseq.write(path, body, onto=shot, flatten=True)
+    with pytest.raises(SettingsError, match="sources are 2 times for 3 frames"):
+        mixseq.write(path, body, sources=[1.0, 2.0])
     with pytest.raises(OutputError, match="is the original and would be lost"):
         mixseq.write(shot, body)
     flat = Polygons.from_triangles([[0, 1, 2], [0, 3, 2]])
@@ -273,3 +275,9 @@ def test_a_mesh_that_is_made_flat(tmp_path: Path, path: Path) -> None:
         MixseqWarning, match="laid over '/rig/body': the transforms above it make it flat in frame 1"
     ):
         mixseq.write(path, load(shot))
+
+
+def test_what_shows_other_times_is_retimed(shot: Path, body: MeshSequence, path: Path) -> None:
+    mixseq.write(path, body, sources=body.times)
+    with pytest.warns(MixseqWarning, match="is not retimed: '/rig', '/rig/hair'"):
+        mixseq.write(path, body, sources=body.times[::-1])
