@@ -15,7 +15,7 @@ taken out.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -82,31 +82,44 @@ class Place:
 
 
 def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
-    """Find the meshes of a sequence in a file.
+    """Find the meshes of a sequence in a file: by their paths, else by their triangles if a single mesh has them.
 
     Raises
     ------
     FormatError
-        If there is none at an object's path, or one with other triangles, or the file is damaged.
+        If there is none, or one at an object's path with other triangles, or the file is damaged.
     """
-    nodes = {path: node for node, path in scene.paths.items()}
+    left = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
     places = []
     for scene_mesh in split(header):
-        node = nodes.pop(scene_mesh.path, None)
-        mesh = None if node is None else scene.nodes[node].index("mesh")
-        if node is None or mesh is None:
-            raise FormatError(
-                f"{document.path} has no mesh at {scene_mesh.path!r}, which is where {scene_mesh.name!r} was"
-            )
-        welded = weld(document, mesh)
-        place = _fitted(scene_mesh, node, welded)
-        if place is None:
-            raise FormatError(
-                f"{document.path}: the mesh {scene_mesh.path!r} has other vertices or triangles than the sequence"
-                + _difference(scene_mesh, welded)
-            )
+        place = _place(document, scene, scene_mesh, left)
+        del left[scene.paths[place.node]]
         places.append(place)
     return places
+
+
+def _place(document: Document, scene: Scene, scene_mesh: SceneMesh, left: Mapping[str, int]) -> Place:
+    """Find one of the meshes among those that are `left`, nodes by path."""
+    path = scene_mesh.path
+    paths = [path] if path in left else list(left)
+    welds = {each: weld(document, scene.nodes[left[each]].index("mesh") or 0) for each in paths}
+    found = [
+        place
+        for each, welded in welds.items()
+        if (place := _fitted(scene_mesh, left[each], welded)) is not None
+    ]
+    if len(found) == 1:
+        return found[0]
+    if path in welds:
+        raise FormatError(
+            f"{document.path}: the mesh {path!r} has other vertices or triangles than the sequence"
+            + _difference(scene_mesh, welds[path])
+        )
+    several = listed([scene.paths[place.node] for place in found])
+    others = f"{len(found)} meshes have its triangles, {several}" if found else "no mesh has its triangles"
+    raise FormatError(
+        f"{document.path} has no mesh at {path!r}, which is where {scene_mesh.name!r} was, and {others}"
+    )
 
 
 def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:

@@ -47,8 +47,12 @@ def test_a_file_that_is_gone_or_another_is_done_without(
     ("edit", "message"),
     [
         (
-            lambda document: document["nodes"][1].update(name="torso"),
-            "has no mesh at 'rig/body', which is where 'body' was",
+            lambda document: document["nodes"][1].update(name="torso", mesh=1),
+            "has no mesh at 'rig/body', which is where 'body' was, and no mesh has its triangles",
+        ),
+        (
+            lambda document: twin(document),
+            "2 meshes have its triangles, 'rig/torso', 'twin'",
         ),
         (lambda document: document["nodes"][1].update(mesh=1), "'rig/body' has other vertices or triangles"),
         (
@@ -77,6 +81,27 @@ def test_files_that_do_not_fit(
     with pytest.raises(OutputError, match=f"cannot write .*new.glb onto another file: .*{message}"):
         written(tmp_path / "new.glb", lifted, onto=rig)
     assert not (tmp_path / "new.glb").exists()
+
+
+def twin(document: Json) -> None:
+    """Call the body otherwise, and show it once more."""
+    document["nodes"][1].update(name="torso")
+    document["scenes"][0]["nodes"].append(len(document["nodes"]))
+    document["nodes"].append({"name": "twin", "mesh": 0})
+
+
+def test_a_mesh_at_another_path_is_found_by_its_triangles(
+    rig: Path, lifted: MeshSequence, tmp_path: Path
+) -> None:
+    """As of a sequence that comes from another format, with its triangles in another order."""
+    faces = np.roll(lifted.faces[::-1], 1, axis=1)
+    other = MeshSequence.from_arrays(lifted.points, faces, times=lifted.times)
+    file = written(tmp_path / "new.glb", other, onto=rig)
+    assert "images" in file.json
+    with lossy():
+        again = read(tmp_path / "new.glb")
+    np.testing.assert_array_equal(again.points, lifted.points)
+    np.testing.assert_array_equal(again.faces, lifted.faces)
 
 
 def test_a_file_is_not_written_onto_itself(rig: Path, lifted: MeshSequence) -> None:
