@@ -79,6 +79,18 @@ def frames_text(count: int, first: float, last: float) -> str:
     return f"{count:,} ({' to '.join(numbers)})"
 
 
+def frames_between(start: float, end: float, fps: float) -> str:
+    """Return the numbers of the frames from when to when something is.
+
+    Examples
+    --------
+    >>> frames_between(1001 / 24, 1096 / 24, 24), frames_between(0.5, 0.5, 24)
+    ('frames 1001 to 1096', 'frame 12')
+    """
+    numbers = dict.fromkeys(frame_text(time, fps) for time in (start, end))
+    return f"frame{'s' if len(numbers) > 1 else ''} {' to '.join(numbers)}"
+
+
 def span_text(start: float, end: float, fps: float) -> str:
     """Return from when to when something is, with the numbers of the frames there.
 
@@ -87,7 +99,7 @@ def span_text(start: float, end: float, fps: float) -> str:
     >>> span_text(1001 / 24, 1096 / 24, 24)
     '41.7083 to 45.6667 s (frames 1001 to 1096)'
     """
-    return f"{start:g} to {end:g} s (frames {frame_text(start, fps)} to {frame_text(end, fps)})"
+    return f"{start:g} to {end:g} s ({frames_between(start, end, fps)})"
 
 
 def seconds_meant(time: float, start: float, end: float, fps: float) -> str:

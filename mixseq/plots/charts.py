@@ -13,6 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import OutputError
+from mixseq.frame_numbers import frames_between
 from mixseq.plots.sheet_layout import DPI, Target, matplotlib_module
 from mixseq.scene.palettes import INK
 
@@ -103,9 +104,9 @@ def log_axis(ax: Axes, values: Float, least_decades: int = 2) -> None:
     ax.set_ylim(10.0**low, 10.0**high)
 
 
-def time_axis(ax: Axes, start: float, end: float) -> None:
-    """Make the x axis that of time, from start to end and a little more, for dots."""
-    ax.set_xlabel("time (s)")
+def time_axis(ax: Axes, start: float, end: float, fps: float | None = None) -> None:
+    """Make the x axis that of time, from start to end and a little more, for dots; with the rate it tells frames."""
+    ax.set_xlabel("time (s)" if fps is None else f"time (s), {frames_between(start, end, fps)}")
     if end > start:
         ax.set_xlim(start - 0.01 * (end - start), end + 0.01 * (end - start))
 

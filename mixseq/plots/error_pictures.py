@@ -13,6 +13,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import frame_text
 from mixseq.plots.charts import LINES, log_axis, time_axis
 from mixseq.progress import Progress, silent
 from mixseq.scene.palettes import INK
@@ -110,7 +111,13 @@ def vertex_errors(
     return VertexErrors(largest, rms, by_vertex, worst, kept | {worst: of_worst})
 
 
-def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Float, tolerance: float | None = None) -> None:
+def draw_frame_errors(
+    ax: Axes,
+    errors: VertexErrors,
+    times: Float,
+    tolerance: float | None = None,
+    fps: float | None = None,
+) -> None:
     """Draw the largest and the root mean square error of every frame over time.
 
     Parameters
@@ -123,6 +130,8 @@ def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Float, tolerance: f
         Times of the frames in seconds.
     tolerance : float, optional
         Error to draw a line at, in diagonals.
+    fps : float, optional
+        Frames per second, by which frames have numbers; without it they are counted from 0.
     """
     largest, rms = (np.maximum(values, ROUNDING) for values in (errors.largest, errors.rms))
     ax.plot(times, largest, "o-", color=LINES[0], markersize=3.5, linewidth=1.2, label="largest")
@@ -132,6 +141,7 @@ def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Float, tolerance: f
         ax.axhline(tolerance, color=INK, linestyle="--", linewidth=1.0, label=f"tolerance, {tolerance:g}")
         shown.append(np.array([tolerance]))
     worst = errors.worst
+    number = f"{worst}" if fps is None else frame_text(times[worst], fps)
     ax.plot(
         times[worst],
         largest[worst],
@@ -140,10 +150,10 @@ def draw_frame_errors(ax: Axes, errors: VertexErrors, times: Float, tolerance: f
         mfc="none",
         mec=INK,
         clip_on=False,
-        label=f"worst frame, {worst}",
+        label=f"worst frame, {number}",
     )
     log_axis(ax, np.concatenate(shown))
-    time_axis(ax, times[0], times[-1])
+    time_axis(ax, times[0], times[-1], fps)
     ax.set(title="Error per frame", ylabel="vertex error (diagonals)")
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
@@ -200,7 +210,7 @@ def drawn_frames(errors: VertexErrors, frames: Sequence[int] | None) -> list[int
 
 def _title(errors: VertexErrors, original: MeshSequence, frame: int) -> str:
     which = "worst frame, " if frame == errors.worst else "frame "
-    return f"{which}{frame} at {original.times[frame]:.3f} s"
+    return f"{which}{original.frame_number(frame)} at {original.times[frame]:.3f} s"
 
 
 def _ring(ax: Axes, place: Float) -> None:

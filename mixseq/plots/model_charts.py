@@ -114,7 +114,7 @@ def draw_coefficients(ax: Axes, model: Model) -> None:
     for colour, number, line, dot in zip(LINES, chosen, lines.T, dots.T, strict=False):
         ax.plot(times, line, color=colour, linewidth=1.4, label=f"coordinate {number + 1}")
         ax.plot(knots, dot, "o", color=colour, markersize=3)
-    time_axis(ax, model.start, model.end)
+    time_axis(ax, model.start, model.end, model.header.fps)
     which = "" if len(chosen) == model.time.dim else f"\nthe largest {len(chosen)} of {model.time.dim}"
     title = f"{len(model.time.times)} knots{which}"
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title=title, title_fontsize=8, alignment="left")

@@ -111,8 +111,9 @@ def summary(model: Model) -> str:
     """Say in one line what a model is."""
     header, space = model.header, model.space
     return (
-        f"{header.name}: {_count(header.frame_count, 'frame')} in {model.end - model.start:.3g} s, "
-        f"{_count(header.vertex_count, 'vertex', 'vertices')}; {_count(len(model.shapes), 'key shape')} in a "
+        f"{header.name}: {_count(header.frame_count, 'frame')} ({header.frame_numbers}) in "
+        f"{model.end - model.start:.3g} s, {_count(header.vertex_count, 'vertex', 'vertices')}; "
+        f"{_count(len(model.shapes), 'key shape')} in a "
         f"{space.name} space of dimension {space.dim:,}"
     )
 
@@ -216,9 +217,10 @@ def _parts(model: Model, width: float = 4.5) -> Section:
 
 
 def _frame_errors(errors: VertexErrors, against: MeshSequence, tolerance: float | None) -> Section:
-    return Section(
-        7.5, 4.0, lambda page: draw_frame_errors(page.subplots(), errors, against.times, tolerance)
-    )
+    def draw(page: FigureBase) -> None:
+        draw_frame_errors(page.subplots(), errors, against.times, tolerance, against.fps)
+
+    return Section(7.5, 4.0, draw)
 
 
 def _vertex_errors(

@@ -43,7 +43,8 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     dict
         In diagonals and seconds:
 
-        - ``start``, ``end``; ``times`` (n,) and the ``path`` (n, 2), `Model.embedding` at them;
+        - ``start``, ``end``; ``fps``, by which times have frame numbers; ``times`` (n,) and the ``path`` (n, 2),
+          `Model.embedding` at them;
         - ``frames`` (f, 2) and ``frameTimes`` (f,), frames on the path;
         - ``handles``, each a ``time`` and where the path is ``at`` that time; ``reach``, how far a drag of one goes to
           both sides (`mixseq.operations.drag`);
@@ -68,6 +69,7 @@ def signals_of(model: Model, plane: Plane | None = None) -> dict[str, Any]:
     return {
         "start": start,
         "end": end,
+        "fps": model.header.fps,
         "times": _rounded(times, end - start),
         "path": _rounded(path, step),
         "frames": _rounded(model.embedding(frames, plane), step),

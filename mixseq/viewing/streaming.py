@@ -131,6 +131,8 @@ def _description(
         "vertices": item.header.vertex_count,
         "triangles": len(item.header.faces),
         "times": np.round(elapsed, 9).tolist(),
+        "start": float(item.header.times[0]),
+        "fps": item.header.fps,
         "centre": extent.centre.tolist(),
         "step": step,
         "low": extent.low.tolist(),

@@ -98,7 +98,7 @@ def test_progress_is_told(vertex_model: Model, bent_bar: MeshSequence) -> None:
 
 def test_summary_counts(vertex_model: Model) -> None:
     assert summary(vertex_model) == (
-        "bar: 4 frames in 0.3 s, 77 vertices; 2 key shapes in a vertex space of dimension 231"
+        "bar: 4 frames (0 to 3) in 0.3 s, 77 vertices; 2 key shapes in a vertex space of dimension 231"
     )
 
 

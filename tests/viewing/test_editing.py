@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mixseq.errors import SettingsError
-from mixseq.operations import sketch, speed
+from mixseq.operations import shift, sketch, speed
 from mixseq.signals import Model
-from mixseq.viewing.live.editing import SHORTEST, duration, pause, reach_of
+from mixseq.viewing.live.editing import SHORTEST, duration, pause, reach_of, span
 from mixseq.viewing.live.stage import linear
 from mixseq.viewing.template import script_json
 
@@ -51,6 +51,14 @@ def test_a_slider_does_not_end_before_the_model(bar_model: Model, end: float, sh
     longer = speed(bar_model, bar_model.end / end)
     assert duration(longer) == pytest.approx(shown)
     assert longer.end <= duration(longer) < longer.end + SHORTEST
+
+
+def test_sections_are_in_the_times_of_the_model(bar_model: Model) -> None:
+    first, last = 1001 / 24, 1001 / 24 + bar_model.end
+    begin, end = span(shift(bar_model, first))
+    assert begin <= first < begin + SHORTEST
+    assert last <= end < last + SHORTEST
+    assert [begin, end] == pytest.approx([41.708, 42.009])
 
 
 def test_a_single_frame_has_lengths_that_controls_take(bar_model: Model) -> None:

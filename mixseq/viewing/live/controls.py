@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from html import escape
+from math import ceil, floor
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import frame_text, number_at, time_of
 from mixseq.scene.colouring import Colouring
 from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.playback import Moment, Playback
 
@@ -18,22 +22,73 @@ SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 HAND = 0.5
 """Seconds for which a slider that was moved stays where the hand has it: what is shown comes a little later."""
 
+DIGITS = 3
+"""Decimals of frame numbers that are not whole."""
+
 LONGEST_NAME = 200
 """Bytes of the name of a file; folders hold names of 255, and writers put some letters of theirs to it at first."""
 
 ROW, PLACE = "side by side", "in one place"
 
 
+@dataclass(frozen=True)
+class TimeBase:
+    """The times that are shown: those of one mesh of a scene, in seconds and by the numbers of its frames.
+
+    Attributes
+    ----------
+    start, fps : float
+        First time of the mesh in seconds, and its frames per second.
+    last, rate : float
+        Time of the scene's last frame since the first one, and frames of the scene per second.
+    """
+
+    start: float
+    fps: float
+    last: float
+    rate: float
+
+    @classmethod
+    def of(cls, scene: Scene, index: int) -> TimeBase:
+        """Take the times of a mesh."""
+        header = scene.items[index].header
+        return cls(float(header.times[0]), header.fps, scene.elapsed(scene.count - 1), scene.fps)
+
+    def number(self, elapsed: float) -> float:
+        """Return the frame number at a time since the first frame."""
+        return number_at(self.start + elapsed, self.fps)
+
+    def elapsed(self, number: float) -> float:
+        """Return the time since the first frame of a frame number."""
+        return time_of(number, self.fps) - self.start
+
+    @property
+    def slider(self) -> tuple[float, float, float, int]:
+        """Least and largest number, the step from frame to frame, and decimals that they need."""
+        low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
+        digits = 0 if all(each == round(each) for each in (low, high, step)) else DIGITS
+        scale = 10.0**digits  # what is rounded must not be outside
+        return floor(low * scale) / scale, ceil(high * scale) / scale, step, digits
+
+    def text(self, elapsed: float) -> str:
+        """Tell in words what time it is."""
+        number, end = frame_text(self.start + elapsed, self.fps), frame_text(self.start + self.last, self.fps)
+        return f"frame {number} of {end}, {self.start + elapsed:.3f} of {self.start + self.last:.3f} s"
+
+
 class PlayControls:
     """Play, scrub, and choose the rate."""
 
-    def __init__(self, server: Any, playback: Playback) -> None:
+    def __init__(self, server: Any, playback: Playback, index: int) -> None:
         gui = server.gui
         self._playback = playback
+        self._base = TimeBase.of(playback.scene, index)
+        low, high, step, digits = self._base.slider
         self._icons = _icons()
         self._hand = -HAND
         self._button = gui.add_button("Play", icon=self._icons[0], hint="Play or pause (P)")
-        self._slider = gui.add_slider("Frame", 0, playback.scene.count - 1, 1, 0)
+        self._slider = gui.add_slider("Frame", low, high, step, low)
+        self._slider.precision = digits
         self._text = gui.add_html("")
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1")
         self._rate = gui.add_number(
@@ -61,16 +116,16 @@ class PlayControls:
         self._button.label = "Pause" if plays else "Play"
         self._button.icon = self._icons[plays]
 
-    def show(self, moment: Moment) -> None:
-        """Show what moment is seen."""
-        last = moment.scene.count - 1
-        if self._slider.max != last:
-            self._slider.max = last
+    def show(self, moment: Moment, index: int) -> None:
+        """Show what moment is seen, in the times of a mesh."""
+        base, elapsed = TimeBase.of(moment.scene, index), moment.scene.elapsed(moment.frame)
+        if base != self._base:
+            self._base = base
+            slider = self._slider
+            slider.min, slider.max, slider.step, slider.precision = base.slider
         if monotonic() > self._hand + HAND:
-            self._slider.value = moment.frame
-        begin = moment.scene.items[0].header.times[0]
-        now, end = begin + moment.scene.elapsed(moment.frame), begin + moment.scene.elapsed(last)
-        self._text.content = _line(f"{now:.3f} s of {end:.3f} s", "mixseq-time")
+            self._slider.value = base.number(elapsed)
+        self._text.content = _line(base.text(elapsed), "mixseq-time")
 
     def _step(self, by: int) -> None:
         self._playback.pause()
@@ -80,7 +135,7 @@ class PlayControls:
     def _scrub(self, event: Any) -> None:
         if event.client is not None:  # a hand, and not `show`
             self._hand = monotonic()
-            self._playback.seek(self._slider.value)
+            self._playback.seek(self._playback.scene.frame_at(self._base.elapsed(self._slider.value)))
 
     def _set_rate(self, event: Any) -> None:
         if event.client is None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.frame_numbers import frame_text
 from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, retime, reverse
 from mixseq.operations.dragging import default_reach
 from mixseq.signals import Model
@@ -49,9 +50,8 @@ class EditControls:
                 step=0.01,
                 hint="How far before and after the point the curve follows it",
             )
-            self._section = gui.add_multi_slider(
-                "Section (s)", 0.0, duration(model), SHORTEST, (0.0, duration(model))
-            )
+            self._section = gui.add_multi_slider("Section (s)", *span(model), SHORTEST, span(model))
+            self._frames = gui.add_html("")
             self._times = gui.add_number("Times", 2, min=1, max=100, step=1, hint="How often Repeat shows it")
             sections = gui.add_button_group("", ("Repeat", "Cut", "Loop", "Reverse"))
             self._part = gui.add_dropdown(
@@ -61,6 +61,7 @@ class EditControls:
             parts = gui.add_button_group("", ("Exaggerate", "Hold"))
         self.edited()  # a line that came later would push all else down
         self._undo.on_click(lambda _: session.undo() if self._undo.value == "Undo" else session.redo())
+        self._section.on_update(lambda _: self._tell_frames())
         pen.on_update(lambda _: charts.pen(pen.value))
         self._seconds.on_update(lambda _: charts.last(float(self._seconds.value)))
         self._reach.on_update(lambda _: charts.reach(float(self._reach.value)))
@@ -77,18 +78,19 @@ class EditControls:
         self._steps.content = (
             f'<div id="mixseq-steps" style="padding: 0 12px; font-size: 12px">{done}{last}</div>'
         )
-        before, after = self._section.max, duration(model)
+        before, after = (self._section.min, self._section.max), span(model)
         if after != before:
-            first, last_second = self._section.value
-            whole = (first, last_second) == (0.0, before) or first >= after
-            self._section.max = after
-            self._section.value = (0.0, after) if whole else (first, min(last_second, after))
+            first, end = (min(max(each, after[0]), after[1]) for each in self._section.value)
+            whole = self._section.value == before or first >= end
+            self._section.min, self._section.max = after
+            self._section.value = after if whole else (first, end)
+        self._tell_frames()
 
     def chosen(self) -> None:
         """Begin anew with another model."""
         model = self._session.model
-        self._section.max = duration(model)
-        self._section.value = (0.0, duration(model))
+        self._section.min, self._section.max = span(model)
+        self._section.value = span(model)
         self._seconds.value = duration(model)
         self._reach.value = reach_of(model)
         self._part.value = WHOLE
@@ -134,8 +136,14 @@ class EditControls:
     def _chosen_section(self) -> tuple[float, float]:
         """From when to when, in the times of the model; the slider has rounded them."""
         model = self._session.model
-        first, last = (min(model.start + each, model.end) for each in self._section.value)
+        first, last = (min(max(each, model.start), model.end) for each in self._section.value)
         return first, last
+
+    def _tell_frames(self) -> None:
+        fps = self._session.model.header.fps
+        first, last = (frame_text(each, fps) for each in self._chosen_section)
+        style = "padding: 0 12px; font-size: 12px; opacity: 0.75"
+        self._frames.content = f'<div id="mixseq-section" style="{style}">frames {first} to {last}</div>'
 
     @property
     def _time(self) -> float:
@@ -155,6 +163,13 @@ def pause(model: Model, time: float, seconds: float) -> Model:
     before = [[model.start, model.start]] if time > model.start else []
     after = [[model.end + seconds, model.end]] if time < model.end else []
     return retime(model, [*before, [time, time], [time + seconds, time], *after], smooth=False)
+
+
+def span(model: Model) -> tuple[float, float]:
+    """Return from when to when a model is, in seconds, at least a frame: rounded so that no slider ends within it."""
+    first = float(np.floor(model.start / SHORTEST + 1e-6) * SHORTEST)
+    last = float(np.ceil(model.end / SHORTEST - 1e-6) * SHORTEST)
+    return first, max(last, first + max(1 / model.header.fps, SHORTEST))
 
 
 def duration(model: Model) -> float:

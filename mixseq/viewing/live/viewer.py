@@ -89,7 +89,7 @@ class Viewer:
         )
         self.session = stack.enter_context(Session(self.playback, self, save))
         add_bridge(server, self._heard)
-        self._play = PlayControls(server, self.playback)
+        self._play = PlayControls(server, self.playback, self._index)
         self._shown = ShowControls(server, self.playback, self._stage, colours)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(300)
@@ -122,11 +122,16 @@ class Viewer:
         """Tell on all pages that a file was written."""
         self.tell("Saved", what, good=True)
 
+    @property
+    def _index(self) -> int:
+        """The mesh whose times are shown: the model that is edited, or the first one."""
+        return max(self.session.index, 0)
+
     # What the playback tells ----------------------------------------------------------------------------
 
     def _show(self, moment: Moment) -> None:
         if self._play is not None:
-            self._play.show(moment)
+            self._play.show(moment, self._index)
         if self._editor is not None:
             self._editor.show(moment)
 

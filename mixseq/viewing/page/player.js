@@ -106,10 +106,12 @@
   const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
 
   function tellTime() {
-    const number = clock.number() + 1, count = clock.moments.length, seconds = clock.time.toFixed(2), slider = element("time");
+    const { start, fps } = base(), frame = (time) => mixseqChartParts.frame(start + time, fps), slider = element("time");
+    const number = frame(clock.moments[clock.number()]), last = frame(clock.moments[clock.moments.length - 1]);
+    const seconds = (start + clock.time).toFixed(2);
     slider.value = clock.time;
-    slider.setAttribute("aria-valuetext", `frame ${number} of ${count}, ${seconds} seconds`);
-    element("now").textContent = `${`${number}`.padStart(`${count}`.length, "\u2007")} / ${count} · ${seconds} s`;
+    slider.setAttribute("aria-valuetext", `frame ${number} of ${last}, ${seconds} seconds`);
+    element("now").textContent = `${number.padStart(last.length, "\u2007")} / ${last} · ${seconds} s`;
     element("play").classList.toggle("playing", clock.playing);
     element("play").setAttribute("aria-label", clock.playing ? "Pause" : "Play");
     charts?.at(chosenSignals.start + Math.min(clock.time, chosenSignals.end - chosenSignals.start));
@@ -124,7 +126,12 @@
   // Signals -------------------------------------------------------------------------------------------------------
 
   const withSignals = items.filter((item) => item.signals);
-  let charts = null, chosenSignals = withSignals[0]?.signals;
+  let charts = null, chosen = withSignals[0], chosenSignals = chosen?.signals;
+
+  /** The mesh in whose times all is told: the one whose charts are shown, or the first. */
+  function base() {
+    return chosen ?? items[0];
+  }
 
   function makeCharts() {
     if (!withSignals.length) return;
@@ -179,8 +186,9 @@
   function tellFacts() {
     element("help-title").textContent = description.title;
     const number = (value) => value.toLocaleString("en");
-    const facts = items.map(({ name, vertices, triangles, times, step: unit }) =>
-      `${name}: ${number(vertices)} vertices, ${number(triangles)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"}, ` +
+    const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqChartParts.frame(start + times[k], fps)).join(" to ");
+    const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, triangles, times, numbers, step: unit }) =>
+      `${name}: ${number(vertices)} vertices, ${number(triangles)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
       `positions rounded to ±${(unit / 2).toPrecision(2)} units`);
     facts.push("Positions are stored in 16 bits, 65,534 steps along the longest side of what a mesh moves in; colours that mean numbers have 256 steps.");
     facts.push(`Made with mixseq ${description.version}.`);
@@ -229,7 +237,8 @@
     element("side-choice").hidden = withSignals.length < 2;
     withSignals.forEach(({ name }, k) => element("side-item").add(new Option(name, k)));
     element("side-item").onchange = (event) => {
-      chosenSignals = withSignals[event.target.value].signals;
+      chosen = withSignals[event.target.value];
+      chosenSignals = chosen.signals;
       charts.show(chosenSignals);
       redraw();
     };
