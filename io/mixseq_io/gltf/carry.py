@@ -3,10 +3,10 @@
 Kept are materials, textures, images, samplers, cameras, lights, other meshes, all nodes, and all attributes but those
 that change: the meshes of the sequence get new positions and normals (normals only where they had some, else they
 would look smoother), and lose skins, morph targets, tangents. Triangles, strips and fans stay as they are, and the
-vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Since points
-are in world space, the nodes of these meshes become a root of the scene, or several below one, which comes first: a
-path means the mesh that moves. Where nothing above any of them transforms it, they stay where they are. What hung
-below them stays where it was. A file that is written again and again has one such root, and does not grow.
+vertices are in the file's own order, each moving as the vertex of the sequence that it was welded to. Points are in
+world space. The nodes of these meshes stay where they are, and undo what is above them; where that cannot be, because
+it moves or shears, they become a root of the scene, or several below one, which comes first: a path means the mesh that
+moves. What hung below them stays where it was. A file that is written again and again does not grow.
 
 All animations of the file are replaced by the sequence, and by what else moves. What nothing refers to any more is
 taken out.
@@ -45,6 +45,7 @@ from mixseq_io.gltf.new_document import add_vertex_numbers, group, upright
 from mixseq_io.gltf.node_tree import Scene, read_scene
 from mixseq_io.gltf.other_motion import OtherMotion, moved_by_animations, other_motion
 from mixseq_io.gltf.primitives import Primitive
+from mixseq_io.gltf.undoing import MARK, undoing
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.scene_meshes import SceneMesh, split
 
@@ -177,8 +178,11 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     roots = {scene.above(place.node)[-1] for place in places}
     shown_in = [each for each in carried.get("scenes", ()) if roots.intersection(each.get("nodes", ()))]
     above = {scene.parents[place.node] for place in places}
-    stay = not upright(header) and all(_stands_in_world(scene, place.node, others.nodes) for place in places)
+    inverses = [None if upright(header) else _inverse(scene, place.node, others.nodes) for place in places]
+    stay = None not in inverses
     others = others.instead({place.node: detach(carried, place.node, stay) for place in places})
+    for place, inverse in zip(places, inverses, strict=True):
+        _stand_in_world(carried["nodes"][place.node], inverse if stay else None)
     if not stay:
         root = group(carried, [place.node for place in places], header, vacant(carried, scene, above))
         for each in shown_in:
@@ -196,12 +200,26 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     return layout, meshes, others
 
 
-def _stands_in_world(scene: Scene, node: int, moved: Set[int]) -> bool:
-    """Whether a node is shown, and nothing above it transforms it."""
+def _inverse(scene: Scene, node: int, moved: Set[int]) -> Json | None:
+    """Return what a node needs to undo those above it; None if that cannot be, or it is hidden."""
     parent = scene.parents[node]
     if node in scene.hidden or not moved.isdisjoint(scene.above(parent)):
-        return False
-    return np.array_equal(scene.world([parent], {})[parent][0], np.eye(4))
+        return None
+    if not isinstance(scene.nodes[node].values.get("extras", {}), dict):
+        return None  # there is no room for the mark
+    return undoing(scene.world([parent], {})[parent][0])
+
+
+def _stand_in_world(entry: Json, inverse: Json | None) -> None:
+    """Let a node undo what is above it, or nothing; the mark is there only where it undoes something."""
+    extras = entry.pop("extras", {})
+    if isinstance(extras, dict):
+        extras = {key: value for key, value in extras.items() if key != MARK} | (
+            {MARK: True} if inverse else {}
+        )
+    entry.update(inverse or {})
+    if extras != {}:
+        entry["extras"] = extras
 
 
 def _drop_animations(carried: Json, document: Document, scene: Scene, places: Sequence[Place]) -> None:

@@ -15,7 +15,7 @@ from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
 
 _DRACO = "KHR_draco_mesh_compression"
-_PRUNED = ("meshes", "skins", "accessors", "bufferViews")  # what refers before what is referred to
+_PRUNED = ("meshes", "accessors", "bufferViews")  # what refers before what is referred to
 
 # Extensions that refer to none of these, or as is known here. (meshopt refers to buffers.)
 _HARMLESS = (
@@ -32,7 +32,9 @@ _HARMLESS = (
 
 
 def prune(path: Path, document: Json) -> None:
-    """Take unused meshes, skins, accessors and buffer views out of a document, and renumber the others.
+    """Take unused meshes, accessors and buffer views out of a document, and renumber the others.
+
+    Skins stay without their matrices, because they tell programs such as Blender which nodes are bones.
 
     Parameters
     ----------
@@ -53,6 +55,10 @@ def prune(path: Path, document: Json) -> None:
             "flatten=True writes the sequence without"
         )
         return
+    bound = {node.get("skin") for node in document.get("nodes", ())}
+    for number, skin in enumerate(document.get("skins", ())):
+        if number not in bound:
+            skin.pop("inverseBindMatrices", None)
     for kind in _PRUNED:
         _prune(document, kind)
 
@@ -87,7 +93,7 @@ def _prune(document: Json, kind: str) -> None:
 def _references(document: Json) -> Iterator[tuple[Json, str, str]]:
     """Yield every reference: the object and the member it is in, and what it refers to."""
     for node in document.get("nodes", ()):
-        yield from _members(node, {"mesh": "meshes", "skin": "skins"})
+        yield from _members(node, {"mesh": "meshes"})
     for mesh in document.get("meshes", ()):
         for primitive in mesh["primitives"]:
             yield from _members(primitive, {"indices": "accessors"})

@@ -16,6 +16,7 @@ from mixseq.arrays import Float
 from mixseq_io.choosing import SceneObject
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.undoing import MARK, nearly_undone
 
 """``(B, 4, 4)``, or ``(1, 4, 4)`` where nothing changes over the B frames."""
 
@@ -87,7 +88,9 @@ class Scene:
                 missing.append(node)
                 node = self.parents[node]
             for each in reversed(missing):
-                found[each] = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
+                matrices = found[self.parents[each]] @ _local(self.nodes[each], each, pose)
+                undone = _is_marked(self.nodes[each]) and nearly_undone(matrices)
+                found[each] = np.eye(4)[None] if undone else matrices
         return found
 
 
@@ -175,6 +178,11 @@ def _hidden(nodes: Sequence[Fields], parents: Sequence[int], order: Sequence[int
         if parents[node] in hidden or ("visible" in visibility and not visibility.flag("visible")):
             hidden.add(node)
     return hidden
+
+
+def _is_marked(node: Fields) -> bool:
+    extras = node.values.get("extras")
+    return isinstance(extras, dict) and MARK in extras
 
 
 def _local(node: Fields, index: int, pose: Pose) -> Float:

@@ -117,7 +117,7 @@ class Surface:
             mesh = self.seen.names["meshes"][name]
             corners = np.concatenate([next(polygons)[1] for _ in mesh["corners"]])
             for title, values in mesh["uvs"].items():
-                found.setdefault(f"{mesh['path']} {title}", []).append(np.column_stack([corners, values]))
+                found.setdefault(f"{name} {title}", []).append(np.column_stack([corners, values]))
         return {title: np.concatenate(values) for title, values in found.items()}
 
 

@@ -51,6 +51,11 @@ class Task:
         """When the frames of the answer are."""
         return self.frames / self.fps
 
+    @property
+    def retimed(self) -> bool:
+        """Whether its frames show other times than their own."""
+        return not np.allclose(self.times, self.source)
+
 
 def _resample(*options: str) -> Callable[[Path, Path, Sequence[str], Path], Commands]:
     def commands(original: Path, answer: Path, writing: Sequence[str], work: Path) -> Commands:
@@ -82,8 +87,8 @@ def slow() -> Task:
 def section() -> Task:
     """Forty frames from the middle."""
     frames = np.arange(1021.0, 1061.0)
-    options = _resample("--start", repr(1021 / BASE), "--end", repr(1060 / BASE))
-    return Task("section 1021-1060", BASE, frames, frames / BASE, np.ones(len(frames)), options)
+    command = _resample("--frames", "1021-1060")
+    return Task("section 1021-1060", BASE, frames, frames / BASE, np.ones(len(frames)), command)
 
 
 RAMP = np.array([[0.0, 0.0], [1.0, 1.0], [3.0, 1.5], [4.0, 2.5]])
@@ -113,11 +118,12 @@ end = {end!r}
 
 [[edit]]
 operation = "loop"
+travel = true
 """
 
 
 def loop() -> Task:
-    """One stride made a loop; the walk repeats itself, so that it is what it was but for where it ends."""
+    """One stride made a loop that travels on: the walk repeats itself, so that nothing changes."""
     frames = np.arange(FIRST, FIRST + BASE + 1.0)
 
     def commands(original: Path, answer: Path, writing: Sequence[str], work: Path) -> Commands:

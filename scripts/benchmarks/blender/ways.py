@@ -25,6 +25,8 @@ class Way:
         Whether the original is named, as the result of an edit does not know it.
     cache : bool
         Whether the original is imported, and its modifiers are pointed at the result.
+    whole_stage : bool
+        Whether all else in the scene can be retimed, too.
     velocities : bool
         Whether the format has a place for them.
     keeps_times : bool
@@ -35,6 +37,7 @@ class Way:
     extension: str
     onto: bool = False
     cache: bool = False
+    whole_stage: bool = False
     velocities: bool = True
     keeps_times: bool = True
 
@@ -50,7 +53,7 @@ class Way:
 
 
 WAYS = (
-    Way("USD, layer", "usdc"),
+    Way("USD, layer", "usdc", whole_stage=True),
     Way("Alembic, --onto", "abc", onto=True),
     Way("Alembic, cache modifier", "abc", onto=True, cache=True),
     Way("glTF, --onto", "glb", onto=True, velocities=False, keeps_times=False),
@@ -65,6 +68,7 @@ def made(task: Task, way: Way, folder: Path) -> tuple[Path, list[str]]:
     answer.unlink(missing_ok=True)
     writing = ["--velocities"] if way.velocities else []
     writing += ["--set", f"onto={original}"] if way.onto else []
+    writing += ["--whole-stage"] if way.whole_stage and task.retimed else []
     said: list[str] = []
     for command in task.commands(original, answer, writing, folder):
         done = subprocess.run(command, capture_output=True, text=True)
