@@ -9,13 +9,14 @@ Specification: https://docs.alembic.io/reference/index.html (``Abc``)
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from mixseq.arrays import Float
 from mixseq_io.alembic.archive_meshes import LAID_OVER
 from mixseq_io.alembic.library import Abc, AbcCoreAbstract, selector, stored_array
-from mixseq_io.alembic.samples import sample_times
+from mixseq_io.alembic.samples import sample_times, samples_within, time_sampling
 
 _SCHEMA = ".geom"
 """What all kinds of meshes have their properties in."""
@@ -26,6 +27,10 @@ _OF_POINTS = frozenset(["P", ".velocities", "N", ".selfBnds", ".childBnds"])
 _OF_CHILDREN = frozenset([".childBnds"])
 _OF_THE_ARCHIVE = re.compile(r"\.childBnds|statistics|\d+\.samples")
 """What the top object tells of all others; of a copy with other points it would be wrong."""
+
+
+Kept = tuple[range, int]
+"""Which samples of a property are copied, and the number of the new archive's time sampling for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +52,8 @@ class Copied:
     lost: list[str] = field(default_factory=list)
 
 
-def copy_archive(source: Any, target: Any, moved: Collection[str], room: int) -> Copied:
-    """Copy all objects of an archive.
+def copy_archive(source: Any, target: Any, moved: Collection[str], frames: Float, room: int) -> Copied:
+    """Copy all objects of an archive, with the samples that some frames need.
 
     Parameters
     ----------
@@ -58,15 +63,19 @@ def copy_archive(source: Any, target: Any, moved: Collection[str], room: int) ->
         The new one.
     moved : collection of str
         Paths of the meshes that get other points: these are not copied, nor normals, velocities and bounds.
+    frames : (T,) float
+        Times of these frames in seconds. What the archive has before and after them is left out, so that programs show
+        the range of the frames.
     room : int
         Size of the source in bytes, see `mixseq_io.alembic.library.values`.
     """
-    return _Copier(target, moved, room).copy(source.getTop())
+    window = float(frames[0]), float(frames[-1])
+    return _Copier(target, moved, window, room).copy(source.getTop())
 
 
 class _Copier:
-    def __init__(self, target: Any, moved: Collection[str], room: int) -> None:
-        self._target, self._moved, self._room = target, moved, room
+    def __init__(self, target: Any, moved: Collection[str], window: tuple[float, float], room: int) -> None:
+        self._target, self._moved, self._window, self._room = target, moved, window, room
         self._above = _at_or_above(moved)
         self._copied = Copied()
 
@@ -80,9 +89,7 @@ class _Copier:
             node, parent = stack.pop()
             for child in [node.getChild(index) for index in range(node.getNumChildren())]:
                 path = str(child.getFullName())
-                if (
-                    child.isInstanceRoot() and path not in self._above
-                ):  # whose points are those of the original
+                if child.isInstanceRoot() and path not in self._above:
                     instances.append((child, parent))
                     continue
                 made[path] = self._object(path, child, parent)
@@ -109,31 +116,50 @@ class _Copier:
         """Copy a property of an object, without what is `stale` in it; return the new one."""
         stored = source.getProperty(header.getName())
         if not header.isCompound():
-            self._samples(path, header, stored, target)
+            self._samples(path, header, stored, target, {})
             return None
         new = Abc.OCompoundProperty(target, header.getName(), header.getMetaData())
-        for each in stored.propertyheaders:
-            if each.getName() not in stale:
+        fresh = [each for each in stored.propertyheaders if each.getName() not in stale]
+        simple = [stored.getProperty(each.getName()) for each in fresh if not each.isCompound()]
+        changing = {each.getNumSamples(): self._kept(each) for each in simple if not each.isConstant()}
+        for each in fresh:
+            if each.isCompound():
                 self._property(path, each, stored, new, ())
+            else:
+                self._samples(path, each, stored.getProperty(each.getName()), new, changing)
         return new
 
-    def _samples(self, path: str, header: Any, stored: Any, target: Any) -> None:
+    def _kept(self, stored: Any) -> Kept:
+        """Return the samples of a property that frames need."""
+        times, sampling = sample_times(stored), stored.getTimeSampling()
+        kept = range(len(times))[samples_within(times, self._window)]
+        if len(kept) < len(times):
+            sampling = time_sampling(times[kept.start : kept.stop], float(times[1] - times[0]))
+        return kept, self._target.addTimeSampling(sampling)
+
+    def _samples(
+        self, path: str, header: Any, stored: Any, target: Any, changing: Mapping[int, Kept]
+    ) -> None:
+        """Copy a property's samples: of a constant one those that are kept of what is `changing` beside it."""
         kind = Abc.OArrayProperty if header.isArray() else Abc.OScalarProperty
-        sampling = self._target.addTimeSampling(stored.getTimeSampling())
-        times, constant = sample_times(stored), stored.isConstant()
+        constant, count = stored.isConstant(), stored.getNumSamples()
+        kept, sampling = (changing.get(count) if constant else None) or self._kept(stored)
+        if len(kept) == count:
+            sampling = self._target.addTimeSampling(stored.getTimeSampling())
         try:
             # Read before anything is made that would stay empty.
-            value = self._value(stored, 0) if len(times) else None
+            value = self._value(stored, kept[0]) if kept else None
             new = kind(target, header.getName(), header.getDataType(), header.getMetaData(), sampling)
-            for sample in range(len(times)):
-                if sample and constant:
+            for sample in kept:
+                if sample > kept[0] and constant:
                     new.setFromPrevious()
                 else:
-                    new.setValue(self._value(stored, sample) if sample else value)
+                    new.setValue(self._value(stored, sample) if sample > kept[0] else value)
         except (RuntimeError, TypeError):  # types that the library has no words for in Python
             self._copied.lost.append(f"{path}.{header.getName()}")
             return
         if not constant:
+            times = sample_times(stored)
             first, last = self._copied.moving.get(path, (times[0], times[-1]))
             self._copied.moving[path] = min(first, times[0]), max(last, times[-1])
 

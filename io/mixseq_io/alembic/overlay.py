@@ -149,7 +149,7 @@ def lay_over(
         length tell.
     """
     moved = {fit.mesh.path for fit in original.fits}
-    copied = copy_archive(original.archive, archive, moved, original.room)
+    copied = copy_archive(original.archive, archive, moved, header.times, original.room)
     if copied.lost:
         warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
     _warn_of_times(path, header, copied, sources)

@@ -42,8 +42,12 @@ class Placing:
 
     @classmethod
     def at(cls, above: tuple[Any, ...], frames: Float, fps: float) -> Placing:
-        """Find transforms, the nearest to the mesh first, at the times of frames ``(T,)`` in seconds."""
-        now, before, after = (_matrices(above, frames + shift / fps) for shift in (0.0, -0.5, 0.5))
+        """Find transforms, the nearest to the mesh first, at the times of frames ``(T,)`` in seconds.
+
+        Samples that no frame needs are not looked at, so that a copy without them tells the same.
+        """
+        window = float(frames[0]), float(frames[-1])
+        now, before, after = (_matrices(above, frames + shift / fps, window) for shift in (0.0, -0.5, 0.5))
         return cls(now, (after - before) * fps)
 
     def check(self) -> None:
@@ -80,8 +84,8 @@ class Placing:
         return own_points.astype(np.float64) @ self.rates[frame, :3, :3] + self.rates[frame, 3, :3]
 
 
-def _matrices(above: tuple[Any, ...], frames: Float) -> Float:
-    transforms = Transforms.at(above, frames)
+def _matrices(above: tuple[Any, ...], frames: Float, window: tuple[float, float]) -> Float:
+    transforms = Transforms.at(above, frames, window)
     if all(schema.isConstant() for schema in above):
         return np.broadcast_to(transforms.to_world(0), (len(frames), 4, 4))
     return np.stack([transforms.to_world(frame) for frame in range(len(frames))])

@@ -23,7 +23,7 @@ from mixseq.frame_rates import NTSC_RATES
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, vectors
 from mixseq.sequence import DEFAULT_FPS
-from mixseq_io.alembic.library import selector
+from mixseq_io.alembic.library import AbcCoreAbstract, selector
 
 SAME_TIME = 0.999e-6
 """Times closer than this count once, in seconds."""
@@ -51,6 +51,34 @@ def sample_times(sampled: Any) -> Float:
     if sample.max(initial=-1) >= len(stored):
         raise FormatError(f"a property has {len(stored)} times for {count} samples; the file is damaged")
     return stored[sample] if kind.isAcyclic() else stored[sample] + cycle * kind.getTimePerCycle()
+
+
+def samples_within(times: Float, window: tuple[float, float]) -> slice:
+    """Return which samples tell what is at any time from one to another; at least one.
+
+    Examples
+    --------
+    >>> times = np.array([1.0, 2.0, 3.0, 4.0])
+    >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
+    (slice(1, 3, None), slice(1, 3, None), slice(3, 4, None))
+    """
+    first = int(np.searchsorted(times, window[0] + SAME_TIME, side="right")) - 1
+    last = int(np.searchsorted(times, window[1] - SAME_TIME, side="left"))
+    first, last = (int(np.clip(each, 0, max(len(times) - 1, 0))) for each in (first, last))
+    return slice(first, last + 1)
+
+
+def time_sampling(times: Float, step: float) -> Any:
+    """Return a uniform sampling if times ``(N,)`` are even, of that step if it is theirs, else one of all of them."""
+    if len(times) > 1:
+        mean = float(times[-1] - times[0]) / (len(times) - 1)
+        step = step if np.isclose(mean, step, rtol=1e-9, atol=0) else mean
+    if np.allclose(times, times[0] + np.arange(len(times)) * step, rtol=1e-12, atol=1e-12):
+        return AbcCoreAbstract.TimeSampling(step, float(times[0]))
+    listed = AbcCoreAbstract.TimeVector()
+    listed.extend(times.tolist())
+    one_by_one = AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic)
+    return AbcCoreAbstract.TimeSampling(one_by_one, listed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +176,17 @@ class Transforms:
     above: tuple[tuple[Any, SampleWeights], ...]
 
     @classmethod
-    def at(cls, above: tuple[Any, ...], frames: Float) -> Transforms:
-        """Find the samples of transforms that frames lie between."""
-        return cls(tuple((schema, locate(_times(schema), frames)) for schema in above))
+    def at(
+        cls, above: tuple[Any, ...], frames: Float, window: tuple[float, float] | None = None
+    ) -> Transforms:
+        """Find the samples of transforms that frames lie between, of all or of those within a window of time."""
+        found = []
+        for schema in above:
+            times = _times(schema)
+            kept = slice(0, len(times)) if window is None else samples_within(times, window)
+            between = locate(times[kept], frames)
+            found.append((schema, SampleWeights(between.before + kept.start, between.weight)))
+        return cls(tuple(found))
 
     def to_world(self, frame: int) -> Float:
         """Return the matrix ``(4, 4)`` of a frame."""

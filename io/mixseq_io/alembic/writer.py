@@ -16,7 +16,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from errno import ENOSPC
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +24,11 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
-from mixseq_io.alembic.library import ERRORS, Abc, AbcCoreAbstract, open_archive
+from mixseq_io.alembic.library import ERRORS, Abc, open_archive
 from mixseq_io.alembic.object_paths import valid_name
 from mixseq_io.alembic.original import Original, open_original
 from mixseq_io.alembic.overlay import MovedMesh, largest_size, lay_over
+from mixseq_io.alembic.samples import time_sampling
 from mixseq_io.alembic.targets import MadeMesh, Target, make_meshes, make_targets
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import Numbered, as_float32, checked, warn
@@ -141,7 +141,7 @@ def _write(
     """Write everything. The library completes the file when the last of its objects is gone, at the return."""
     with _writing(path):
         archive = Abc.CreateArchiveWithInfo(str(temporary), header.fps, f"mixseq {__version__}", "")
-        sampling = archive.addTimeSampling(_time_sampling(header))
+        sampling = archive.addTimeSampling(time_sampling(header.times, 1 / header.fps))
         meshes: Sequence[MovedMesh | MadeMesh] = (
             lay_over(archive, path, source, header, sampling, velocities, sources)
             if isinstance(source, Original)
@@ -154,20 +154,6 @@ def _write(
         with _writing(path):
             for mesh in meshes:
                 mesh.write(first, points, moving)
-
-
-def _time_sampling(header: SequenceHeader) -> Any:
-    """Return a uniform sampling if the times are even, else one that lists them."""
-    times, step = header.times, 1 / header.fps
-    if header.frame_count > 1:
-        mean = float(times[-1] - times[0]) / (header.frame_count - 1)
-        step = step if np.isclose(mean, step, rtol=1e-9, atol=0) else mean
-    if np.allclose(times, times[0] + np.arange(header.frame_count) * step, rtol=1e-12, atol=1e-12):
-        return AbcCoreAbstract.TimeSampling(step, float(times[0]))
-    listed = AbcCoreAbstract.TimeVector()
-    listed.extend(times.tolist())
-    one_by_one = AbcCoreAbstract.TimeSamplingType(AbcCoreAbstract.AcyclicFlag.kAcyclic)
-    return AbcCoreAbstract.TimeSampling(one_by_one, listed)
 
 
 def _check_room(path: Path, size: int) -> None:

@@ -150,6 +150,16 @@ def test_frames_are_those_of_the_sequence(shot: Path, body: MeshSequence, path: 
     np.testing.assert_allclose(again.velocities, speeds, atol=1e-5)
 
 
+def test_what_frames_do_not_need_is_left_out(shot: Path, body: MeshSequence, path: Path) -> None:
+    """So that programs show the range of the frames; constant samples beside others stay as many."""
+    mixseq.write(path, replace(body, points=body.points[1:], times=np.array([1.5, 2.0])))
+    after = stored(path)
+    assert [sample.partition(" ")[0] for sample in after["/rig..xform..vals"][1]] == ["1.5", "2"]
+    assert after["/rig..xform..ops"][1] == ["1.5 48", "2 48"]
+    assert after["/rig/hair..geom.strands"][1] == ["1.5 [2.0, 2.0, 2.0]"]
+    np.testing.assert_allclose(mixseq.read(path, prim="/rig/body").points, body.points[1:], atol=1e-6)
+
+
 def test_velocities_are_rates_of_own_points(tmp_path: Path, path: Path) -> None:
     """Below a transform that moves by (2, 0, 0) per second, what stands still in the world moves back."""
     shot = tmp_path / "shot.abc"
