@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float, IntArray
 from mixseq.errors import SettingsError
+from mixseq.frame_numbers import frame_text
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import Sheet, Target, matplotlib_module
 from mixseq.scene.camera import broadside, shared_limits, y_up
@@ -131,7 +132,9 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
             )
             draw_mesh(ax, points, first.faces, colours, first.up_axis, view, limits, ground, row.contrast)
             if row.show_times:
-                ax.set_title(f"{row.sequence.times[frame]:.3f} s", fontsize=9, color=INK, pad=2)
+                time = float(row.sequence.times[frame])
+                when = f"frame {frame_text(time, first.fps)}, {time:.3f} s"
+                ax.set_title(when, fontsize=9, color=INK, pad=2)
     return sheet
 
 

@@ -74,7 +74,10 @@ def transfer_sheet(
         look = header.up_axis, views[row], of_aspect(limits[row], aspect), ground
         for ax, x in zip(sheet.panels[row], poses[row], strict=True):
             draw_mesh(ax, x, header.faces, palette[labels[row]], *look)
-    columns = ["at rest", *(f"{here.times[frame]:.3f} s" for frame in frames)]
+    columns = [
+        "at rest",
+        *(f"frame {here.frame_number(frame)}, {here.times[frame]:.3f} s" for frame in frames),
+    ]
     for ax, text in zip(sheet.panels[0], columns, strict=True):
         ax.set_title(text, fontsize=9, color=INK, pad=2)
     sheet.save(target)

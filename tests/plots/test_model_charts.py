@@ -129,7 +129,7 @@ def test_coefficients_with_knots(model: Model, ax: Any) -> None:
         np.testing.assert_allclose(line.get_ydata(), model.time(times)[:, number])
         np.testing.assert_allclose(knots.get_xdata(), model.time.times)
         np.testing.assert_allclose(knots.get_ydata(), model.time.values[:, number])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "coordinate (diagonals)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s), frames 0 to 7", "coordinate (diagonals)")
     legend = ax.get_legend()
     assert legend.get_title().get_text() == "15 knots"  # 8 frames, and the middles between them
     assert [text.get_text() for text in legend.get_texts()] == ["coordinate 1", "coordinate 2"]

@@ -29,6 +29,7 @@ import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
+from mixseq.sequence_header import SequenceHeader
 from mixseq_io.hdf5.compressed_reader import (
     MAGIC,
     ChunkStreams,
@@ -78,7 +79,7 @@ def salvage_compressed(path: Path) -> CompressedSequence | None:
     parameters = read_parameters(path, container)
     groups = _basis(path, container, index)
     complete = len(groups) == len(index.basis)
-    chunks, frames, bounded = _chunks(path, container, index, complete)
+    chunks, frames, bounded = _chunks(path, container, index, complete, header)
     return CompressedSequence(
         header if len(frames) == header.frame_count else header.with_times(header.times[frames]),
         parameters if complete and bounded else replace(parameters, promised=False),
@@ -110,7 +111,7 @@ def _basis(path: Path, container: Container, index: StreamIndex) -> tuple[bytes,
 
 
 def _chunks(
-    path: Path, container: Container, index: StreamIndex, complete: bool
+    path: Path, container: Container, index: StreamIndex, complete: bool, header: SequenceHeader
 ) -> tuple[tuple[Chunk, ...], list[int], bool]:
     """Return the chunks that have coefficients, numbered anew, their frames, and whether the bound holds in all.
 
@@ -135,19 +136,22 @@ def _chunks(
     if not chunks:
         raise FormatError(f"{path}: the coefficients of all frames are damaged; restore the file")
     if missing:
-        _warn(path, f"frames {_ranges(missing)} are damaged and left out")
+        _warn(path, f"frames {_ranges(missing, header)} are damaged and left out")
     if coarse:
-        _warn(path, f"residuals of frames {_ranges(coarse)} are damaged; the bound does not hold there")
+        _warn(
+            path, f"residuals of frames {_ranges(coarse, header)} are damaged; the bound does not hold there"
+        )
     return tuple(chunks), frames, not coarse
 
 
-def _ranges(chunks: list[ChunkStreams]) -> str:
+def _ranges(chunks: list[ChunkStreams], header: SequenceHeader) -> str:
     """Name the frames of chunks; those that follow each other as one range."""
     starts = np.array([each.first for each in chunks])
     ends = np.array([each.first + each.count for each in chunks])
     gaps = np.flatnonzero(starts[1:] != ends[:-1]) + 1
     firsts, lasts = starts[[0, *gaps]], ends[[*(gaps - 1), -1]] - 1
-    return ", ".join(f"{first} to {last}" for first, last in zip(firsts, lasts, strict=True))
+    number = header.frame_number
+    return ", ".join(f"{number(first)} to {number(last)}" for first, last in zip(firsts, lasts, strict=True))
 
 
 def explain_damage(path: Path, error: FormatError) -> None:
