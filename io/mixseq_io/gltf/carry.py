@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Index
 from mixseq.errors import FormatError
@@ -154,8 +154,12 @@ def _turned(triangles: NDArray[Any], mirrored: bool) -> NDArray[Any]:
     return triangles[:, [0, 2, 1]] if mirrored else triangles
 
 
-def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[MovingMesh], OtherMotion]:
+def lay_over(
+    document: Document, header: SequenceHeader, sources: ArrayLike | None = None
+) -> tuple[Layout, list[MovingMesh], OtherMotion]:
     """Return the file's document with its data, what of it will move with the sequence, and what else moves.
+
+    `sources` are the times (T,) of the file that the frames show, in seconds.
 
     Raises
     ------
@@ -165,14 +169,14 @@ def lay_over(document: Document, header: SequenceHeader) -> tuple[Layout, list[M
     Warns
     -----
     MixseqWarning
-        If something of the file is lost: other animations, points and lines; if something stands still while the
-        sequence goes on; or if data that may be of no use is kept, see `prune`.
+        If something of the file is lost: other animations, points and lines; if something else moves while the
+        sequence is retimed; or if data that may be of no use is kept, see `prune`.
     """
     scene = read_scene(document)
     places = find_places(document, scene, header)
     carried = deepcopy(document.json)
     others = other_motion(document, scene, [place.node for place in places])
-    others.warn_of_times(document.path, header)
+    others.warn_of_times(document.path, header, sources)
     _drop_animations(carried, document, scene, places)
     meshes = [_new_mesh(carried, document, place) for place in places]
     roots = {scene.above(place.node)[-1] for place in places}

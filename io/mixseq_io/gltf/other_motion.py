@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
@@ -19,6 +20,9 @@ from mixseq_io.gltf.animation import Channel, read_channels, told_by
 from mixseq_io.gltf.buffers import Json, Layout
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
+
+_SAME_FRAME = 1e-3
+"""Fraction of a frame by which times may differ; the value is ours."""
 
 _SEEN = ("mesh", "camera", "extensions")
 
@@ -73,15 +77,20 @@ class OtherMotion:
             animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
             animation["samplers"].append(sampler)
 
-    def warn_of_times(self, path: Path, header: SequenceHeader) -> None:
-        """Warn of what stands still for more than a frame of the sequence, before or after it moves."""
-        ends = [
-            self.start + time for channel in self.channels if channel.moves for time in channel.times[[0, -1]]
-        ]
+    def warn_of_times(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
+        """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame."""
+        moving = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
+        if not moving:
+            return
+        start, end = float(np.min(moving)), float(np.max(moving))
         first, last = header.times[[0, -1]]
-        if ends and (first < min(ends) - 1 / header.fps or last > max(ends) + 1 / header.fps):
+        frame = 1 / header.fps
+        retimed = sources is not None and not np.allclose(
+            sources, header.times, rtol=0, atol=_SAME_FRAME * frame
+        )
+        if retimed or first < start - frame or last > end + frame:
             warn(
-                f"{path}: what else moves keeps its own times, {min(ends):g} to {max(ends):g} s, and is not retimed: "
+                f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: "
                 f"{listed(self.things)}"
             )
 

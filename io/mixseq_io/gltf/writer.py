@@ -9,6 +9,8 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from numpy.typing import ArrayLike
+
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import SequenceHeader
@@ -35,6 +37,7 @@ def write_gltf(
     flatten: bool = False,
     onto: str | os.PathLike[str] | None = None,
     keep_start: bool = False,
+    sources: ArrayLike | None = None,
 ) -> None:
     """Write a glTF file: ``.glb`` is binary, ``.gltf`` text with everything in it.
 
@@ -50,6 +53,8 @@ def write_gltf(
         The file whose materials, textures and other nodes are taken along, in place of that one.
     keep_start : bool
         Let the animation begin when the sequence does. By default it begins at 0, and tells our reader when that is.
+    sources : (T,) array-like, optional
+        Times of the original that the frames show, in seconds: where they are others, a warning names what else moves.
 
     Raises
     ------
@@ -69,7 +74,7 @@ def write_gltf(
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
-    overlay = None if flatten else _overlay(path, header, onto)
+    overlay = None if flatten else _overlay(path, header, onto, sources)
     layout, meshes, others = overlay or (*new_scene(header), NOTHING)
     lost = [] if overlay else lost_alone(header)
     warn_of_changes(path, header, [*(["velocities"] if velocities is not None else []), *lost], keep_start)
@@ -84,7 +89,7 @@ def write_gltf(
 
 
 def _overlay(
-    path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None
+    path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None, sources: ArrayLike | None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion] | None:
     """Return the document of the file that the sequence is laid over, None if there is none."""
     if onto is not None:
@@ -97,7 +102,7 @@ def _overlay(
         raise OutputError(f"{path} is the original and would be lost; write to another name")
     try:
         with reading(file, "glTF", *_DAMAGE):
-            return lay_over(load_document(file), header)
+            return lay_over(load_document(file), header, sources)
     except FormatError as error:
         if onto is not None:
             raise OutputError(f"cannot write {path} onto another file: {error}") from error

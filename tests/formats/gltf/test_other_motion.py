@@ -91,6 +91,13 @@ def test_what_stands_still_at_the_end_is_named(tmp_path: Path) -> None:
     np.testing.assert_allclose(played(file, "camera", "rotation")[1][1:], [QUARTER] * 4, atol=1e-6)
 
 
+def test_what_keeps_its_own_speed_is_named(tmp_path: Path) -> None:
+    sequence = at(read(scene().glb(tmp_path / "shot.glb")), 0, 1)
+    written(tmp_path / "same.glb", sequence, sources=sequence.times)
+    with pytest.warns(MixseqWarning, match="not retimed: 'camera'$"):
+        written(tmp_path / "back.glb", sequence, sources=sequence.times[::-1])
+
+
 def test_a_parent_moves_what_else_it_carries_and_not_the_mesh(tmp_path: Path) -> None:
     sequence = read(scene(held=True).glb(tmp_path / "shot.glb"))
     file = written(tmp_path / "new.glb", sequence)
