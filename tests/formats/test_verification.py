@@ -129,7 +129,9 @@ def test_what_is_no_original_is_refused(path: Path, bent_bar: MeshSequence) -> N
     with pytest.raises(InvalidSequenceError, match=r"read files with mixseq\.read"):
         mixseq.verify(path, "bar.npz")  # type: ignore[arg-type]
     later = MeshSequence.from_header(bent_bar.header.with_times(bent_bar.times + 1), bent_bar.points)
-    with pytest.raises(InvalidSequenceError, match="frame 0 is at 1 s in the reference, at 0 s"):
+    with pytest.raises(
+        InvalidSequenceError, match=r"frame 10 \(index 0\) is at 1 s in the reference, at 0 s"
+    ):
         mixseq.verify(path, later)
 
 

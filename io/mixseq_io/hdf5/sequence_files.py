@@ -130,9 +130,9 @@ class _H5Reader(SequenceReader):
             try:
                 block: FloatArray = dataset[start:stop]
             except (OSError, RuntimeError, ValueError) as error:
-                first, last = (self.header.frame_name(index) for index in (start, stop - 1))
+                first, last = (self.header.frame_number(index) for index in (start, stop - 1))
                 raise FormatError(
-                    f"{self.path}: {name} of {first} to {last} are damaged ({brief(error)}); restore the file"
+                    f"{self.path}: {name} of frames {first} to {last} are damaged ({brief(error)}); restore the file"
                 ) from error
             yield block.astype(block.dtype.newbyteorder("="), copy=False)
 
