@@ -54,18 +54,19 @@ def sample_times(sampled: Any) -> Float:
 
 
 def samples_within(times: Float, window: tuple[float, float]) -> slice:
-    """Return which samples tell what is at any time from one to another; at least one.
+    """Return which samples tell what is at any time from one to another; all, if all are before or after.
 
     Examples
     --------
     >>> times = np.array([1.0, 2.0, 3.0, 4.0])
     >>> samples_within(times, (2.0, 3.0)), samples_within(times, (2.5, 2.6)), samples_within(times, (5.0, 6.0))
-    (slice(1, 3, None), slice(1, 3, None), slice(3, 4, None))
+    (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
-    first = int(np.searchsorted(times, window[0] + SAME_TIME, side="right")) - 1
-    last = int(np.searchsorted(times, window[1] - SAME_TIME, side="left"))
-    first, last = (int(np.clip(each, 0, max(len(times) - 1, 0))) for each in (first, last))
-    return slice(first, last + 1)
+    start, end = window[0] + SAME_TIME, window[1] - SAME_TIME
+    if not len(times) or start < times[0] > end or start > times[-1] < end:
+        return slice(0, len(times))
+    first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end, side="left")
+    return slice(max(int(first), 0), min(int(last) + 1, len(times)))
 
 
 def time_sampling(times: Float, step: float) -> Any:

@@ -291,3 +291,11 @@ def test_what_shows_other_times_is_retimed(shot: Path, body: MeshSequence, path:
     mixseq.write(path, body, sources=body.times)
     with pytest.warns(MixseqWarning, match="is not retimed: '/rig', '/rig/hair'"):
         mixseq.write(path, body, sources=body.times[::-1])
+
+
+def test_frames_at_other_times_leave_nothing_out(shot: Path, body: MeshSequence, path: Path) -> None:
+    """Of a shot that was numbered anew."""
+    with pytest.warns(MixseqWarning, match="is not retimed"):
+        mixseq.write(path, replace(body, times=body.times + 100))
+    assert stored(path)["/rig..xform..vals"] == stored(shot)["/rig..xform..vals"]
+    np.testing.assert_allclose(mixseq.read(path, prim="/rig/body").points, body.points, atol=1e-6)
