@@ -63,7 +63,7 @@ def samples_within(times: Float, window: tuple[float, float]) -> slice:
     (slice(1, 3, None), slice(1, 3, None), slice(0, 4, None))
     """
     start, end = window[0] + SAME_TIME, window[1] - SAME_TIME
-    if not len(times) or start < times[0] > end or start > times[-1] < end:
+    if not len(times) or window[1] < times[0] or window[0] > times[-1]:
         return slice(0, len(times))
     first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end, side="left")
     return slice(max(int(first), 0), min(int(last) + 1, len(times)))
