@@ -34,7 +34,7 @@ _HARMLESS = (
 def prune(path: Path, document: Json) -> None:
     """Take unused meshes, accessors and buffer views out of a document, and renumber the others.
 
-    Skins stay without their matrices, because they tell programs such as Blender which nodes are bones.
+    Skins that no node has stay without their matrices: they tell programs such as Blender which nodes are bones.
 
     Parameters
     ----------
@@ -58,7 +58,11 @@ def prune(path: Path, document: Json) -> None:
     bound = {node.get("skin") for node in document.get("nodes", ())}
     for number, skin in enumerate(document.get("skins", ())):
         if number not in bound:
-            skin.pop("inverseBindMatrices", None)
+            for key in (
+                "inverseBindMatrices",
+                "skeleton",
+            ):  # the second may be wrong where meshes have left their place
+                skin.pop(key, None)
     for kind in _PRUNED:
         _prune(document, kind)
 

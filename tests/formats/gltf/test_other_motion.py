@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mixseq.errors import MixseqWarning
 from mixseq.sequence import MeshSequence
 from tests.formats.conftest import lossy
-from tests.formats.gltf_files import Gltf, read, written
+from tests.formats.gltf_files import Gltf, read, validate, written
 from tests.formats.gltf_maker import TRIANGLE, Maker
 
 QUARTER = [0, 0, np.sqrt(0.5), np.sqrt(0.5)]
@@ -132,3 +132,10 @@ def test_of_several_animations_nothing_else_moves(tmp_path: Path) -> None:
     with lossy():
         file = written(tmp_path / "new.glb", read(tmp_path / "shot.glb"))
     assert [each["target"]["path"] for each in file.json["animations"][0]["channels"]] == ["weights"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("held", [False, True])
+def test_the_validator_passes_what_goes_on(tmp_path: Path, held: bool) -> None:
+    written(tmp_path / "new.glb", read(scene(held).glb(tmp_path / "shot.glb")))
+    validate(tmp_path / "new.glb")
