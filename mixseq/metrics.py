@@ -29,6 +29,7 @@ from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.polygon_matching import match_triangles
+from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader
 from mixseq.statistics import RunningStatistics, Statistics
 from mixseq.topology import Topology
@@ -104,6 +105,7 @@ class Comparison:
         return finite
 
 
+@public
 def compare(a: Frames, b: Frames) -> Comparison:
     """Measure how far a sequence is from a reference.
 

@@ -24,6 +24,7 @@ LAYERS = (
         "interrupts",
         "pickling",
         "progress",
+        "public",
         "statistics",
         "threads",
         "version",

@@ -6,17 +6,21 @@ import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mixseq.arrays import FloatArray
 from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.public import public
 from mixseq.sequence import MeshSequence, SequenceHeader, collect
 from mixseq_io.format import Format
 from mixseq_io.formats import FORMATS
 from mixseq_io.memory import memory_limit
 from mixseq_io.reader import SequenceReader, check_regular, naming
+
+if TYPE_CHECKING:
+    from mixseq.signals import Model
 
 PathLike = str | os.PathLike[str]
 
@@ -28,6 +32,7 @@ _FOREIGN_SIGNATURES = {
 }
 
 
+@public
 def open_sequence(
     path: PathLike,
     *,
@@ -94,6 +99,7 @@ def open_sequence(
     return reader
 
 
+@public
 def read(path: PathLike, **options: Any) -> MeshSequence:
     """Read a file into memory; parameters and errors are those of `open_sequence`."""
     with open_sequence(path, **options) as reader:
@@ -105,22 +111,26 @@ def read(path: PathLike, **options: Any) -> MeshSequence:
         return replace(sequence, velocities=np.concatenate(list(velocities)))
 
 
-def write(path: PathLike, sequence: MeshSequence, **options: Any) -> None:
+@public
+def write(path: PathLike, sequence: MeshSequence | Model, **options: Any) -> None:
     """Write a sequence; see `write_blocks`.
 
     Parameters
     ----------
     path : path-like
         The file; for several frames of OBJ, PLY, STL or OFF a pattern, ``walk_####.obj``.
-    sequence : MeshSequence
-        What to write, with its velocities if it has any.
+    sequence : MeshSequence or Model
+        What to write, with its velocities if it has any; of a model its frames.
     **options
         The format's ``write_options``, see `FORMATS`.
     """
+    if not isinstance(sequence, MeshSequence):
+        sequence = sequence.sample()
     velocities = None if sequence.velocities is None else [sequence.velocities]
     write_blocks(path, sequence.header, [sequence.points], velocities, **options)
 
 
+@public
 def write_blocks(
     path: PathLike,
     header: SequenceHeader,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mixseq.errors import OutputError, SettingsError
+from mixseq.public import public
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skin
@@ -15,6 +16,7 @@ RIG_EXTENSIONS = (".glb", ".gltf")
 """Of the files that hold skins and morphs."""
 
 
+@public
 def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     """Write a skin or a morph as glTF, which engines play: ``.glb`` is binary, ``.gltf`` text with everything in it.
 

@@ -23,6 +23,7 @@ from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
 from mixseq.progress import Progress, silent
+from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
@@ -76,6 +77,7 @@ class Verification:
         return {name: None if value == float("inf") else value for name, value in plain.items()}
 
 
+@public
 def verify(path: PathLike, original: Frames | None = None, progress: Progress = silent) -> Verification:
     """Check a compressed model: its checksums, that every frame decodes, and its bound.
 

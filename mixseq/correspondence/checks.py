@@ -239,4 +239,4 @@ def _listed(markers: Markers, numbers: Index) -> str:
 
 
 def _warn(message: str) -> None:
-    warnings.warn(message, MixseqWarning, stacklevel=4)
+    warnings.warn(message, MixseqWarning, stacklevel=5)

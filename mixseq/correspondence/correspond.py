@@ -16,6 +16,7 @@ from mixseq.correspondence.registration import RegistrationSettings, register
 from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.progress import Progress, silent
+from mixseq.public import public
 from mixseq.sequence import MeshSequence
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
@@ -45,6 +46,7 @@ class Assessed:
     quality: Quality
 
 
+@public
 def correspond(
     source: MeshSequence,
     target: MeshSequence,
@@ -145,7 +147,7 @@ def _warn_of(quality: Quality, correspondence: Correspondence) -> None:
                 f"{count} of the {mapped} triangles of the target that should have a counterpart {what}; are both "
                 "meshes in the same pose, and all markers on the right component? The picture tells where limbs went",
                 MixseqWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
 
@@ -166,7 +168,7 @@ def _check_areas(source: TriangleMesh, target: TriangleMesh, pairings: tuple[Pai
                 f"components with markers are only {100 * share:.0f} % of the {what}'s area, and all others follow "
                 "them as if stuck; mark them too, or weld vertices that are in one place",
                 MixseqWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
 

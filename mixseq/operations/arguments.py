@@ -154,7 +154,17 @@ def _pairs(value: Any, folder: Path, readers: Readers) -> Float:
         if pairs is None:
             raise WrongTypeError
         return pairs
-    path = _path(value, folder, readers)
+    return read_pairs(_path(value, folder, readers))
+
+
+def read_pairs(path: Path) -> Float:
+    """Read pairs of numbers ``(N, 2)`` from a CSV file without a header.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is something else.
+    """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

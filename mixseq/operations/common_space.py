@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mixseq.errors import InvalidSequenceError
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
@@ -15,6 +16,7 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.threads import one_blas_thread
 
 
+@public
 def into(model: Model, space: ShapeSpace) -> Model:
     """Return a model in another shape space of its mesh.
 

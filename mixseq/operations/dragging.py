@@ -28,6 +28,7 @@ from mixseq.frame_numbers import Seconds
 from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import between, breakpoints, sites_of
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.mds_embedding import Plane
 from mixseq.signals.model import Model
@@ -39,6 +40,7 @@ FRAMES = 2
 """Shortest default reach, in frames. Ours."""
 
 
+@public
 def drag(
     model: Model, time: Seconds, to: ArrayLike, reach: Seconds | None = None, plane: Plane | None = None
 ) -> Model:

@@ -20,6 +20,7 @@ from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.joint_tree import JointTree
 from mixseq.operations.splines import ACCURACY, placement_measure, sampled, sites_within
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
@@ -27,6 +28,7 @@ LARGEST_GAIN = 1000.0
 """Largest gain."""
 
 
+@public
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
     r"""Return the model with its motion exaggerated or damped: all parts in their joints, and the change of shape.
 

@@ -26,6 +26,7 @@ from mixseq.frame_numbers import Seconds
 from mixseq.geometry.rotations import exponentials, inverse, normalised, product, rotations_of, vectors
 from mixseq.operations.splines import between, sites_of
 from mixseq.prediction.poses import Poses
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.spaces.base import ShapeSpace
@@ -37,6 +38,7 @@ LONGEST = 1e9
 """Periods of more steps all leave a line."""
 
 
+@public
 def smooth(model: Model, seconds: Seconds) -> Model:
     """Return the model without changes that are faster than a period: all its signals, shape and placement.
 

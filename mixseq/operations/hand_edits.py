@@ -12,6 +12,7 @@ from mixseq.arrays import Float
 from mixseq.errors import InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.polygon_matching import difference
 from mixseq.polygons import Polygons
+from mixseq.public import public
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq.signals.model import Model
 
@@ -57,6 +58,7 @@ def edited_difference(model: Model, time: float, points: ArrayLike | MeshSequenc
     return model, space.shape_difference(model.curve([time])[0], before, edited)
 
 
+@public
 def swap_key(model: Model, key: int, points: ArrayLike | MeshSequence) -> Model:
     """Put an edited mesh in the place of a key shape.
 
@@ -126,7 +128,7 @@ def _doubt(before: Float, edited: Float, time: float) -> None:
             f"{moved:,} of {len(edited):,} vertices moved, by up to {apart.max():.2g} diagonals; is the mesh the frame "
             f"at {time:g} s, in the axes and units of the model?",
             MixseqWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

@@ -28,6 +28,7 @@ from mixseq.frame_store import FrameStore, frame_store
 from mixseq.mapping import Executor, on_threads
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.progress import Progress, Stages, silent
+from mixseq.public import public
 from mixseq.renamed import moved, renamed
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.shells.fitting import ShellReport
@@ -156,6 +157,7 @@ class PoseInterpolator(PickledWithoutCaches):
 
 
 @renamed(motion="segmentation", shrink="stretch_tolerance")
+@public
 def interpolate(
     poses: Frames,
     weights: ArrayLike,

@@ -34,6 +34,7 @@ from mixseq.operations.splines import (
     shape_measure,
     sites_within,
 )
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
@@ -48,6 +49,7 @@ FADE = 0.2
 """Default seconds over which a part comes to rest."""
 
 
+@public
 def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """Return the model with the motion of a part in its joint scaled about its mean.
 
@@ -76,6 +78,7 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
 
 
+@public
 def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, fade: Seconds = FADE) -> Model:
     """Return the model with a part at rest against its parent, as it is at a time.
 

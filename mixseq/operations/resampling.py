@@ -20,9 +20,12 @@ from mixseq.frame_rates import exact_rate
 from mixseq.mapping import Executor
 from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
-from mixseq.sequence import MeshSequence, collect
+from mixseq.public import public
+from mixseq.renamed import renamed
+from mixseq.sequence import Frames, MeshSequence, collect
 from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
 from mixseq.signals.decoding import FRAMES
+from mixseq.signals.fit import fit
 from mixseq.signals.model import Model
 
 SLACK = 1e-3
@@ -116,8 +119,10 @@ def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     return np.asarray(np.arange(int(first), int(last) + 1) / fps)
 
 
+@renamed(model="source")
+@public
 def resample(
-    model: Model,
+    source: Model | Frames,
     fps: float | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -128,14 +133,14 @@ def resample(
     velocities: bool = False,
     progress: Progress = silent,
 ) -> MeshSequence:
-    """Sample a model at another rate, speed or direction.
+    """Sample a motion at another rate, speed or direction.
 
     Parameters
     ----------
-    model : Model
-        The source.
+    source : Model, MeshSequence or SequenceReader
+        The motion. A sequence is fitted exactly.
     fps : float, optional
-        Frames per second of the output; by default those of the model's time line.
+        Frames per second of the output; by default those of the source.
     start, end : float, optional
         Which section of the source to show, in seconds; by default from its first frame to its last. The output
         begins at `start` too.
@@ -157,6 +162,8 @@ def resample(
 
     Raises
     ------
+    InvalidSequenceError
+        If what is to be fitted is no mesh sequence.
     SettingsError
         If a time outside the model is asked for, a setting is out of range, two contradict each other, or there
         is no frame in the range.
@@ -171,6 +178,7 @@ def resample(
     >>> slow.frame_count, slow.points[1, 0].round(9).tolist(), slow.velocities[1, 0].round(6).tolist()
     (9, [0.5, 0.5, 0.5], [12.0, 12.0, 12.0])
     """
+    model = source if isinstance(source, Model) else fit(source, exact=True, progress=progress)
     planned = plan(model, fps, start, end, speed, reverse, retiming)
     if not velocities:
         return collect(planned.header, planned.blocks(progress=progress))

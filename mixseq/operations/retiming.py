@@ -32,6 +32,7 @@ from mixseq.operations.splines import (
     sites_of,
 )
 from mixseq.pickling import PickledWithoutCaches
+from mixseq.public import public
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import CLOSEST, Curve, Measure
 from mixseq.signals.decoding import ResidualLayer
@@ -163,6 +164,7 @@ def _line(origin: float, slope: float) -> PPoly:
     return PPoly(np.array([[slope], [origin]]), np.array([0.0, 1.0]))  # beyond which it goes on
 
 
+@public
 def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     """Return the model faster and slower, backwards or standing still, along a map of time.
 

@@ -13,6 +13,7 @@ from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
 from mixseq.operations.retiming import Retiming
 from mixseq.operations.toml_text import parse_toml
+from mixseq.public import public
 
 Lines = list[tuple[int, list[str]]]
 """Lines of a file: their numbers, and what stands between the commas."""
@@ -55,6 +56,7 @@ class _Key(NamedTuple):
     source: float
 
 
+@public
 def read_retiming(
     path: str | os.PathLike[str],
     smooth: bool = True,

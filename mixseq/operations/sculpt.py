@@ -30,6 +30,7 @@ from mixseq.frame_numbers import Seconds
 from mixseq.operations.hand_edits import edited_difference
 from mixseq.operations.joining import snapped
 from mixseq.operations.splines import breakpoints, refined, sampled, shape_measure, sites_of
+from mixseq.public import public
 from mixseq.sequence import MeshSequence
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -45,6 +46,7 @@ ACCURACY = 1e-3
 """Largest error of the weight between frames, where it is no spline."""
 
 
+@public
 def sculpt(
     model: Model,
     time: Seconds,

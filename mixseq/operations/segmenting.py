@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 
 from mixseq import segmentation
 from mixseq.choices import SegmentationName
+from mixseq.public import public
 from mixseq.segmentation import MethodSettings
 from mixseq.sequence import MeshSequence, check_frames
 from mixseq.topology import Topology
 
 
+@public
 def segment(
     sequence: MeshSequence,
     method: SegmentationName = "motion",

@@ -30,6 +30,7 @@ from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.frame_numbers import Seconds
 from mixseq.operations.splines import placement_measure, sampled, shape_measure
+from mixseq.public import public
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve
 from mixseq.signals.mds_embedding import Plane
@@ -48,6 +49,7 @@ ACCURACY = 1e-4
 """Largest error, in diagonals, of the splines between sites."""
 
 
+@public
 def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | None = None) -> Model:
     """Return the motion that a curve in the embedding of a model tells.
 
@@ -169,7 +171,7 @@ def _frames_apart(model: Model, places: Float) -> Index:
             f"{np.count_nonzero(hidden)} frames share their place in the embedding with an earlier frame that differs; "
             "a sketch shows the earlier one",
             MixseqWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return np.array(chosen, dtype=np.int64)
 
@@ -190,5 +192,5 @@ def _warn_if_far(drawn: Curve, places: Float) -> None:
             f"the drawn curve goes to ({point[0]:.3g}, {point[1]:.3g}), far from all frames, which are within "
             f"{size:.3g} of each other; shapes there are guesses",
             MixseqWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

@@ -16,12 +16,14 @@ from mixseq.operations.joining import (
     shifted,
 )
 from mixseq.operations.travel import carried, step_of
+from mixseq.public import public
 from mixseq.signals.model import Model
 
 MOST = 10_000
 """A section shown more often would be a slip."""
 
 
+@public
 def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -> Model:
     """Return a section of a model.
 
@@ -46,6 +48,7 @@ def cut(model: Model, start: Seconds, end: Seconds, at: Seconds | None = None) -
     return section if at is None else shift(section, at - first)
 
 
+@public
 def repeat(
     model: Model,
     start: Seconds,
@@ -100,6 +103,7 @@ def repeat(
     return concatenated(sections, [Seam(seconds)] * (times - 1))
 
 
+@public
 def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Make the end of a model meet its start: value, slope and curvature of all signals.
 
@@ -135,6 +139,7 @@ def loop(model: Model, fade: Seconds | None = None, travel: bool = False) -> Mod
     return concatenated(sections, [Seam(length / 4)])
 
 
+@public
 def shift(model: Model, seconds: Seconds) -> Model:
     """Return the model with everything later by so many seconds, or earlier where they are negative.
 
@@ -150,6 +155,7 @@ def shift(model: Model, seconds: Seconds) -> Model:
     return shifted(model, float(seconds))
 
 
+@public
 def speed(model: Model, factor: float) -> Model:
     """Return the model so many times faster, from its start on.
 
@@ -166,6 +172,7 @@ def speed(model: Model, factor: float) -> Model:
     return affine(model, 1.0 / factor, model.start * (1.0 - 1.0 / factor))
 
 
+@public
 def reverse(model: Model) -> Model:
     """Return the model backwards, from the same start to the same end.
 

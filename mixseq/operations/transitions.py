@@ -33,6 +33,7 @@ from mixseq.operations.joining import (
 from mixseq.operations.placements import continued, mean, mean_placements
 from mixseq.operations.splines import between, breakpoints, refined, sites_of
 from mixseq.operations.travel import carried, drift, place_of
+from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 
@@ -42,6 +43,7 @@ DENSE = 8
 Weight = Callable[[Float], Float]
 
 
+@public
 def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = False) -> Model:
     """Return one model after the other.
 
@@ -75,6 +77,7 @@ def concatenate(a: Model, b: Model, fade: Seconds | None = None, travel: bool = 
     return concatenated([ModelSection(a, start, seam), ModelSection(later, seam, later.end)], [Seam(seconds)])
 
 
+@public
 def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool = False) -> Model:
     """Return the first model, which passes over into the second one.
 
@@ -135,6 +138,7 @@ def transition(a: Model, b: Model, at: Seconds, duration: Seconds, travel: bool 
     return concatenated(sections, seams)
 
 
+@public
 def blend(a: Model, b: Model, weight: float | Curve) -> Model:
     """Return the mean of two models over the time that both have.
 

@@ -24,6 +24,7 @@ from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.operations.placements import centre_columns
 from mixseq.operations.splines import between, breakpoints, refined, sites_of
+from mixseq.public import public
 from mixseq.sequence import UP_AXES
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -33,6 +34,7 @@ FINE = 8
 """Points for each knot through which integrals are splines."""
 
 
+@public
 def travel_of(model: Model, even: bool = False) -> Curve:
     """Return how far the body has got along the ground since the start of a model.
 
@@ -75,6 +77,7 @@ def travel_of(model: Model, even: bool = False) -> Curve:
     return Curve(place.times, share[:, None] * (end - start))
 
 
+@public
 def in_place(model: Model, even: bool = False) -> Model:
     """Return the model without its travel: the body stays where it starts, and moves as it did otherwise.
 

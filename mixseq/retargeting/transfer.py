@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import Float, FloatArray
 from mixseq.choices import TRANSFERS, TransferName
 from mixseq.correspondence.dense import Correspondence
+from mixseq.correspondence.map_completion import Mesh
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.matching import Quality
 from mixseq.errors import SettingsError
 from mixseq.frame_store import block_size
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, silent
+from mixseq.public import public
 from mixseq.retargeting.footskate import ContactReport
 from mixseq.retargeting.gradient_transfer import gradient_transfer
 from mixseq.retargeting.mixed_transfer import MixedTransfer, mixed_transfer
@@ -116,7 +118,7 @@ def plan(
     source: Frames | Model | SourceMotion,
     target: Frames,
     markers: Markers | ArrayLike | None = None,
-    mapping: Correspondence | None = None,
+    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None = None,
     method: TransferName = "mixed",
     rest: int | MeshSequence = 0,
     contacts: Mapping[str, ArrayLike] | None = None,
@@ -133,11 +135,6 @@ def plan(
     """
     if method not in TRANSFERS:
         raise SettingsError(f"method is {method!r}; {' or '.join(map(repr, TRANSFERS))} is expected")
-    if contacts is not None and not isinstance(contacts, Mapping):
-        raise SettingsError(
-            f"contacts are {type(contacts).__name__}; vertices by the name of each contact are expected, such as "
-            "{'left foot': [12, 13]}"
-        )
     if contacts and method != "mixed":
         raise SettingsError(
             "contacts are kept by the poses of parts; leave them out, or choose the method 'mixed'"
@@ -167,7 +164,7 @@ def correspondence_of(
     shape: Float,
     header: SequenceHeader,
     markers: Markers | ArrayLike | None,
-    mapping: Correspondence | None,
+    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None,
     progress: Progress = silent,
 ) -> tuple[Correspondence, Quality | None]:
     """Return the correspondence that is given, or that markers or the same connectivity tell; of markers its quality.
@@ -181,6 +178,8 @@ def correspondence_of(
         raise SettingsError("markers and a map are two ways to say the same; give one of them")
     sizes = tuple((t.vertex_count, len(t.faces)) for t in (source.header, header))
     if mapping is not None:
+        if not isinstance(mapping, Correspondence):
+            mapping = mapping((source.rest, source.header.faces), (shape, header.faces))
         mapping.check(*sizes)
         return mapping, None
     if markers is not None:
@@ -200,11 +199,12 @@ def correspondence_of(
     return Correspondence.identity(*sizes[0]), None
 
 
+@public
 def transfer(
     source: Frames | Model,
     target: Frames,
     markers: Markers | ArrayLike | None = None,
-    mapping: Correspondence | None = None,
+    mapping: Correspondence | Callable[[Mesh, Mesh], Correspondence] | None = None,
     method: TransferName = "mixed",
     rest: int | MeshSequence = 0,
     contacts: Mapping[str, ArrayLike] | None = None,
@@ -217,6 +217,8 @@ def transfer(
 ) -> MeshSequence:
     """Move a mesh as another one moves.
 
+    A path does for the source, the target, markers, the map, the rest, contacts and labels of parts.
+
     Parameters
     ----------
     source : MeshSequence, SequenceReader or Model
@@ -226,8 +228,8 @@ def transfer(
         the source, nothing else is needed.
     markers : Markers or (n, 2) int, optional
         Pairs of vertices, one of the source and one of the target, that are the same; see `mixseq.correspond`.
-    mapping : Correspondence, optional
-        A dense correspondence, instead of markers.
+    mapping : Correspondence or callable, optional
+        A dense correspondence, or what makes one of both meshes at rest (points and triangles), instead of markers.
     method : {"mixed", "gradients"}
         Parts, joints and poses (S_m, the default), or deformation gradients (S_f; Sumner and Popović 2004).
     rest : int or MeshSequence

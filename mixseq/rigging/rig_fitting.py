@@ -12,6 +12,7 @@ from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
 from mixseq.frame_store import frame_store
 from mixseq.progress import Progress, silent
+from mixseq.public import public
 from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.correctives import fit_correctives, fit_targets
 from mixseq.rigging.decomposition import decompose
@@ -23,6 +24,7 @@ from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
 
+@public
 def fit_skin(
     sequence: Frames,
     bones: int | ArrayLike | None = None,
@@ -92,6 +94,7 @@ def fit_skin(
     return skin
 
 
+@public
 def fit_morph(
     sequence: Frames,
     max_error: float | None = None,
@@ -212,5 +215,5 @@ def _warn_if_missed(reached: float, wanted: float | None, count: int, setting: s
             f"{count} targets reach an error of {reached:.3g} diagonals, not {wanted:g} as {setting} asks; "
             f"allow more {cure}",
             MixseqWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

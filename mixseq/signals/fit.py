@@ -13,6 +13,7 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import frame_store
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, Stages, silent
+from mixseq.public import public
 from mixseq.renamed import renamed
 from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
@@ -47,6 +48,7 @@ class FitOptions(SpaceOptions, total=False):
 
 
 @renamed(motion="segmentation", shrink="stretch_tolerance")
+@public
 def fit(
     sequence: Frames,
     exact: bool = False,

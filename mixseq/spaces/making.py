@@ -109,7 +109,7 @@ def space_settings(name: SpaceName, edge: EdgeSettings | None = None, **given: A
     """
     _check_name(name)
     if edge is not None:
-        warnings.warn("edge=EdgeSettings('dso') is now projection='dso'", DeprecationWarning, stacklevel=4)
+        warnings.warn("edge=EdgeSettings('dso') is now projection='dso'", DeprecationWarning, stacklevel=5)
         given |= {name: value for name, value in vars(edge).items() if value is not None}
     known = _defaults(name)
     for setting, value in given.items():

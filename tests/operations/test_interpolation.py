@@ -168,7 +168,6 @@ def test_sequences_that_stream(tmp_path: Path) -> None:
     [
         ([0.5, 0.5], r"weights have shape \(2,\); one number for each of the 4 poses"),
         ([[1, 0, 0, 0]], r"weights have shape \(1, 4\)"),
-        ("half", r"weights are 'half'; one number for each pose"),
         ([0.5, 0.5, np.nan, 0], r"the weight of pose 2 is nan; finite numbers"),
         ([0.5, np.inf, 0, 0], r"the weight of pose 1 is inf"),
         ([0.5, 0.5, 0.5, 0.5], r"weights add up to 2 and must add up to 1; divide them by their sum"),

@@ -321,7 +321,6 @@ OTHER = first(bar(sides=6, rings=15, frames=2))
     [
         ({"method": "edges"}, r"method is 'edges'; 'mixed' or 'gradients' is expected"),
         ({"rest": 2}, r"rest is 2; a frame from 0 to 1 is expected"),
-        ({"rest": "0"}, r"rest is '0'; a frame"),
         ({"markers": [[0, 0]], "mapping": Correspondence.identity(77, 150)}, "markers and a map.*give one"),
         ({"markers": [0, 1, 2]}, r"markers have shape \(3,\)"),
         (
@@ -340,7 +339,6 @@ OTHER = first(bar(sides=6, rings=15, frames=2))
         ({"contacts": {"left": [0], "right": [-1]}}, "contact 'right' names vertex -1"),
         ({"contacts": {"left": []}}, "contact 'left' is no list of vertices"),
         ({"contacts": {"left": [0.5]}}, "contact 'left' is no list of vertices"),
-        ({"contacts": [0, 1]}, "contacts are list; vertices by the name of each contact are expected"),
         ({"contacts": {"left": 3}}, "contact 'left' is no list of vertices"),
         ({"joint_width": 0}, "joint_width is 0"),
     ],
@@ -388,5 +386,7 @@ def test_parts_of_another_mesh_are_refused() -> None:
 @pytest.mark.parametrize("wrong", ["source", "target"])
 def test_what_is_no_sequence_is_refused(wrong: str) -> None:
     meshes: dict[str, object] = {"source": SOURCE, "target": TARGET, wrong: SOURCE.points}
-    with pytest.raises(InvalidSequenceError):
+    with pytest.raises(
+        TypeError, match=f"transfer: {wrong} is of type ndarray; MeshSequence or an open reader"
+    ):
         mixseq.transfer(**meshes)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mixseq
-from mixseq.errors import InvalidSequenceError, MixseqWarning, SegmentationError, SettingsError
+from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
 from mixseq.rigging import Skin, fit_morph, fit_skin
 from mixseq.rigging.rigs import rotation_matrices
 from mixseq.sequence import MeshSequence
@@ -227,8 +227,10 @@ def test_negative_numbers_of_rounds_are_refused() -> None:
 
 @pytest.mark.parametrize("fit", [fit_skin, fit_morph])
 def test_what_is_no_sequence_is_refused(fit: object) -> None:
-    with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not str"):
-        fit("walk.usdc")  # type: ignore[operator]
+    with pytest.raises(
+        TypeError, match="sequence is of type int; MeshSequence or an open reader is expected"
+    ):
+        fit(3)  # type: ignore[operator]
 
 
 @pytest.mark.realdata

@@ -10,7 +10,7 @@ import pytest
 
 import mixseq
 from mixseq.choices import SegmentationName
-from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.errors import SettingsError
 from mixseq.segmentation import (
     METHODS,
     MethodSettings,
@@ -247,5 +247,5 @@ def test_parts_of_real_animations(data: Path, name: str, method: SegmentationNam
 
 
 def test_what_is_no_sequence_is_refused() -> None:
-    with pytest.raises(InvalidSequenceError, match="a MeshSequence or an open sequence is expected, not str"):
-        mixseq.segment("walk.npz")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="segment: sequence is of type int; MeshSequence is expected"):
+        mixseq.segment(3)  # type: ignore[arg-type]

@@ -32,7 +32,6 @@ SMALL: MeshSequence = bar(sides=5, rings=15, frames=3)
         ({"tolerance": 0.0}, r"tolerance is 0.0; a positive number"),
         ({"tolerance": np.nan}, r"tolerance is nan; a positive number"),
         ({"rank": -1}, r"rank is -1; a whole number of shape modes, zero or more"),
-        ({"rank": 2.5}, r"rank is 2.5; a whole number"),
         ({"pose": "frames"}, r"pose is 'frames'; 'modes' or 'keys'"),
         ({"space": "polar"}, r"space is 'polar'; one of mixed, vertex, gradient, lri, edge is expected"),
         ({"space": "vertex", "parts": 2}, r"the vertex space has no use for parts; .* space='mixed'"),

@@ -26,6 +26,7 @@ from typing import Any
 
 from mixseq.correspondence.markers import Markers
 from mixseq.errors import FormatError, MissingExtraError
+from mixseq.public import public
 from mixseq_io.atomic import replacing
 from mixseq_io.correspondence.text_files import parse_json, read_text
 from mixseq_io.reader import brief
@@ -50,6 +51,7 @@ class _Entry:
     comment: str = ""
 
 
+@public
 def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
     r"""Read markers.
 

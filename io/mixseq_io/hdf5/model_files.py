@@ -36,6 +36,7 @@ from mixseq.errors import (
     ReconstructionError,
     SettingsError,
 )
+from mixseq.public import public
 from mixseq.signals.model import Model
 from mixseq.version import __version__
 from mixseq_io.hdf5.compressed_reader import container_of, sequence_of
@@ -66,6 +67,7 @@ _DECODED = 16
 SUFFIXES = (".h5", ".hdf5")
 
 
+@public
 def save(path: PathLike, model: Model | CompressedSequence) -> None:
     """Store a model, or a compressed sequence, in an HDF5 file.
 
@@ -110,6 +112,7 @@ def save(path: PathLike, model: Model | CompressedSequence) -> None:
         store.check()
 
 
+@public
 def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = None) -> Model:
     """Load a model from an HDF5 file.
 

@@ -16,10 +16,12 @@ from mixseq.coding.encoder.trial import Trial, width
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
 from mixseq.progress import Progress, Stages, silent
+from mixseq.public import public
 from mixseq.sequence import Frames, bounding_diagonal, check_frames
 from mixseq.threads import one_blas_thread
 
 
+@public
 def compress(
     sequence: Frames,
     max_error: float | None = None,

@@ -1,0 +1,124 @@
+"""Files in the place of arguments of public functions: what each is read as, by the argument's name and type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mixseq.errors import SettingsError
+from mixseq.frame_rates import exact_rate
+from mixseq_io.registry import read
+
+Given = Mapping[str, Any]
+"""All arguments of the function by name; the first one is the sequence or model."""
+
+Read = Callable[[str, Given], Any]
+"""From the path and the other arguments to the value."""
+
+
+def reader_of(name: str, types: Collection[str]) -> Read | None:
+    """Return what reads the file of an argument with a name and types of these names; nothing, if none is known."""
+    if name in _BY_NAME:
+        return _BY_NAME[name]
+    if "Model" in types:
+        return _motion if "Frames" in types else _model
+    return _sequence if {"Frames", "MeshSequence"} & set(types) else None
+
+
+def _sequence(path: str, _: Given) -> Any:
+    return read(path)
+
+
+def _model(path: str, _: Given) -> Any:
+    from mixseq_io.hdf5.model_files import load
+
+    return load(path)
+
+
+def _motion(path: str, given: Given) -> Any:
+    """Load a model, or read a sequence."""
+    from mixseq_io.hdf5.contents import read_attributes
+    from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+
+    is_model = Path(path).suffix.lower() in (".h5", ".hdf5") and Path(path).is_file()
+    if is_model and read_attributes(Path(path)).kind == MODEL_FORMAT:
+        return _model(path, given)
+    return read(path)
+
+
+def _mesh(path: str, _: Given) -> Any:
+    mesh = read(path)
+    if mesh.frame_count != 1:
+        raise SettingsError(f"{path} has {mesh.frame_count} frames; a file with one is expected")
+    return mesh
+
+
+def _markers(path: str, _: Given) -> Any:
+    from mixseq_io.correspondence.markers import read_markers
+
+    return read_markers(path)
+
+
+def _map(path: str, _: Given) -> Any:
+    """Read a map, which becomes a correspondence when both meshes are known."""
+    from mixseq_io.correspondence.maps import read_map, to_correspondence
+
+    return partial(to_correspondence, read_map(path))
+
+
+def _contacts(path: str, _: Given) -> Any:
+    from mixseq_io.correspondence.contacts import read_contacts
+
+    return read_contacts(path)
+
+
+def _labels(path: str, given: Given) -> Any:
+    from mixseq_io.labels.reading import read_labels
+
+    return read_labels(path, next(iter(given.values()))).part_of_face
+
+
+def _keys(path: str, given: Given) -> Any:
+    """Read keys in seconds, or in frames of the model."""
+    from mixseq.operations.retiming_files import read_keys
+
+    fps = next(iter(given.values())).header.fps
+    return read_keys(path).in_seconds(fps, fps)
+
+
+def _retiming(path: str, given: Given) -> Any:
+    """Read a retiming in seconds, or in frames of the source and of the output."""
+    from mixseq.operations.retiming_files import read_retiming
+
+    source = next(iter(given.values())).header.fps
+    output = source if given.get("fps") is None else exact_rate(float(given["fps"]), source)
+    return read_retiming(path, output_fps=output, source_fps=source)
+
+
+def _pairs(path: str, _: Given) -> Any:
+    from mixseq.operations.arguments import read_pairs
+
+    return read_pairs(Path(path))
+
+
+def _weight(path: str, given: Given) -> Any:
+    from mixseq.signals.curve import Curve
+
+    pairs = _pairs(path, given)
+    return Curve(pairs[:, 0], pairs[:, 1:])
+
+
+_BY_NAME: dict[str, Read] = {
+    "markers": _markers,
+    "mapping": _map,
+    "contacts": _contacts,
+    "parts": _labels,
+    "bones": _labels,
+    "points": _mesh,
+    "keys": _keys,
+    "retiming": _retiming,
+    "curve": _pairs,
+    "weight": _weight,
+}

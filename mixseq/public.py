@@ -1,0 +1,152 @@
+"""What public functions take: the types that their annotations name, and files in the place of what files hold.
+
+Where a sequence or a model is wanted, or markers, contacts, a map, labels, keys of a retiming, a path does: it is read
+first (`mixseq_io.given`). Where a sequence is wanted and no model, a model is sampled at its frames. Anything else of
+another type is a `TypeError` that names the argument. Values are the functions' own business.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from importlib import import_module
+from inspect import Parameter, signature
+from types import NoneType, UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_SEQUENCES = {"Frames", "MeshSequence"}
+
+_CALLED = {
+    "Frames": "MeshSequence or an open reader",
+    "PathLike": "path",
+    "bool": "True or False",
+    "float": "number",
+    "int": "whole number",
+    "ndarray": "array",
+    "str": "text",
+}
+"""What types are called that have other names for users."""
+
+_CURES = {
+    "Model": "mixseq.fit makes one of a sequence, mixseq.load reads one",
+    "MeshSequence": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
+    "Frames": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
+    "Markers": "mixseq.read_markers reads them, Markers.of makes them of pairs",
+}
+
+
+def public(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function take paths for what files hold, and refuse arguments of other types than its annotations name.
+
+    Examples
+    --------
+    >>> @public
+    ... def faster(fps: float, name: str = "walk"):
+    ...     return 2 * fps
+    >>> faster(24)
+    48
+    >>> faster("24")
+    Traceback (most recent call last):
+    ...
+    TypeError: faster: fps is of type str; number is expected
+    """
+    parameters = signature(function)
+
+    @cache
+    def hints() -> dict[str, tuple[Any, ...]]:
+        found = get_type_hints(function, localns=_Names())
+        named = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+        return {
+            name: _choices(found[name])
+            for name, parameter in parameters.parameters.items()
+            if parameter.kind in named and name in found
+        }
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            given = parameters.bind(*args, **kwargs)
+        except TypeError:
+            return function(*args, **kwargs)  # which says so in its own words
+        for name, value in given.arguments.items():
+            if name not in hints():
+                continue
+            wanted = hints()[name]
+            value = given.arguments[name] = _taken(name, value, wanted, given.arguments)
+            if not any(_fits(value, choice) for choice in wanted):
+                raise TypeError(
+                    f"{function.__name__}: {name} is of type {type(value).__name__}; {_told(wanted)}"
+                )
+        return function(*given.args, **given.kwargs)
+
+    return call
+
+
+class _Names(dict[str, Any]):
+    """Names of annotations that are only imported for type checking: the public ones."""
+
+    def __missing__(self, name: str) -> Any:
+        mixseq = import_module("mixseq")
+        if name not in mixseq.__all__:
+            raise KeyError(name)
+        return getattr(mixseq, name)
+
+
+def _taken(name: str, value: Any, wanted: tuple[Any, ...], arguments: Mapping[str, Any]) -> Any:
+    """Read what a path stands for, and sample a model; else the value as it is. Arguments before it are taken."""
+    names = {getattr(choice, "__name__", "") for choice in wanted}
+    if isinstance(value, str | os.PathLike) and not any(_fits(value, choice) for choice in wanted):
+        read = import_module("mixseq_io.given").reader_of(name, names)
+        return value if read is None else read(os.fspath(value), arguments)
+    if names & _SEQUENCES and "Model" not in names and type(value).__name__ == "Model":
+        return value.sample()
+    return value
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """Return what a union is of; what is like an array, a union itself, counts as an array and numbers."""
+    found = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    if complex not in found:
+        return found
+    ours = (
+        each
+        for each in found
+        if each is NoneType or str(getattr(each, "__module__", "")).startswith("mixseq")
+    )
+    return (*ours, float, np.ndarray)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of a type, as far as can be told from outside."""
+    origin = get_origin(hint) or hint
+    if origin is Any:
+        return True
+    if origin is Literal:
+        return isinstance(value, tuple({type(choice) for choice in get_args(hint)}))
+    if origin in (float, int, complex):
+        number = getattr(value, "ndim", 0) == 0 and not isinstance(value, str | bytes)
+        return number and hasattr(value, "__index__" if origin is int else "__float__")
+    if origin is bool:
+        return isinstance(value, bool | np.bool_ | int)
+    if origin in (np.ndarray, Sequence, Iterable, list):
+        return isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
+    if origin is Callable:
+        return callable(value)
+    if getattr(origin, "_is_protocol", False):
+        return all(
+            hasattr(value, name) for name in vars(origin) if name == "__call__" or not name.startswith("_")
+        )
+    return not isinstance(origin, type) or isinstance(value, origin)
+
+
+def _told(wanted: tuple[Any, ...]) -> str:
+    """Say what is expected, and where it is from."""
+    names = [getattr(choice, "__name__", str(choice)) for choice in wanted if choice is not NoneType]
+    cure = next((f" ({_CURES[name]})" for name in names if name in _CURES), "")
+    return f"{' or '.join(_CALLED.get(name, name) for name in names)} is expected{cure}"
