@@ -14,6 +14,7 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
+from mixseq.public import public
 from mixseq.sequence import MeshSequence
 from mixseq.sequence_header import UP_AXES, SequenceHeader
 
@@ -86,6 +87,7 @@ class UnitConversion:
         return map(self.values, blocks)
 
 
+@public
 def convert_units(
     sequence: MeshSequence, up_axis: str | None = None, units: str | float | None = None
 ) -> MeshSequence:
