@@ -20,7 +20,7 @@ Read = Callable[[str, Given], Any]
 
 def reader_of(name: str, types: Collection[str]) -> Read | None:
     """Return what reads the file of an argument with a name and types of these names; nothing, if none is known."""
-    if name in _BY_NAME:
+    if name in _BY_NAME and set(types) - {"int", "NoneType"}:  # a number of parts is in no file
         return _BY_NAME[name]
     if "Model" in types:
         return _motion if "Frames" in types else _model
