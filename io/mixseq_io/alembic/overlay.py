@@ -84,8 +84,7 @@ class MovedMesh:
             # A sample only points to its array, which must stay until it is set.
             stored = array_of(imath.V3fArray, own)
             self.positions.setValue(stored)
-            least, most = (imath.V3d(*map(float, corner)) for corner in (own.min(axis=0), own.max(axis=0)))
-            self.bounds.setValue(imath.Box3d(least, most))
+            self.bounds.setValue(_bounds(own))
             if self.velocities is not None and velocities is not None:
                 rates = placing.own_velocities(velocities[row, vertices], own, first + row)
                 stored = array_of(imath.V3fArray, rates)
@@ -104,6 +103,15 @@ class MovedMesh:
     @cached_property
     def _corner_groups(self) -> Any:
         return array_of(imath.UnsignedIntArray, self._groups[self.fit.corners])
+
+
+def _bounds(points: FloatArray) -> Any:
+    """Return the box of points; the library's empty one, if there are none."""
+    if not len(points):
+        return imath.Box3d()
+    return imath.Box3d(
+        *(imath.V3d(*map(float, corner)) for corner in (points.min(axis=0), points.max(axis=0)))
+    )
 
 
 def largest_size(original: Original, header: SequenceHeader, velocities: bool) -> int:

@@ -276,6 +276,20 @@ def bare(sequence: MeshSequence) -> Surface:
     return Surface(objects=sequence.objects)
 
 
+def test_an_object_without_points(tmp_path: Path, path: Path) -> None:
+    shot = tmp_path / "shot.abc"
+    archive = Abc.OArchive(str(shot))
+    rig = add_transform(archive.getTop(), "rig", np.eye(4))
+    add_mesh(rig, "body", rising())
+    add_mesh(rig, "nothing", np.zeros((3, 0, 3), np.float32), faces=[])
+    del archive, rig
+    whole = load(shot, "/")
+    mixseq.write(path, whole)
+    again = load(path, "/")
+    np.testing.assert_array_equal(again.points, whole.points)
+    assert [each.vertex_count for each in again.objects] == [4, 0]
+
+
 def test_a_mesh_that_is_made_flat(tmp_path: Path, path: Path) -> None:
     shot = tmp_path / "shot.abc"
     archive = Abc.OArchive(str(shot))
