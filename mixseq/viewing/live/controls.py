@@ -68,7 +68,7 @@ class TimeBase:
         low, high, step = self.number(0.0), self.number(self.last), self.fps / self.rate
         digits = 0 if all(each == round(each) for each in (low, high, step)) else DIGITS
         scale = 10.0**digits  # what is rounded must not be outside
-        return floor(low * scale) / scale, ceil(high * scale) / scale, step, digits
+        return floor(low * scale + 1e-6) / scale, ceil(high * scale - 1e-6) / scale, step, digits
 
     def text(self, elapsed: float) -> str:
         """Tell in words what time it is."""

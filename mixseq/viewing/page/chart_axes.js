@@ -22,21 +22,18 @@
   /** A time for people: as many digits as pixels of a chart that spans so many seconds can tell. */
   parts.seconds = (time, span) => time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3).replace("-", "\u2212") + " s";
 
-  /** The number of the frame at a time, as mixseq.frame_numbers tells it. */
-  parts.frame = (time, fps) => String(Number((time * fps).toFixed(Math.abs(time * fps - Math.round(time * fps)) < 1e-3 ? 0 : 3))).replace("-", "\u2212");
-
-  /** A moment in seconds, and the frame of `fps` per second that is nearest to it. */
-  parts.moment = (time, span, fps) => `${parts.seconds(time, span)} \u00b7 ${Math.round(time * fps)}`.replace("-", "\u2212");
+  /** A frame number as mixseq.frame_numbers writes it. */
+  parts.frame = (number) => String(Number(number.toFixed(Math.abs(number - Math.round(number)) < 1e-3 ? 0 : 3))).replace("-", "\u2212");
 
   /** The same without zeros at the end, where it need not keep its width. */
   parts.brief = (time, span) => String(Number(time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3))).replace("-", "\u2212") + " s";
 
   /**
    * Draw axes into a pane and return the maps between numbers and pixels.
-   * `x` and `y` are the ends [low, high]; `under` is what x is, beside its last tick; `now` is a present time of `span`
-   * seconds of `fps` frames each, whose place on the axis is left free.
+   * `x` and `y` are the ends [low, high]; `under` is what x is, beside its last tick; `now` is the present time, whose
+   * place on the axis is left free; `tell` writes a time.
    */
-  parts.axes = function (context, pane, x, y, under, now, span, fps) {
+  parts.axes = function (context, pane, x, y, under, now, tell) {
     const look = pane.look, inner = { top: 7, bottom: pane.height - 20 };
     const up = parts.ticks(y[0], y[1], parts.clamp(Math.floor((inner.bottom - inner.top) / 26), 3, 8));
     const labels = up.values.map(up.write);
@@ -59,7 +56,7 @@
     up.values.forEach((value, k) => context.fillText(labels[k], inner.left - 6, axes.y(value)));
     const free = inner.right - context.measureText(under).width - 8;
     axes.chip = (time) => {
-      const half = context.measureText(parts.moment(time, span, fps)).width / 2 + 5;
+      const half = context.measureText(tell(time)).width / 2 + 5;
       return [parts.clamp(axes.x(time), half + 1, pane.width - half - 1), half];
     };
     const [taken, reach] = axes.chip(now);
@@ -74,8 +71,8 @@
     return axes;
   };
 
-  /** The line of the present time, its seconds and its frame on the axis. */
-  parts.playhead = function (context, pane, axes, time, span, fps) {
+  /** The line of the present time, which `tell` writes on the axis. */
+  parts.playhead = function (context, pane, axes, time, tell) {
     const place = axes.x(time), [middle, half] = axes.chip(time);
     if (place < axes.left - 1 || place > axes.right + 1) return;
     Object.assign(context, { strokeStyle: pane.look.now, lineWidth: 1.5 });
@@ -88,7 +85,7 @@
     context.roundRect(middle - half, axes.bottom + 2, 2 * half, 17, 4);
     context.fill();
     Object.assign(context, { fillStyle: pane.look.background, textAlign: "center", textBaseline: "middle" });
-    context.fillText(parts.moment(time, span, fps), middle, axes.bottom + 11);
+    context.fillText(tell(time), middle, axes.bottom + 11);
   };
 
   /** Say why a chart is empty. */

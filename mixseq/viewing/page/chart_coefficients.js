@@ -17,10 +17,10 @@
       const context = pane.begin(), signals = shared.signals;
       axes = null;
       if (!signals || !pane.width) return;
-      const { start, end, fps, times, coefficients } = signals;
+      const { start, end, times, coefficients } = signals, tell = shared.tell(end - start);
       if (!coefficients.length) return parts.tell(context, pane, "the model has no shape modes");
       const ends = end > start ? [start, end] : [start - 0.5, start + 0.5];
-      axes = parts.axes(context, pane, ends, range(coefficients), "time (s)", shared.now, end - start, fps);
+      axes = parts.axes(context, pane, ends, range(coefficients), "time (s)", shared.now, tell);
       Object.assign(context, { strokeStyle: look.faint, lineWidth: 1 });
       parts.trace(context, [[axes.left, axes.y(0)], [axes.right, axes.y(0)]]);
       context.stroke();
@@ -32,7 +32,7 @@
         context.stroke();
         if (values.length === 1) context.fillRect(axes.x(times[0]) - 3, axes.y(values[0]) - 3, 6, 6);
       });
-      parts.playhead(context, pane, axes, shared.now, end - start, fps);
+      parts.playhead(context, pane, axes, shared.now, tell);
     }
 
     const seek = ([x]) => shared.seek(parts.clamp(axes.fromX(x), shared.signals.start, shared.signals.end));

@@ -51,8 +51,8 @@
       axes = null;
       if (!shared.signals || !pane.width) return;
       if (keys.length < 2) return parts.tell(context, pane, "one frame: nothing to retime");
-      const fps = shared.signals.fps, span = source[1] - source[0], room = 0.06 * span;
-      axes = parts.axes(context, pane, outputs, [source[0] - room, source[1] + room], "output (s)", shared.now, span, fps);
+      const span = source[1] - source[0], tell = shared.tell(span), room = 0.06 * span;
+      axes = parts.axes(context, pane, outputs, [source[0] - room, source[1] + room], "output (s)", shared.now, tell);
       parts.words(context, look, "source (s)", axes.left + 5, axes.top, { align: "left", baseline: "top", colour: look.quiet });
       const low = Math.max(source[0], outputs[0]), high = Math.min(source[1], outputs[1]);
       Object.assign(context, { strokeStyle: look.faint, lineWidth: 1 });
@@ -70,7 +70,7 @@
       Object.assign(context, { strokeStyle: look.lines[0], lineWidth: 1.8 });
       parts.trace(context, line);
       context.stroke();
-      parts.playhead(context, pane, axes, shared.now, span, fps);
+      parts.playhead(context, pane, axes, shared.now, tell);
 
       places().forEach(([x, y], k) => {
         const held = hand?.number === k, size = held || k === hovered ? 8 : 6.5;
@@ -91,7 +91,7 @@
         context.fill();
       }
       const pace = speed.toFixed(2).replace("-", "\u2212");
-      pane.hint(`output ${parts.moment(at, span, fps)} shows ${parts.moment(time, span, fps)} · speed ${pace}×`);
+      pane.hint(`output ${tell(at)} shows ${tell(time)} · speed ${pace}×`);
     }
 
     /** The output's axis: the keys' and the source's times, and room to pull the ends out. */

@@ -38,6 +38,12 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
     handlers.onSeek?.(seconds);
   };
 
+  /** How times of signals that last `span` seconds are told: with the frame, or on pages, which move on between frames, the nearest. */
+  shared.tell = (span) => (time) => {
+    const number = time * shared.signals.fps;
+    return `${parts.seconds(time, span)} \u00b7 ${parts.frame(shared.editable ? number : Math.round(number))}`;
+  };
+
   function present(seconds) {
     if (seconds === shared.now) return;
     shared.now = seconds;

@@ -106,7 +106,7 @@
   const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
 
   function tellTime() {
-    const { start, fps } = base(), frame = (time) => mixseqChartParts.frame(start + time, fps), slider = element("time");
+    const { start, fps } = base(), frame = (time) => mixseqChartParts.frame((start + time) * fps), slider = element("time");
     const number = frame(clock.moments[clock.number()]), last = frame(clock.moments[clock.moments.length - 1]);
     const seconds = (start + clock.time).toFixed(2);
     slider.value = clock.time;
@@ -186,7 +186,7 @@
   function tellFacts() {
     element("help-title").textContent = description.title;
     const number = (value) => value.toLocaleString("en");
-    const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqChartParts.frame(start + times[k], fps)).join(" to ");
+    const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqChartParts.frame((start + times[k]) * fps)).join(" to ");
     const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, triangles, times, numbers, step: unit }) =>
       `${name}: ${number(vertices)} vertices, ${number(triangles)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
       `positions rounded to ±${(unit / 2).toPrecision(2)} units`);
