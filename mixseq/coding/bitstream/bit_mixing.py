@@ -189,3 +189,18 @@ def code(bits: Bits, kind: int, bit: int) -> int:
         share += (((bit << 16) - bit - share) * bits.steps[seen]) >> 16
         shares[i, slot] = (share << 8) + min(seen + 1, _PATIENCE)
     return bit
+
+
+@compiled
+def pass_through(bits: Bits, bit: int) -> int:
+    """Code or decode a bit of which nothing can be known, in the first queue, and return it."""
+    if bits.decoding:
+        place = bits.heads[0]
+        if place >= bits.ends[0]:
+            bits.failed[0] = 1
+            return 0
+        bits.heads[0] += 1
+        return int(bits.queued[place])
+    bits.queued[bits.heads[0]] = bit
+    bits.heads[0] += 1
+    return bit

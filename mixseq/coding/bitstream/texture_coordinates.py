@@ -1,0 +1,151 @@
+r"""Code texture coordinates on the polygons of a mesh: multiples of 1 / n, without loss.
+
+First where the seams are (`mixseq.coding.bitstream.uv_seams`): which corners at a vertex have the same coordinates, and
+so are one *node*. Then the coordinates of nodes (`mixseq.coding.bitstream.uv_values`), predicted from the polygons on
+nodes. Both are bits, mixed and sorted by `mixseq.coding.bitstream.bit_mixing` with weights
+of 11000 to begin with, and packed by `mixseq.coding.bitstream.bit_queues`.
+
+The coordinate k is the float32 next to the float64 k / n. All that is decided is decided by whole numbers.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixseq.arrays import FloatArray, Index
+from mixseq.coding.bitstream.bit_mixing import Bits, bits_to_code
+from mixseq.coding.bitstream.bit_queues import all_decoded, pack_queues, unpack_queues
+from mixseq.coding.bitstream.growing import Corners, corners_of, growing_order
+from mixseq.coding.bitstream.uv_copies import Copies, no_copies
+from mixseq.coding.bitstream.uv_guesses import Known, no_guess
+from mixseq.coding.bitstream.uv_seams import MOST_NODES, SEAM_KINDS, walk_seams
+from mixseq.coding.bitstream.uv_values import LARGEST, LONGEST, VALUE_KINDS, walk_values
+from mixseq.errors import FormatError
+from mixseq.polygons import Polygons
+from mixseq.surface import CornerValues
+
+_INPUTS = 8
+"""Contexts of a bit. Frozen: breaks old files."""
+
+_FIRST_WEIGHT = 11000
+"""Weights to begin with, in units of 2^-16. Frozen: breaks old files."""
+
+
+def grid_numbers(values: FloatArray, steps: int) -> Index | None:
+    """Return coordinates ``(n, 2)`` in units of ``1 / steps``, None if they are no multiples of it, or too large.
+
+    Examples
+    --------
+    >>> grid_numbers(np.array([[0.5, 0.25]], dtype=np.float32), 4).tolist()
+    [[2, 1]]
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        rounded = np.rint(values.astype(np.float64) * steps)
+        if not (np.abs(rounded) <= LARGEST).all():
+            return None
+    numbers = rounded.astype(np.int64)
+    return numbers if np.array_equal(grid_values(numbers, steps), values) else None
+
+
+def grid_values(numbers: Index, steps: int) -> FloatArray:
+    """Return the coordinates that `grid_numbers` was given."""
+    return (numbers / steps).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class CodedUVs:
+    """Texture coordinates that were coded.
+
+    Attributes
+    ----------
+    data : bytes
+        What `decode_uvs` is given.
+    corners : Corners
+        Corners on nodes: on pairs of coordinates.
+    copies : Copies
+        Which polygons have images.
+    known : Known
+        The coordinates of nodes, and how far they were from their guess.
+    """
+
+    data: bytes
+    corners: Corners
+    copies: Copies
+    known: Known
+
+
+def code_uvs(
+    polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None
+) -> CodedUVs:
+    """Code coordinates in steps so that `decode_uvs` returns them.
+
+    Parameters
+    ----------
+    polygons : Polygons
+        The mesh, with at least one polygon.
+    vertex_count : int
+        Number of its vertices.
+    numbers : (sum of counts, 2) int64
+        Coordinates at the corners, none beyond `LARGEST`.
+    regions : (P,) int64, optional
+        Where copies begin, see `walk_values`; by default there are none.
+    """
+    keys = np.column_stack([polygons.indices, numbers])
+    labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    bits = bits_to_code(_most_bits(len(labels), 0), _INPUTS, SEAM_KINDS + VALUE_KINDS)
+    corners, count = _walked_seams(bits, polygons, vertex_count, labels)
+    room = np.empty(_most_bits(0, count + len(polygons.counts)), dtype=np.uint8)
+    bits = bits._replace(queued=np.concatenate([bits.queued[: bits.heads[0]], room]))
+    values = np.zeros((count, 2), dtype=np.int64)
+    values[corners.node] = numbers
+    copies, known = _walked_values(bits, corners, values, regions)
+    return CodedUVs(pack_queues(bits), corners, copies, known)
+
+
+def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -> CornerValues:
+    """Return the texture coordinates that `code_uvs` coded, as multiples of ``1 / steps``.
+
+    Raises
+    ------
+    FormatError
+        If the data are damaged, or those of another mesh (not all damage is noticed: files have checksums).
+    """
+    what = f"texture coordinates at {polygons.indices.size} corners"
+    most = _most_bits(polygons.indices.size, polygons.indices.size + len(polygons.counts))
+    bits = unpack_queues(data, most, _INPUTS, SEAM_KINDS + VALUE_KINDS, what)
+    corners, count = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
+    if not bits.failed[0]:
+        _, known = _walked_values(bits, corners, np.zeros((count, 2), dtype=np.int64), None)
+    if not all_decoded(bits):
+        raise FormatError(f"{what} are damaged, or those of another mesh")
+    return CornerValues(grid_values(known.values, steps), corners.node)
+
+
+def _walked_seams(bits: Bits, polygons: Polygons, vertex_count: int, labels: Index) -> tuple[Corners, int]:
+    """Walk over the seams; return corners on nodes, and how many nodes there are."""
+    bits.weights[:] = _FIRST_WEIGHT
+    corners = corners_of(polygons, vertex_count)
+    nodes = np.full(len(labels), -1, dtype=np.int64)
+    count = int(walk_seams(bits, corners, growing_order(corners), labels, nodes))
+    return corners_of(Polygons(polygons.counts, np.maximum(nodes, 0)), count), count
+
+
+def _walked_values(
+    bits: Bits, corners: Corners, values: Index, regions: Index | None
+) -> tuple[Copies, Known]:
+    """Walk over the values ``(N, 2)``, which are found if they are decoded; return what is known then."""
+    order = growing_order(corners)
+    copies = no_copies(corners, order)
+    known = Known(values, np.zeros(len(values), dtype=np.bool_), np.zeros(len(values), dtype=np.int64))
+    begin = np.zeros(len(order), dtype=np.int64) if regions is None else regions
+    walk_values(bits, corners, order, copies, begin, known, no_guess())
+    return copies, known
+
+
+def _most_bits(corners: int, numbers: int) -> int:
+    """Return how many bits there can be: for every corner those of nodes, and so many pairs of numbers."""
+    return corners * (2 + MOST_NODES) + numbers * 2 * (2 * LONGEST + 1)

@@ -1,0 +1,217 @@
+"""Find regions of texture coordinates that are copies of earlier ones, and code coordinates with them or without.
+
+A corner with the two beside it is a triangle, whose shape, the quotient of its sides as complex numbers, does not
+change when it is moved, turned or scaled. Corners of about the same shape are candidates for images. What follows from
+a candidate is compared with the coordinates, polygon by polygon, as far as they agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream.growing import Corners, after, before
+from mixseq.coding.bitstream.texture_coordinates import CodedUVs, code_uvs
+from mixseq.compiled import compiled
+from mixseq.polygons import Polygons
+
+_WIDE, _NARROW = (100, 0.2, 12.0), (12, 0.05, 24.0)
+"""How many candidates are looked at, how far their shapes may be from each other (in logarithms), and how many bits a
+region has to save."""
+
+_HEAVY = 8.0
+"""Bits of misses from which on it is asked whether a polygon begins a copy."""
+
+_MOST_ASKED = 4096
+"""It is asked of so many at most, those with the largest misses: time stays bounded."""
+
+_TRIED = 256
+"""So many polygons are looked at to find out what a candidate saves."""
+
+_OFF = 6.0, 0.01
+"""A copy may be off by so many steps, and by this share of its distance."""
+
+
+def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
+    """Code texture coordinates in steps in as few bytes as there are, without copies or with those that are found.
+
+    Parameters
+    ----------
+    polygons : Polygons
+        The mesh.
+    vertex_count : int
+        Number of its vertices.
+    numbers : (sum of counts, 2) int64
+        Coordinates at the corners.
+    """
+    plain = code_uvs(polygons, vertex_count, numbers)
+    tried = [plain.data]
+    for settings in (_WIDE, _NARROW):
+        regions = find_regions(plain, *settings)
+        if regions.any():
+            tried.append(code_uvs(polygons, vertex_count, numbers, regions).data)
+    return min(tried, key=len)
+
+
+def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -> Index:
+    """Return where copies begin, as `code_uvs` takes it, in coordinates that were coded without any.
+
+    Parameters
+    ----------
+    coded : CodedUVs
+        The coordinates.
+    candidates, apart, least
+        As in `_WIDE`.
+    """
+    from scipy.spatial import cKDTree
+
+    corners, places = coded.corners, coded.copies.places
+    regions = np.zeros(len(places), dtype=np.int64)
+    bits = np.log2(1.0 + coded.known.sizes)
+    starts = corners.starts[:-1]
+    shapes, sound = _shapes(corners, coded.known.values)
+    count = len(corners.node)
+    misses = np.where(sound[starts], np.add.reduceat(bits[corners.node], starts), 0.0)
+    asked = np.argsort(-misses, kind="stable")[:_MOST_ASKED]
+    asked = asked[misses[asked] >= _HEAVY]
+    asked = asked[np.argsort(places[asked])]
+    there = np.flatnonzero(np.concatenate([sound, sound]))
+    if not len(asked):
+        return regions
+    _, found = cKDTree(shapes[there]).query(
+        shapes[starts[asked]], k=min(candidates, len(there)), distance_upper_bound=apart
+    )
+    covered = np.zeros(len(places), dtype=np.bool_)
+    stamps = np.zeros(len(places), dtype=np.int64), np.zeros(len(bits), dtype=np.int64)
+    number = 0
+    for polygon, row in zip(asked.tolist(), found.reshape(len(asked), -1).tolist(), strict=True):
+        if covered[polygon]:
+            continue
+        best, saved = 0, least
+        for each in there[[place for place in row if place < len(there)]].tolist():
+            image, mirrored = each % count, each >= count
+            if places[corners.polygon[image]] < places[polygon]:
+                number += 1
+                bits_saved = _cover(
+                    *(corners, places, coded.known.values, bits, covered, stamps, number),
+                    *(polygon, image, mirrored, _TRIED, False),
+                )
+                if bits_saved > saved:
+                    best, saved = 2 * image + mirrored + 1, bits_saved
+        if best:
+            number += 1
+            regions[polygon] = best
+            _cover(
+                *(corners, places, coded.known.values, bits, covered, stamps, number),
+                *(polygon, (best - 1) >> 1, (best - 1) & 1 == 1, len(places), True),
+            )
+    return regions
+
+
+def _shapes(corners: Corners, values: Index) -> tuple[Float, Index]:
+    """Return the shapes ``(2 C, 2)`` of corners, those of their mirror images after them, and which ``(C,)`` are any."""
+    number = np.arange(len(corners.node))
+    start, end = corners.starts[corners.polygon], corners.starts[corners.polygon + 1]
+    at = values @ np.array([1, 1j])
+    here = at[corners.node]
+    side = at[corners.node[np.where(number + 1 < end, number + 1, start)]] - here
+    other = at[corners.node[np.where(number > start, number - 1, end - 1)]] - here
+    sound = (side != 0) & (other != 0)
+    shape = np.where(sound, other, 1) / np.where(sound, side, 1)
+    both = np.log(np.concatenate([shape, np.conj(1 / shape)]))
+    return np.stack([both.real, both.imag], axis=1), sound
+
+
+@compiled
+def _cover(
+    corners: Corners,
+    places: Index,
+    values: Index,
+    bits: Float,
+    covered: Index,
+    stamps: tuple[Index, Index],
+    stamp: int,
+    polygon: int,
+    image: int,
+    mirrored: bool,
+    most: int,
+    mark: bool,
+) -> float:
+    """Return how many bits are saved if a polygon's first corner has an image, and whatever follows from that.
+
+    Polygons ``(P,)`` that are part of it are marked in `covered` if it is so. Those and nodes that were met have the
+    `stamp`.
+    """
+    node, twin, starts = corners.node, corners.twin, corners.starts
+    queue = np.empty((most, 2), dtype=np.int64)
+    queue[0, 0], queue[0, 1] = starts[polygon], image
+    stamps[0][polygon] = stamp
+    head, tail, saved = 0, 1, 0.0
+    # two nodes far from each other, and their images
+    first, first_image = node[starts[polygon]], node[image]
+    second = second_image = -1
+    far = 0
+    while head < tail:
+        start, start_image = queue[head]
+        head += 1
+        own, other = corners.polygon[start], corners.polygon[start_image]
+        size = starts[own + 1] - starts[own]
+        if starts[other + 1] - starts[other] != size or places[other] >= places[own] or covered[own]:
+            continue
+        agrees, local = True, 0.0
+        corner, there = start, start_image
+        for _ in range(size):
+            x, y = node[corner], node[there]
+            if second >= 0:
+                off = _off(values, x, y, first, first_image, second, second_image, mirrored)
+                distance = abs(values[y, 0] - values[first_image, 0]) + abs(
+                    values[y, 1] - values[first_image, 1]
+                )
+                if off > _OFF[0] + _OFF[1] * distance:
+                    agrees = False
+                    break
+                if stamps[1][x] != stamp:
+                    local += bits[x] - np.log2(1 + off)
+            corner = after(corners, corner)
+            there = before(corners, there) if mirrored else after(corners, there)
+        if not agrees:
+            continue
+        saved += local
+        if mark:
+            covered[own] = True
+        corner, there = start, start_image
+        for _ in range(size):
+            x, y = node[corner], node[there]
+            stamps[1][x] = stamp
+            distance = abs(values[y, 0] - values[first_image, 0]) + abs(
+                values[y, 1] - values[first_image, 1]
+            )
+            if distance > far:
+                second, second_image, far = x, y, distance
+            beside = twin[corner]
+            edge = twin[before(corners, there)] if mirrored else twin[there]
+            if beside >= 0 and edge >= 0 and stamps[0][corners.polygon[beside]] != stamp and tail < most:
+                stamps[0][corners.polygon[beside]] = stamp
+                queue[tail, 0] = beside
+                queue[tail, 1] = after(corners, edge) if mirrored else edge
+                tail += 1
+            corner = after(corners, corner)
+            there = before(corners, there) if mirrored else after(corners, there)
+    return saved
+
+
+@compiled
+def _off(values: Index, x: int, y: int, p: int, p_image: int, q: int, q_image: int, mirrored: bool) -> float:
+    """Return how far a node is from where its image y, and p and q with theirs, say it is."""
+    sign = -1.0 if mirrored else 1.0
+    here_u, here_v = values[q, 0] - values[p, 0], values[q, 1] - values[p, 1]
+    there_u = values[q_image, 0] - values[p_image, 0]
+    there_v = sign * (values[q_image, 1] - values[p_image, 1])
+    away_u = values[y, 0] - values[p_image, 0]
+    away_v = sign * (values[y, 1] - values[p_image, 1])
+    whole = there_u * there_u + there_v * there_v
+    turn_u = (here_u * there_u + here_v * there_v) / whole
+    turn_v = (here_v * there_u - here_u * there_v) / whole
+    off: float = abs(values[p, 0] + turn_u * away_u - turn_v * away_v - values[x, 0])
+    off += abs(values[p, 1] + turn_u * away_v + turn_v * away_u - values[x, 1])
+    return off
