@@ -22,6 +22,7 @@ from mixseq.arrays import FloatArray
 from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
+from mixseq.polygon_matching import matched
 from mixseq.progress import Progress, silent
 from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader, check_frames
@@ -54,6 +55,12 @@ class Verification:
         Karni-Gotsman error.
     worst_frame, worst_vertex : int or None
         Where the largest distance is.
+    uv_bound : float or None
+        Largest difference of a texture coordinate from the original that was asked for; None if there are none, or
+        they are as they were.
+    uv_error : float or None
+        Largest difference of a texture coordinate, of u and of v, at any corner; None without coordinates of the
+        original.
     """
 
     frames: int
@@ -64,11 +71,15 @@ class Verification:
     kg_percent: float | None = None
     worst_frame: int | None = None
     worst_vertex: int | None = None
+    uv_bound: float | None = None
+    uv_error: float | None = None
 
     @property
     def holds(self) -> bool:
-        """Whether no vertex is beyond the bound; without an original nothing speaks against it."""
+        """Whether no vertex, and no coordinate, is beyond its bound; without an original nothing speaks against it."""
         slack = 1.0 if self.promised else 1.0 + _ROUNDING
+        if self.uv_bound is not None and self.uv_error is not None and self.uv_error > self.uv_bound:
+            return False
         return self.max_error is None or self.max_error <= self.bound * slack
 
     def as_dict(self) -> dict[str, Any]:
@@ -108,10 +119,17 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     coded = sequence_of(source, container)
     frames = _Checked(source, decoded(source, coded), progress)
     header, parameters = coded.header, coded.parameters
-    found = Verification(header.frame_count, header.vertex_count, parameters.max_error, parameters.promised)
+    found = Verification(
+        header.frame_count,
+        header.vertex_count,
+        parameters.max_error,
+        parameters.promised,
+        uv_bound=parameters.uv_error,
+    )
     if original is not None:
         check_comparable(original.header, header)
-        return replace(found, **_errors(original, frames))
+        uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
+        return replace(found, **_errors(original, frames), uv_error=uv_error)
     for _ in frames.blocks():
         pass
     return found
@@ -165,6 +183,16 @@ def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
         "worst_frame": where[0],
         "worst_vertex": where[1],
     }
+
+
+def _uv_error(original: SequenceHeader, header: SequenceHeader) -> float | None:
+    """Compare the texture coordinates at every corner, None if they cannot be compared."""
+    uvs, ours = original.surface.uvs, header.surface.uvs
+    match = matched(original.polygons, header.polygons)
+    if uvs is None or ours is None or match is None:
+        return None
+    apart = uvs.at_corners.astype(np.float64) - ours.at_corners[match.corners]
+    return float(np.abs(apart).max())
 
 
 def _ratio(value: float, unit: float) -> float:

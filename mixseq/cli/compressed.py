@@ -13,6 +13,7 @@ from click.core import ParameterSource
 import mixseq
 from mixseq.cli.console import format_bytes
 from mixseq.cli.limits import as_bytes
+from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -58,17 +59,33 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         help="Compress, to a KG error of X percent.",
     )
     @click.option("--size", callback=as_bytes, metavar="SIZE", help="Compress into 2MB, 500kB, 1.5MiB, ...")
+    @setting(
+        "--uv-error",
+        type=click.FloatRange(min=0, max=0.25),
+        metavar="X",
+        help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
+    )
+    @setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates.  [default: uvs]")
     @wraps(command)
     def with_options(
         *args: Any,
         max_error: float | None,
         kg: float | None,
         size: int | None,
+        uv_error: float | None,
+        uvs: bool,
         **settings: Any,
     ) -> None:
         aims = {"max_error": max_error, "kg": kg, "size": size}
         aim = {name: value for name, value in aims.items() if value is not None}
         _check_aim(click.get_current_context(), [name.replace("_", "-") for name in aim])
+        textures = {"uv_error": uv_error} if uv_error is not None else {}
+        textures |= {} if uvs else {"uvs": False}
+        if textures and not aim:
+            raise SettingsError(
+                f"--{'uv-error' if uvs else 'no-uvs'} is for compressed models; give --max-error, --kg or --size, too"
+            )
+        aim |= textures
         command(*args, aim=aim, **settings)
 
     return with_options
@@ -78,8 +95,10 @@ def compressed(frames: Frames, aim: Mapping[str, Any], progress: Progress) -> Co
     """Compress a sequence to an aim, of which a size is that of the file."""
     from mixseq_io.hdf5.compressed_writer import room_for_signals
 
-    within = {"size": room_for_signals(frames.header, aim["size"])} if "size" in aim else aim
-    return mixseq.compress(frames, **within, progress=progress)
+    if "size" in aim:
+        textures = {name: value for name, value in aim.items() if name in ("uv_error", "uvs")}
+        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **textures)}
+    return mixseq.compress(frames, **aim, progress=progress)
 
 
 def _check_aim(context: click.Context, names: list[str]) -> None:
@@ -109,7 +128,7 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
             "groups": len(coded.basis),
             "chunks": len(coded.chunks),
             "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
-            "bits_of_motion": bits(sizes["signals"] - sizes["surface"], coded.header),
+            "bits_of_motion": bits(sizes["signals"] - sizes["surface"] - sizes["uvs"], coded.header),
         },
     }
 
@@ -125,13 +144,19 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
     stated = "at most " if coding["promised"] else ""
     others = [
         ("connectivity", "faces"),
-        ("surface", "texture coordinates and the like"),
+        ("uvs", "texture coordinates"),
+        ("surface", f"{'texture coordinates' if coding['uv_error'] is None else 'face sets'} and the like"),
         ("container", "container"),
     ]
     rates = [
-        ("signals", sizes["signals"] - sizes["surface"], coding["bits_of_motion"]),
+        ("signals", sizes["signals"] - sizes["surface"] - sizes["uvs"], coding["bits_of_motion"]),
         ("total", sizes["total"], coding["bits"]["total"]),
     ]
+    texture = (
+        [("texture error", f"at most {coding['uv_error']:.3g} of the square")]
+        if coding["uv_error"] is not None
+        else []
+    )
     return [
         *(
             (name, f"{format_bytes(size)}, {rate:.3g} bits per vertex and frame")
@@ -140,4 +165,5 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("of it", ", ".join(f"{format_bytes(sizes[name])} {what}" for name, what in others if sizes[name])),
         ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
+        *texture,
     ]

@@ -69,8 +69,11 @@ def _rows(found: Verification, worst: str | None) -> list[tuple[str, str]]:
         ("intact", f"{found.frames:,} frames of {found.vertices:,} vertices"),
         ("bound", f"{found.bound:.6g} of the diagonal, {'asked for' if found.promised else 'as measured'}"),
     ]
+    if found.uv_bound is not None:
+        rows.append(("texture", f"{found.uv_bound:.6g} of the square, asked for"))
     if found.max_error is None:
         return rows
+    texture = [("texture error", f"{found.uv_error:.6g} of the square")] if found.uv_error is not None else []
     return [
         *rows,
         (
@@ -78,5 +81,6 @@ def _rows(found: Verification, worst: str | None) -> list[tuple[str, str]]:
             f"{found.max_error:.6g} of the diagonal, of vertex {found.worst_vertex} in frame {worst}",
         ),
         ("KG error", f"{found.kg_percent:.4g} %"),
+        *texture,
         ("bound holds", "yes" if found.holds else "no"),
     ]

@@ -108,7 +108,10 @@ READERS: Mapping[str, Reader] = {
         _H5,
     ),
     "compressed": Reader(
-        uses.decode_compressed, _models("compressed", "compressed", "model-v4-coded"), _H5, checksums=True
+        uses.decode_compressed,
+        _models("compressed", "compressed", "model-v4-coded", "model-v7-coded"),
+        _H5,
+        checksums=True,
     ),
     "usd": Reader(
         uses.convert_usd,

@@ -16,6 +16,7 @@ from click.testing import Result
 import mixseq
 from mixseq.cli.limits import as_bytes
 from mixseq.sequence import MeshSequence
+from mixseq.surface import CornerValues
 from mixseq_io.hdf5.compressed_reader import Stream, StreamIndex, read_compressed, read_index
 from tests.meshes import bar
 
@@ -303,3 +304,25 @@ def test_a_batch_leaves_compressed_models_alone(run: Run, small: Path) -> None:
     result = run("batch", "caches", "--out", "models")
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in Path("models").glob("*.h5")) == ["bar.h5"]
+
+
+def test_texture_coordinates_are_told_and_left_out(run: Run) -> None:
+    walk = mixseq.read("bar.npz")
+    uvs = CornerValues(walk.points[0][:, :2] / 7, walk.polygons.indices)
+    surface = replace(walk.surface, uvs=uvs)
+    mixseq.write("textured.npz", MeshSequence.from_header(replace(walk.header, surface=surface), walk.points))
+    encode = ("encode", "textured.npz", "small.h5", "--max-error", "0.01", "--overwrite")
+    assert "texture error  at most 0.001 of the square" in run(*encode, "--set", "uv_error=0.001").output
+    told = run("verify", "small.h5", "textured.npz")
+    assert (told.exit_code, "texture        0.001 of the square, asked for" in told.output) == (0, True)
+    assert "texture coordinates" in run("info", "small.h5").output
+    for options in (("--no-uvs",), ("--set", "uvs=no")):
+        assert "texture" not in run(*encode, *options).output.replace("texture coordinates and the like", "")
+        assert mixseq.load("small.h5").header.surface.uvs is None
+
+
+@pytest.mark.parametrize(("option", "name"), [("--no-uvs", "no-uvs"), ("--uv-error=0.1", "uv-error")])
+def test_options_of_texture_coordinates_are_for_compressed_models(run: Run, option: str, name: str) -> None:
+    refused = run("encode", "bar.npz", "small.h5", option)
+    assert refused.exit_code == 2
+    assert f"--{name} is for compressed models; give --max-error, --kg or --size, too" in refused.output

@@ -2,7 +2,7 @@
 
 ::
 
-    /            format = "mixseq-model", version = 4, created_by,
+    /            format = "mixseq-model", version = 4, or 7 with texture coordinates, created_by,
                  coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
     /streams     (n,) uint8: an index, then all streams, one after the other
 
@@ -20,10 +20,11 @@ any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of t
 any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
 ==========  =====================================================================================================
 
-Streams are in this order: connectivity, surface, times; spatial basis, group by group; coefficients and residual layer
-of the first chunk, of the second, and so on. Specification: ``docs/file-format.md``.
+Streams are in this order: connectivity, surface, times, texture coordinates if there are any; spatial basis, group by
+group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
+``docs/file-format.md``.
 
-Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``).
+Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``, ``model-v7-coded.h5``).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ import numpy as np
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
 from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.entropy import unpack_leb128
+from mixseq.coding.bitstream.texture_coordinates import decode_uvs
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
@@ -52,14 +54,17 @@ from mixseq_io.memory import check_memory
 COMPRESSED_VERSION = 4
 """Version of model files that hold a compressed sequence. Frozen: breaks old files."""
 
+TEXTURED_VERSION = 7
+"""The same with texture coordinates in a stream of their own. Frozen: breaks old files."""
+
 MAGIC = b"msq4"
 """What the index begins with. Frozen: breaks old files."""
 
 HEAD = struct.Struct("<4sIII")
 """Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
 
-_OF_ELEMENT = 64
-"""Bytes that decoding takes for each vertex, corner and frame."""
+_OF_ELEMENT, _OF_CORNER = 64, 256
+"""Bytes that decoding takes for each vertex, corner and frame, and more for each corner with texture coordinates."""
 
 _CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
 
@@ -100,7 +105,10 @@ class ChunkStreams:
 
 @dataclass(frozen=True)
 class StreamIndex:
-    """All streams of a file: `ground` are connectivity, surface and times; `size` is that of the index itself."""
+    """All streams of a file; `ground` are connectivity, surface, times and, if there are any, uvs.
+
+    `size` is that of the index itself.
+    """
 
     size: int
     ground: Mapping[str, Stream]
@@ -183,7 +191,7 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     FormatError
         If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
     """
-    refuse_newer(path, container.version, COMPRESSED_VERSION)
+    refuse_newer(path, container.version, TEXTURED_VERSION)
     damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
     if len(container.streams) < HEAD.size:
         raise damaged
@@ -196,19 +204,21 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
     if not checksums or crc32(container.text) != checksums[0]:
         raise damaged
+    uvs = _facts(path, container)["coding"].get("uv_steps") is not None
     try:
-        return _index(size, numbers, checksums[1:])
+        return _index(size, numbers, checksums[1:], uvs)
     except (IndexError, ValueError, StopIteration) as error:  # not by chance: somebody made it so
         raise damaged from error
 
 
-def _index(size: int, numbers: list[int], checksums: list[int]) -> StreamIndex:
+def _index(size: int, numbers: list[int], checksums: list[int], uvs: bool) -> StreamIndex:
     groups, chunks, *rest = numbers
     counts, lengths = rest[:chunks], rest[chunks:]
-    if len(lengths) != 3 + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
+    if len(lengths) != 3 + uvs + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
         raise ValueError("there cannot be so many streams, or frames, or bytes")
     firsts = [0, *accumulate(counts)]
-    names = ["the connectivity's bytes", "the surface's bytes", "the times"]
+    names = ["the connectivity's bytes", "the surface's bytes", "the times", "the texture coordinates"]
+    names = names[: 3 + uvs]
     names += [f"the basis vectors of group {group}" for group in range(groups)]
     for first, count in zip(firsts, counts, strict=False):
         frames = f"of frames {first} to {first + count - 1}"
@@ -221,11 +231,13 @@ def _index(size: int, numbers: list[int], checksums: list[int]) -> StreamIndex:
     ]
     if next(left, None) is not None:
         raise ValueError("there are more checksums than streams")
-    of_chunks = zip(firsts, counts, streams[3 + groups :: 2], streams[4 + groups :: 2], strict=False)
+    of_chunks = zip(
+        firsts, counts, streams[3 + uvs + groups :: 2], streams[4 + uvs + groups :: 2], strict=False
+    )
     return StreamIndex(
         size=size,
-        ground=dict(zip(("connectivity", "surface", "times"), streams[:3], strict=True)),
-        basis=tuple(streams[3 : 3 + groups]),
+        ground=dict(zip(("connectivity", "surface", "times", "uvs"), streams[: 3 + uvs], strict=False)),
+        basis=tuple(streams[3 + uvs : 3 + uvs + groups]),
         chunks=tuple(ChunkStreams(*each) for each in of_chunks),
     )
 
@@ -267,7 +279,10 @@ def read_header(
     """
     facts = _facts(path, container)
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
-    check_memory(path, _OF_ELEMENT * sum(each for each in told if isinstance(each, int)), "mesh and times")
+    elements = sum(each for each in told if isinstance(each, int))
+    corner = _OF_CORNER * told[1] if "uvs" in ground and isinstance(told[1], int) else 0
+    check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
+    steps = read_parameters(path, container).uv_steps if "uvs" in ground else None
     try:
         vertices, polygons, corners, frames = (
             int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")
@@ -275,15 +290,19 @@ def read_header(
         fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
+        mesh = decode_polygons(ground["connectivity"], polygons, corners, vertices)
+        surface = unpack_surface(ground["surface"], path.parent)
+        if steps is not None:
+            surface = replace(surface, uvs=decode_uvs(ground["uvs"], mesh, vertices, steps))
         return SequenceHeader(
-            polygons=decode_polygons(ground["connectivity"], polygons, corners, vertices),
+            polygons=mesh,
             vertex_count=vertices,
             times=unpack_times(ground["times"], float(facts["first_time"]), frames, fps),
             fps=fps,
             up_axis=str(facts["up_axis"]),
             metres_per_unit=float(facts["metres_per_unit"]),
             name=str(facts["name"]),
-            surface=unpack_surface(ground["surface"], path.parent),
+            surface=surface,
         )
     except (FormatError, InvalidSequenceError, LookupError, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"{path}: {error}; it is damaged") from error

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from zlib import crc32
 
@@ -17,13 +17,17 @@ import numpy as np
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
 from mixseq.coding.bitstream.entropy import pack_leb128
-from mixseq.errors import SettingsError
+from mixseq.coding.bitstream.texture_coordinates import grid_numbers
+from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
+from mixseq.coding.encoder.uv_regions import encode_uvs
+from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
 from mixseq_io.hdf5.compressed_reader import (
     COMPRESSED_VERSION,
     HEAD,
     MAGIC,
+    TEXTURED_VERSION,
     Container,
     read_container,
     read_index,
@@ -37,14 +41,15 @@ _CONTAINER, _INDEX = 1200, 64
 
 def write_compressed(file: h5py.File, coded: CompressedSequence) -> None:
     """Store a compressed sequence in a new HDF5 file."""
-    container = pack_streams(_json(coded), _ground(coded.header), coded.basis, coded.chunks)
+    steps = coded.parameters.uv_steps
+    container = pack_streams(_json(coded), _ground(coded.header, steps), coded.basis, coded.chunks)
     for name, text in (
         ("format", MODEL_FORMAT.encode()),
         ("created_by", f"mixseq {__version__}".encode()),
         ("coding", container.text),
     ):
         file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
-    file.attrs["version"] = COMPRESSED_VERSION
+    file.attrs["version"] = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
     file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
 
 
@@ -57,8 +62,8 @@ def pack_streams(
     ----------
     text : bytes
         The attribute ``coding``.
-    ground : sequence of three bytes
-        Connectivity, surface, times.
+    ground : sequence of bytes
+        Connectivity, surface, times; texture coordinates, if they are coded.
     basis, chunks
         As in `CompressedSequence`.
     """
@@ -80,7 +85,8 @@ def compressed_sizes(path: Path) -> dict[str, int]:
     -------
     dict
         ``total``: the file; ``connectivity``: the faces; ``container``: HDF5's own, and its attributes; ``signals``:
-        everything else; and of these ``surface``: texture coordinates and the like, ``index``: lengths and checksums.
+        everything else; and of these ``uvs``: texture coordinates that are coded, ``surface``: face sets and the like,
+        and texture coordinates as they were, ``index``: lengths and checksums.
 
     Raises
     ------
@@ -95,43 +101,62 @@ def compressed_sizes(path: Path) -> dict[str, int]:
         "connectivity": connectivity,
         "container": total - len(container.streams),
         "signals": len(container.streams) - connectivity,
+        "uvs": index.ground["uvs"].size if "uvs" in index.ground else 0,
         "surface": index.ground["surface"].size,
         "index": index.size,
     }
 
 
-def room_for_signals(header: SequenceHeader, size: int) -> int:
+def room_for_signals(
+    header: SequenceHeader, size: int, *, uv_error: float = UV_ERROR, uvs: bool = True
+) -> int:
     """Return how many bytes of a file of some size are left for basis, coefficients and residual layer.
+
+    Texture coordinates are told as to `mixseq.compress`.
 
     Raises
     ------
     SettingsError
-        If there are none.
+        If there are none, or `uv_error` is out of range.
     """
-    connectivity, surface, times = map(len, _ground(header))
+    connectivity, surface, times, *textures = map(len, _ground(*with_quantised_uvs(header, uv_error, uvs)))
+    surface += sum(textures)
     container = _CONTAINER + times + _INDEX * (1 + header.frame_count // 64)
     taken = connectivity + surface + container
     if size <= taken:
         parts = f"faces take {connectivity}, texture coordinates and the like {surface}, the container {container}"
-        cure = "; write the sequence without texture coordinates first, or give more" if surface else ""
+        cure = "; leave out texture coordinates (--no-uvs), or give more" if surface else ""
         raise SettingsError(
             f"size is {size} bytes; {taken} are taken before there is any motion: {parts}{cure}"
         )
     return size - taken
 
 
-def _ground(header: SequenceHeader) -> list[bytes]:
+def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
+    """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
+    polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
+    textures = []
+    if uv_steps is not None:
+        numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
+        if numbers is None:
+            raise InvalidSequenceError(
+                f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"
+            )
+        textures, surface = [encode_uvs(polygons, header.vertex_count, numbers)], replace(surface, uvs=None)
     return [
-        encode_polygons(header.polygons, header.vertex_count),
-        pack_surface(header.surface),
+        encode_polygons(polygons, header.vertex_count),
+        pack_surface(surface),
         pack_times(header.times, header.fps),
+        *textures,
     ]
 
 
 def _json(coded: CompressedSequence) -> bytes:
     header = coded.header
     facts = {
-        "coding": {name: value for name, value in asdict(coded.parameters).items() if value != ()},
+        "coding": {
+            name: value for name, value in asdict(coded.parameters).items() if value not in ((), None)
+        },
         "name": header.name,
         "fps": header.fps,
         "up_axis": header.up_axis,

@@ -157,9 +157,9 @@ def _load(source: Path, salvage: bool) -> Model:
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
         )
     with reading_h5(source):
-        check_version(source, file, VERSION)
         if "coding" in file.attrs:
             return decoded(source, sequence_of(source, container_of(source, file)))
+        check_version(source, file, VERSION)
         try:
             return read_v1(source, file) if int(file.attrs["version"]) == 1 else _read(source, file)
         except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:

@@ -2,15 +2,15 @@
 
 Every stream has a checksum of its own, so damage is known by stream:
 
-===========================  =========================================================================
+=============================  =========================================================================
 damaged                      what is left
-===========================  =========================================================================
+=============================  =========================================================================
 basis vectors of a group     the groups before it: all frames, coarser; the bound does not hold
 coefficients of a chunk      all other frames
 residual layer of a chunk    all frames; the bound does not hold in those of the chunk
-surface                      everything else
+surface, texture coordinates  everything else
 connectivity, times, index   nothing
-===========================  =========================================================================
+=============================  =========================================================================
 
 HDF5 does not open files that are not all there, or whose own structure is damaged. Index and streams follow each other
 in one run of bytes, and the attribute stands before them, so both are found without HDF5 too.
@@ -68,8 +68,11 @@ def salvage_compressed(path: Path) -> CompressedSequence | None:
     index = read_index(path, container)
     ground = {name: stream.read(container.streams) for name, stream in index.ground.items()}
     if ground["surface"] is None:
-        _warn(path, "the surface is damaged and left out: texture coordinates, hard edges, face sets")
+        textures = "" if "uvs" in ground else "texture coordinates, "
+        _warn(path, f"the surface is damaged and left out: {textures}hard edges, face sets")
         ground["surface"] = b""
+    if ground.get("uvs", b"") is None:
+        _warn(path, "the texture coordinates are damaged and left out")
     for name in ("connectivity", "times"):
         if ground[name] is None:
             raise FormatError(f"{path}: its {name} are damaged, so nothing can be salvaged; restore the file")
@@ -77,6 +80,8 @@ def salvage_compressed(path: Path) -> CompressedSequence | None:
         path, container, index, {name: data for name, data in ground.items() if data is not None}
     )
     parameters = read_parameters(path, container)
+    if header.surface.uvs is None:
+        parameters = replace(parameters, uv_steps=None, uv_error=None)
     groups = _basis(path, container, index)
     complete = len(groups) == len(index.basis)
     chunks, frames, bounded = _chunks(path, container, index, complete, header)

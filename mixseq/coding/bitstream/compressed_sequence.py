@@ -24,6 +24,7 @@ from mixseq.coding.bitstream.spatial_basis import (
     read_basis,
     read_coefficients,
 )
+from mixseq.coding.bitstream.uv_values import LARGEST
 from mixseq.errors import FormatError, SettingsError
 from mixseq.prediction.operator import chosen, with_middles
 from mixseq.sequence import SequenceHeader
@@ -82,6 +83,10 @@ class CodingParameters:
         Unit of the residual layer, in the units of the sequence; zero if there is none.
     ranks : tuple of int
         Number of basis vectors of every part, if the mesh has several.
+    uv_steps : int, optional
+        Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
+    uv_error : float, optional
+        Largest difference of u and of v from the original; a promise. None as `uv_steps`.
 
     Raises
     ------
@@ -99,6 +104,8 @@ class CodingParameters:
     promised: bool
     correction: float = 0.0
     ranks: tuple[int, ...] = ()
+    uv_steps: int | None = None
+    uv_error: float | None = None
 
     def __post_init__(self) -> None:
         if self.factors not in get_args(BasisKind):
@@ -124,6 +131,15 @@ class CodingParameters:
             raise SettingsError("shapes are of the whole mesh, not of parts")
         if any(not (isinstance(rank, int) and rank > 0) for rank in self.ranks):
             raise SettingsError(f"ranks are {self.ranks}; whole numbers above zero are expected")
+        steps, error = self.uv_steps, self.uv_error
+        if (steps is None) != (error is None):
+            raise SettingsError("uv_steps and uv_error come together")
+        if steps is not None and not (
+            isinstance(steps, int) and not isinstance(steps, bool) and 0 < steps <= LARGEST
+        ):
+            raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
+        if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
+            raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 

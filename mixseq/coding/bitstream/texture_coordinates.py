@@ -78,9 +78,7 @@ class CodedUVs:
     known: Known
 
 
-def code_uvs(
-    polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None
-) -> CodedUVs:
+def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Index | None = None) -> CodedUVs:
     """Code coordinates in steps so that `decode_uvs` returns them.
 
     Parameters

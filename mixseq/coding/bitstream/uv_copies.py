@@ -72,7 +72,7 @@ def no_copies(corners: Corners, order: Index) -> Copies:
 
 @compiled
 def image_of(corners: Corners, copies: Copies, corner: int) -> int:
-    """Return the image of a corner, as it follows from the polygon beyond the half-edge from it; -1 if there is none."""
+    """Return the image of a corner that follows from the polygon beyond the half-edge from it; -1 if there is none."""
     there = corners.twin[corner]
     if there < 0 or copies.region[corners.polygon[there]] < 0:
         return -1

@@ -46,7 +46,7 @@ class Guess(NamedTuple):
     back : (2,) int64
         How far it is drawn back where such guesses are too far out.
     facts : (3,) int64
-        What it is made of (`AROUND`, ...); from how many guesses it is the mean; how far these are apart, u and v added.
+        What it is made of (`AROUND`, ...); of how many guesses it is the mean; how far these are apart, u and v added.
     low, high : (2,) int64
         The least and largest of these.
     """

@@ -109,7 +109,9 @@ def _along(one: int, other: int) -> int:
 
 
 @compiled
-def _set_contexts(bits: Bits, kind: int, edges: int, around: int, history: int, several: int, own: int) -> None:
+def _set_contexts(
+    bits: Bits, kind: int, edges: int, around: int, history: int, several: int, own: int
+) -> None:
     contexts = bits.contexts
     contexts[0] = edges << 4 | kind
     contexts[1] = (around << 8 | edges) << 4 | kind

@@ -14,10 +14,10 @@ loses its image where a copy from two anchors was off by more than 8, and by mor
 that forgets 1/32 at every node that has such a guess.
 
 *Numbers.* Whether the magnitude has a bit, a second one, a third, ..., until it has no more; then its bits after the
-highest, from high to low, and the sign of differences, which nobody expects. The contexts of the first are specified here. They tell
-how many bits there are beyond those expected: as often lately, of the neighbours, of the length of the edge across, of
-how far guesses are apart (of v: of u). A *size* is the number of bits of a number in 16ths: 16 for each, plus the four
-after the highest.
+highest, from high to low, and the sign of differences, which nobody expects. The contexts of the first are specified
+here. They tell how many bits there are beyond those expected: as often lately, of the neighbours, of the length of the
+edge across, of how far guesses are apart (of v: of u). A *size* is the number of bits of a number in 16ths: 16 for
+each, plus the four after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
 of their own file, and this one contains those of `bit_mixing`, `growing`, `uv_guesses` and `uv_copies`: who changes
@@ -33,13 +33,12 @@ from mixseq.coding.bitstream.bit_mixing import Bits, code, pass_through
 from mixseq.coding.bitstream.growing import Corners, after, before
 from mixseq.coding.bitstream.uv_copies import Copies, copy, drop_anchor, fits, follow, give_image
 from mixseq.coding.bitstream.uv_guesses import (
-    ANYWHERE,
     AROUND,
     BESIDE,
     COPIED,
+    Guess,
     Known,
     make_guess,
-    Guess,
 )
 from mixseq.coding.bitstream.uv_seams import SEAM_KINDS
 from mixseq.compiled import compiled, constant
@@ -200,7 +199,14 @@ def _begin(
 
 @compiled
 def _expect(
-    corners: Corners, known: Known, corner: int, facts: Index, kind: int, mean: int, about: Index, sizes: Index
+    corners: Corners,
+    known: Known,
+    corner: int,
+    facts: Index,
+    kind: int,
+    mean: int,
+    about: Index,
+    sizes: Index,
 ) -> None:
     """Note what a guess is made of, and which sizes of misses can be expected."""
     a, b = corners.node[before(corners, corner)], corners.node[after(corners, corner)]
@@ -223,7 +229,9 @@ def _number(bits: Bits, about: Index, sizes: Index, what: int, number: int) -> i
             contexts[i] = _beyond(length, sizes[i], 3) << 8 | what
         contexts[4] = (about[0] << 6 | length) << 8 | what
         contexts[5] = (about[1] << 6 | _beyond(length, sizes[0], 4)) << 8 | what
-        contexts[6] = ((about[2] << 6 | _beyond(length, sizes[2], 4)) << 6 | _beyond(length, sizes[0], 4)) << 8 | what
+        contexts[6] = (
+            (about[2] << 6 | _beyond(length, sizes[2], 4)) << 6 | _beyond(length, sizes[0], 4)
+        ) << 8 | what
         contexts[7] = (_beyond(length, sizes[1], 4) << 6 | _beyond(length, sizes[0], 4)) << 8 | what
         if not code(bits, SEAM_KINDS + what, 1 if magnitude >> length else 0):
             break

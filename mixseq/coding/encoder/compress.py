@@ -13,6 +13,7 @@ from mixseq.coding.bitstream.compressed_sequence import CodingParameters, Compre
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.search import ROUNDS, Search
 from mixseq.coding.encoder.trial import Trial, width
+from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
 from mixseq.progress import Progress, Stages, silent
@@ -28,6 +29,9 @@ def compress(
     kg: float | None = None,
     size: int | None = None,
     progress: Progress = silent,
+    *,
+    uv_error: float = UV_ERROR,
+    uvs: bool = True,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -44,6 +48,11 @@ def compress(
         Number of bytes of the signals.
     progress : callable, optional
         Told about every stage.
+    uv_error : float
+        Largest difference of a texture coordinate, of u and of v, from the original, in units of the texture's square:
+        a promise. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
+    uvs : bool
+        Whether to keep texture coordinates.
 
     Returns
     -------
@@ -54,12 +63,13 @@ def compress(
     ------
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached,
-        or `max_error` is beyond the digits of the coordinates.
+        or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25.
     FormatError, InvalidSequenceError
         If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     """
     check_frames(sequence)
     _check(max_error, kg, size)
+    header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
@@ -72,7 +82,11 @@ def compress(
         else:
             best = search.with_size(int(size or 0), _deviation(frames))
         stages.at(1 + ROUNDS)(0, 1, "checking")
-        return _checked(frames, best, unit, max_error)
+        coded = _checked(frames, best, unit, max_error)
+    if uv_steps is None:
+        return replace(coded, header=replace(coded.header, surface=header.surface))
+    parameters = replace(coded.parameters, uv_steps=uv_steps, uv_error=float(uv_error))
+    return replace(coded, header=replace(coded.header, surface=header.surface), parameters=parameters)
 
 
 def _check(max_error: float | None, kg: float | None, size: int | None) -> None:

@@ -7,7 +7,10 @@ a candidate is compared with the coordinates, polygon by polygon, as far as they
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.growing import Corners, after, before
@@ -30,6 +33,34 @@ _TRIED = 256
 
 _OFF = 6.0, 0.01
 """A copy may be off by so many steps, and by this share of its distance."""
+
+
+class _Search(NamedTuple):
+    """What is looked through.
+
+    Attributes
+    ----------
+    corners : Corners
+        Corners on nodes.
+    places : (P,) int64
+        When polygons are visited.
+    values : (N, 2) int64
+        Coordinates.
+    bits : (N,) float64
+        What the miss of a node takes without a copy.
+    covered : (P,) bool
+        Which polygons are copies already.
+    polygons, nodes : (P,), (N,) int64
+        The number of the last try that met them.
+    """
+
+    corners: Corners
+    places: Index
+    values: Index
+    bits: Float
+    covered: NDArray[np.bool_]
+    polygons: Index
+    nodes: Index
 
 
 def encode_uvs(polygons: Polygons, vertex_count: int, numbers: Index) -> bytes:
@@ -81,35 +112,36 @@ def find_regions(coded: CodedUVs, candidates: int, apart: float, least: float) -
     _, found = cKDTree(shapes[there]).query(
         shapes[starts[asked]], k=min(candidates, len(there)), distance_upper_bound=apart
     )
-    covered = np.zeros(len(places), dtype=np.bool_)
-    stamps = np.zeros(len(places), dtype=np.int64), np.zeros(len(bits), dtype=np.int64)
-    number = 0
+    search = _Search(
+        corners,
+        places,
+        coded.known.values,
+        bits,
+        np.zeros(len(places), dtype=np.bool_),
+        np.zeros(len(places), dtype=np.int64),
+        np.zeros(len(bits), dtype=np.int64),
+    )
+    tries = 0
     for polygon, row in zip(asked.tolist(), found.reshape(len(asked), -1).tolist(), strict=True):
-        if covered[polygon]:
+        if search.covered[polygon]:
             continue
-        best, saved = 0, least
+        best, saved = (0, False), least
         for each in there[[place for place in row if place < len(there)]].tolist():
             image, mirrored = each % count, each >= count
             if places[corners.polygon[image]] < places[polygon]:
-                number += 1
-                bits_saved = _cover(
-                    *(corners, places, coded.known.values, bits, covered, stamps, number),
-                    *(polygon, image, mirrored, _TRIED, False),
-                )
-                if bits_saved > saved:
-                    best, saved = 2 * image + mirrored + 1, bits_saved
-        if best:
-            number += 1
-            regions[polygon] = best
-            _cover(
-                *(corners, places, coded.known.values, bits, covered, stamps, number),
-                *(polygon, (best - 1) >> 1, (best - 1) & 1 == 1, len(places), True),
-            )
+                tries += 1
+                saves = _cover(search, tries, polygon, image, mirrored, _TRIED, False)
+                if saves > saved:
+                    best, saved = (image, mirrored), saves
+        if saved > least:
+            tries += 1
+            regions[polygon] = 2 * best[0] + best[1] + 1
+            _cover(search, tries, polygon, *best, len(places), True)
     return regions
 
 
 def _shapes(corners: Corners, values: Index) -> tuple[Float, Index]:
-    """Return the shapes ``(2 C, 2)`` of corners, those of their mirror images after them, and which ``(C,)`` are any."""
+    """Return the shapes ``(2 C, 2)`` of corners, then of their mirror images; also which corners ``(C,)`` have one."""
     number = np.arange(len(corners.node))
     start, end = corners.starts[corners.polygon], corners.starts[corners.polygon + 1]
     at = values @ np.array([1, 1j])
@@ -124,28 +156,17 @@ def _shapes(corners: Corners, values: Index) -> tuple[Float, Index]:
 
 @compiled
 def _cover(
-    corners: Corners,
-    places: Index,
-    values: Index,
-    bits: Float,
-    covered: Index,
-    stamps: tuple[Index, Index],
-    stamp: int,
-    polygon: int,
-    image: int,
-    mirrored: bool,
-    most: int,
-    mark: bool,
+    search: _Search, stamp: int, polygon: int, image: int, mirrored: bool, most: int, mark: bool
 ) -> float:
-    """Return how many bits are saved if a polygon's first corner has an image, and whatever follows from that.
+    """Return how many bits are saved if a polygon's first corner has an image, and what follows from that.
 
-    Polygons ``(P,)`` that are part of it are marked in `covered` if it is so. Those and nodes that were met have the
-    `stamp`.
+    The polygons that are part of it, of at most so many, are marked as covered if it is so.
     """
+    corners, places, values = search.corners, search.places, search.values
     node, twin, starts = corners.node, corners.twin, corners.starts
     queue = np.empty((most, 2), dtype=np.int64)
     queue[0, 0], queue[0, 1] = starts[polygon], image
-    stamps[0][polygon] = stamp
+    search.polygons[polygon] = stamp
     head, tail, saved = 0, 1, 0.0
     # two nodes far from each other, and their images
     first, first_image = node[starts[polygon]], node[image]
@@ -156,7 +177,7 @@ def _cover(
         head += 1
         own, other = corners.polygon[start], corners.polygon[start_image]
         size = starts[own + 1] - starts[own]
-        if starts[other + 1] - starts[other] != size or places[other] >= places[own] or covered[own]:
+        if starts[other + 1] - starts[other] != size or places[other] >= places[own] or search.covered[own]:
             continue
         agrees, local = True, 0.0
         corner, there = start, start_image
@@ -170,28 +191,31 @@ def _cover(
                 if off > _OFF[0] + _OFF[1] * distance:
                     agrees = False
                     break
-                if stamps[1][x] != stamp:
-                    local += bits[x] - np.log2(1 + off)
+                if search.nodes[x] != stamp:
+                    local += search.bits[x] - np.log2(1 + off)
             corner = after(corners, corner)
             there = before(corners, there) if mirrored else after(corners, there)
         if not agrees:
             continue
         saved += local
         if mark:
-            covered[own] = True
+            search.covered[own] = True
         corner, there = start, start_image
         for _ in range(size):
             x, y = node[corner], node[there]
-            stamps[1][x] = stamp
-            distance = abs(values[y, 0] - values[first_image, 0]) + abs(
-                values[y, 1] - values[first_image, 1]
-            )
+            search.nodes[x] = stamp
+            distance = abs(values[y, 0] - values[first_image, 0]) + abs(values[y, 1] - values[first_image, 1])
             if distance > far:
                 second, second_image, far = x, y, distance
             beside = twin[corner]
             edge = twin[before(corners, there)] if mirrored else twin[there]
-            if beside >= 0 and edge >= 0 and stamps[0][corners.polygon[beside]] != stamp and tail < most:
-                stamps[0][corners.polygon[beside]] = stamp
+            if (
+                beside >= 0
+                and edge >= 0
+                and search.polygons[corners.polygon[beside]] != stamp
+                and tail < most
+            ):
+                search.polygons[corners.polygon[beside]] = stamp
                 queue[tail, 0] = beside
                 queue[tail, 1] = after(corners, edge) if mirrored else edge
                 tail += 1

@@ -16,7 +16,7 @@ import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
 from mixseq_io.hdf5.compressed_reader import (
-    COMPRESSED_VERSION,
+    TEXTURED_VERSION,
     Stream,
     StreamIndex,
     is_compressed,
@@ -144,9 +144,9 @@ def test_contradictions_are_refused(
 
 def test_newer_versions_are_refused(path: Path) -> None:
     with h5py.File(path, "r+") as file:
-        file.attrs["version"] = COMPRESSED_VERSION + 1
+        file.attrs["version"] = TEXTURED_VERSION + 1
     for salvage in (False, True):
-        with pytest.raises(FormatError, match=r"has version 5, this mixseq reads up to 4.*upgrade with pip"):
+        with pytest.raises(FormatError, match=r"has version 8, this mixseq reads up to 7.*upgrade with pip"):
             mixseq.load(path, salvage=salvage)
 
 

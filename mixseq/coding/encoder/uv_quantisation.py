@@ -1,0 +1,81 @@
+"""Round texture coordinates to a grid on the unit square, so that no coordinate is off by more than is asked for.
+
+The grid has an even number of steps, so that 0, 1/2 and 1, where textures end and tiles meet, stay what they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from mixseq.coding.bitstream.texture_coordinates import grid_values
+from mixseq.errors import SettingsError
+from mixseq.sequence_header import SequenceHeader, header_fields
+from mixseq.surface import CornerValues
+
+UV_ERROR = 2.0**-16
+"""What u and v may be off by, unless something else is asked for: 1/16 of a texel of a texture of 4096 x 4096."""
+
+MOST_UV_ERROR = 0.25
+"""Coarser grids have no steps between 0, 1/2 and 1."""
+
+_MOST_STEPS = 1 << 23
+"""So far from 0, in steps, float32 still tells steps apart."""
+
+
+def with_quantised_uvs(
+    header: SequenceHeader, uv_error: float = UV_ERROR, uvs: bool = True
+) -> tuple[SequenceHeader, int | None]:
+    """Return a header with rounded texture coordinates, and how many steps of the grid a unit has.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        The mesh.
+    uv_error : float
+        Largest difference of u and of v, in units of the texture's square; 0 leaves them as they are.
+    uvs : bool
+        Whether to keep texture coordinates at all.
+
+    Returns
+    -------
+    header : SequenceHeader
+        The header of the same mesh.
+    steps : int or None
+        None if there are no coordinates, or they are as they were: also where there are none that are near enough to
+        them, or they are not finite.
+
+    Raises
+    ------
+    SettingsError
+        If `uv_error` is out of range.
+    """
+    if not 0 <= uv_error <= MOST_UV_ERROR:
+        raise SettingsError(f"uv_error is {uv_error}; a number from 0 to {MOST_UV_ERROR} is expected")
+    exact = header.surface.uvs
+    if exact is None or (uvs and uv_error == 0):
+        return header, None
+    if not uvs:
+        return _with_uvs(header, None), None
+    for steps in _numbers_of_steps(exact, uv_error):
+        values = exact.values.astype(np.float64)
+        rounded = grid_values(np.rint(values * steps).astype(np.int64), steps)
+        if (np.abs(rounded - values) <= uv_error).all():
+            return _with_uvs(header, CornerValues(rounded, exact.indices)), steps
+    return header, None
+
+
+def _numbers_of_steps(uvs: CornerValues, error: float) -> list[int]:
+    """Return how many steps may do: as few as there can be, and so many that rounding to float32 does no harm."""
+    largest = float(np.abs(uvs.values).max(initial=0.0))
+    if not np.isfinite(largest):
+        return []
+    errors = [each for each in (error, error - largest * 2.0**-24) if each > 0]
+    numbers = [2 * ceil(0.25 / each) for each in errors]
+    return [steps for steps in numbers if max(largest, 1.0) * steps < _MOST_STEPS]
+
+
+def _with_uvs(header: SequenceHeader, uvs: CornerValues | None) -> SequenceHeader:
+    return SequenceHeader(**{**header_fields(header), "surface": replace(header.surface, uvs=uvs)})
