@@ -24,7 +24,8 @@ def test_of_several_half_edges_the_first_is_the_twin_of_the_first() -> None:
     twin = corners_of(Polygons.from_triangles(faces), 5).twin
     assert (twin[0], twin[3], twin[6]) == (6, -1, 0)
     assert twin[9] == -1  # an edge from a vertex to itself
-    spine = corners_of(Polygons.from_triangles(pages(3)[1]), 5)
+    faces = pages(3)[1]
+    spine = corners_of(Polygons.from_triangles(faces), int(faces.max()) + 1)
     has = np.flatnonzero(spine.twin >= 0)
     np.testing.assert_array_equal(spine.twin[spine.twin[has]], has)
 
