@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import mixseq
 from mixseq.creature import walk_cycle
-from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError, SettingsError
+from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence import MeshSequence
 from mixseq_io.gltf.measuring import measure, size_as_frames
@@ -302,7 +302,7 @@ def test_other_names_are_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="a MeshSequence is neither a Skin nor a Morph; make one with"):
+    with pytest.raises(TypeError, match="write_rig: rig is of type MeshSequence; Skin or Morph is expected"):
         mixseq.write_rig(tmp_path / "a.glb", bar())  # type: ignore[arg-type]
 
 
