@@ -177,7 +177,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
             bits.failed[0] = 1
             return 0
         bits.heads[queue] += 1
-        bit = likely ^ bits.queued[place]
+        bit = likely ^ int(bits.queued[place])
     else:
         bits.queued[bits.heads[0]] = 2 * queue + (bit ^ likely)
         bits.heads[0] += 1

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +179,12 @@ def test_golden_bytes_decode_to_the_same_coordinates() -> None:
         polygons, steps = Polygons(stored["counts"], stored["indices"]), int(stored["steps"])
         found = decode_uvs(stored["data"].tobytes(), polygons, int(stored["indices"].max()) + 1, steps)
         np.testing.assert_array_equal(found.at_corners, stored["at_corners"])
+
+
+def test_golden_bytes_do_not_depend_on_the_compiler() -> None:
+    code = f"from {__name__} import *; test_golden_bytes_decode_to_the_same_coordinates()"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=Path(__file__).parents[3])
 
 
 BYTES = (505, "5e823f620631eb7d")
