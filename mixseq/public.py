@@ -37,6 +37,7 @@ _CURES = {
     "Model": "mixseq.fit makes one of a sequence, mixseq.load reads one",
     "MeshSequence": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
     "Frames": "mixseq.read reads one, MeshSequence.from_arrays makes one of arrays",
+    "Skin": "mixseq.fit_skin and mixseq.fit_morph make them",
     "Markers": "mixseq.read_markers reads them, Markers.of makes them of pairs",
 }
 
