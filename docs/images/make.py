@@ -43,7 +43,14 @@ from mixseq.operations import (
     transition,
 )
 from mixseq.operations.interpolation import PoseInterpolator
-from mixseq.plots import broadside, contact_sheet, draw_embedding, draw_mesh, draw_segmentation, plot_model
+from mixseq.plots import (
+    contact_sheet,
+    draw_embedding,
+    draw_mesh,
+    draw_segmentation,
+    plot_model,
+    three_quarter_view,
+)
 from mixseq.plots import shared_limits as limits_of
 from mixseq.plots.charts import FAINT, LINES, chart_style, new_page
 from mixseq.plots.shading import area_normals
@@ -522,7 +529,7 @@ def sheet(path: Path, rows: Mapping[str, Model], times: Float, against: Model | 
 def camera(poses: list[Float]) -> tuple[object, tuple[float, float, float, float], float]:
     """Return a view, limits and a ground for all poses ``(T, V, 3)`` together."""
     points = np.concatenate(poses)
-    view = broadside(points[0])
+    view = three_quarter_view(points[0])
     return view, limits_of(points, "Y", view), float(points[..., 1].min())
 
 

@@ -31,6 +31,8 @@ class FilmOptions:
     fps: float | None
     seconds: float | None
     turn: float | None
+    camera: tuple[float, float] | None
+    follow: bool | None
     colour: Colour | None
     scale: float | None
     names: tuple[str, ...] | None
@@ -55,6 +57,18 @@ def _as_size(context: click.Context, option: click.Parameter, value: str | None)
     if not (width.isdecimal() and height.isdecimal()):
         raise click.BadParameter(f"{value!r} is not a size such as 1280x720")
     return int(width), int(height)
+
+
+def _as_camera(
+    context: click.Context, option: click.Parameter, value: str | None
+) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    try:
+        angle, height = map(float, value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is no angle and height such as 30,15") from None
+    return angle, height
 
 
 def _as_names(context: click.Context, option: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -85,6 +99,13 @@ def film_options(command: Command) -> Command:
         help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
     )
     @setting("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film.")
+    @setting(
+        "--camera",
+        callback=_as_camera,
+        metavar="ANGLE,HEIGHT",
+        help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
+    )
+    @setting("--follow", is_flag=True, default=None, help="Let the camera go with a body that travels.")
     @click.option(
         "--colour",
         type=click.Choice(COLOURS),
@@ -110,12 +131,14 @@ def film_options(command: Command) -> Command:
         film_fps: float | None,
         seconds: float | None,
         turn: float | None,
+        camera: tuple[float, float] | None,
+        follow: bool | None,
         colour: Colour | None,
         scale: float | None,
         names: tuple[str, ...] | None,
         **settings: Any,
     ) -> None:
-        filming = FilmOptions(video, size, film_fps, seconds, turn, colour, scale, names)
+        filming = FilmOptions(video, size, film_fps, seconds, turn, camera, follow, colour, scale, names)
         command(*args, filming=filming, **settings)
 
     return with_options

@@ -20,7 +20,7 @@ from mixseq.plots.sheet_layout import DPI, Target
 from mixseq.plots.sheets import contact_sheet
 from mixseq.plots.two_sides import draw_segmentation
 from mixseq.renamed import moved
-from mixseq.scene.camera import Limits, View, broadside, shared_limits
+from mixseq.scene.camera import Limits, View, shared_limits, three_quarter_view
 from mixseq.scene.palettes import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 
 __all__ = [
@@ -33,7 +33,6 @@ __all__ = [
     "VertexErrors",
     "View",
     "add_error_bar",
-    "broadside",
     "check_settings",
     "contact_sheet",
     "draw_coefficients",
@@ -51,6 +50,7 @@ __all__ = [
     "segmentation_colours",
     "shared_limits",
     "singular_values",
+    "three_quarter_view",
     "vertex_errors",
 ]
 

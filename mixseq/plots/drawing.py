@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.plots.shading import area_normals, ground_shadow, shade, smooth_normals
 from mixseq.plots.sheet_layout import matplotlib_module
-from mixseq.scene.camera import Limits, View, broadside, shared_limits, y_up
+from mixseq.scene.camera import Limits, View, shared_limits, three_quarter_view, y_up
 from mixseq.scene.palettes import CLAY
 from mixseq.topology import Topology
 
@@ -44,7 +44,7 @@ def draw_mesh(
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
     view : View, optional
-        The camera, by default `broadside`.
+        The camera, by default `three_quarter_view`.
     limits : (4,) float, optional
         Screen rectangle from `shared_limits`, by default that of this pose.
     ground : float, optional
@@ -52,7 +52,7 @@ def draw_mesh(
     contrast : float
         Strength of the shading, from 0 (flat colours) to 1.
     """
-    view = view or broadside(points, up_axis)
+    view = view or three_quarter_view(points, up_axis)
     limits = limits or shared_limits(points, up_axis, view)
     world = y_up(points, up_axis)
     floor = float(world[:, 1].min()) if ground is None else ground

@@ -14,7 +14,7 @@ from mixseq.errors import SettingsError
 from mixseq.frame_numbers import frame_text
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import Sheet, Target, matplotlib_module
-from mixseq.scene.camera import broadside, shared_limits, y_up
+from mixseq.scene.camera import shared_limits, three_quarter_view, y_up
 from mixseq.scene.palettes import CLAY, INK, segmentation_colours
 from mixseq.sequence import MeshSequence, SequenceHeader
 
@@ -116,7 +116,7 @@ def _draw_rows(rows: list[_Row], title: str) -> Sheet:
     """Draw all rows with one camera, one set of limits and one ground."""
     first = rows[0].sequence
     shown = np.concatenate([row.sequence.points[list(row.frames.values())] for row in rows])
-    view = broadside(first.points[0], first.up_axis)
+    view = three_quarter_view(first.points[[0, -1]], first.up_axis)
     limits = shared_limits(shown, first.up_axis, view)
     ground = float(y_up(shown, first.up_axis)[..., 1].min())
 

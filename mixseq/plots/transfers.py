@@ -11,7 +11,7 @@ from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import Sheet, Target
-from mixseq.scene.camera import View, broadside, of_aspect, shared_limits, y_up
+from mixseq.scene.camera import View, of_aspect, shared_limits, three_quarter_view, y_up
 from mixseq.scene.palettes import INK, part_colours
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def transfer_sheet(
     labels = parts_of_both(transfer)
     palette = part_colours(int(labels[0].max()) + 1)
 
-    near = broadside(transfer.source.rest, here.up_axis)
+    near = three_quarter_view(transfer.source.rest, here.up_axis)
     views = near, View(near.azimuth + heading(transfer), near.elevation)
     limits = [
         shared_limits(x, header.up_axis, view) for x, header, view in zip(poses, headers, views, strict=True)

@@ -7,7 +7,7 @@ import numpy as np
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import Sheet, Target
-from mixseq.scene.camera import Limits, View, broadside, shared_limits
+from mixseq.scene.camera import Limits, View, shared_limits, three_quarter_view
 from mixseq.scene.palettes import segmentation_colours
 
 
@@ -60,7 +60,7 @@ def two_sides(poses: FloatArray, up_axis: str = "Y") -> list[list[tuple[View, Li
     list of n lists of two pairs
         The same two cameras for every pose; all rectangles have one size, each about the middle of what it shows.
     """
-    near = broadside(poses[0], up_axis)
+    near = three_quarter_view(poses[0], up_axis)
     views = near, View(near.azimuth + 180, near.elevation)
     boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]
     corners = np.array(boxes).reshape(len(poses), 2, 2, 2)

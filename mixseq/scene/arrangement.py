@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.scene.camera import View, broadside, y_up
+from mixseq.scene.camera import View, three_quarter_view, y_up
 from mixseq.scene.items import Scene
 
 SAMPLES = 8
@@ -84,7 +84,7 @@ def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
             (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
         )
     first = scene.items[0]
-    azimuth = broadside(first.pose(0.0), up_axes[0]).azimuth
+    azimuth = three_quarter_view(first.ends, up_axes[0]).azimuth
     offsets = _row(boxes, azimuth) if side_by_side else _together(boxes)
     low = np.min([box[0] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)
     high = np.max([box[1] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)

@@ -12,6 +12,9 @@ from mixseq.sequence import UP_AXES
 Limits = tuple[float, float, float, float]
 """Left, right, bottom and top of a rectangle of the screen, in units of the points."""
 
+TRAVELS = 0.5
+"""A body that moves so many diagonals of itself from the first pose to the last is going somewhere."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -47,8 +50,8 @@ class Camera:
         The view of the first frame.
     turn : float
         Degrees by which it turns until the first frame comes again, after N.
-    centre : (3,) float
-        What it turns about, Y up.
+    centres : (N, 3) float
+        What it looks at, and turns about, in each frame, Y up.
     ground : float
         Height of the ground.
     limits : (4,) float
@@ -57,13 +60,13 @@ class Camera:
 
     view: View
     turn: float
-    centre: Float
+    centres: Float
     ground: float
     limits: Limits
 
-    def at(self, share: float) -> View:
-        """Return the view after a share of the film."""
-        return View(self.view.azimuth + share * self.turn, self.view.elevation)
+    def at(self, frame: int) -> View:
+        """Return the view in a frame."""
+        return View(self.view.azimuth + frame / len(self.centres) * self.turn, self.view.elevation)
 
     @property
     def aspect(self) -> float:
@@ -76,13 +79,48 @@ class Camera:
         return replace(self, limits=of_aspect(self.limits, aspect))
 
 
-def broadside(points: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0) -> View:
-    """Return a three-quarter view: ``turn`` degrees away from seeing the longer horizontal side.
+def facing(poses: FloatArray, up_axis: str = "Y") -> float:
+    """Return the azimuth from which a body is seen from the front.
+
+    It faces where it travels. One that stays where it is faces where modellers and formats have the front: +z with Y up
+    (glTF 2.0, section 3.4), -y with Z up (Blender, Maya), where +x is to its left in both.
 
     Parameters
     ----------
-    points : (..., V, 3) float
-        One pose, or all poses of a sequence.
+    poses : (n, V, 3) float
+        Poses of a motion in the order of time; the first and the last count.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+
+    Returns
+    -------
+    float
+        Degrees, as `View.azimuth`.
+
+    Examples
+    --------
+    >>> facing(np.array([[[0.0, 0, 0], [0, 1, 0]], [[5, 0, 0], [5, 1, 0]]]))
+    90.0
+    """
+    ends = y_up(poses[[0, -1]], up_axis)
+    x, _, z = ends[1].mean(axis=0) - ends[0].mean(axis=0)
+    if np.hypot(x, z) < TRAVELS * np.linalg.norm(np.ptp(ends[0], axis=0)) or x == z == 0:
+        return -90.0 if up_axis == "Z" else 0.0
+    return float(np.round(np.degrees(np.arctan2(x, z))))  # whole degrees are the same on every machine
+
+
+def three_quarter_view(
+    poses: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevation: float = 14.0
+) -> View:
+    """Return a view of the front and a side: ``turn`` degrees away from seeing the longer of them.
+
+    Of the two views, from the left and from the right, it is the one where +x points more to the right, and +z more to
+    the camera, with Y up.
+
+    Parameters
+    ----------
+    poses : (V, 3) or (n, V, 3) float
+        One pose, or poses of a motion in the order of time, see `facing`.
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
     turn, elevation : float
@@ -90,11 +128,17 @@ def broadside(points: FloatArray, up_axis: str = "Y", turn: float = 30.0, elevat
 
     Examples
     --------
-    >>> broadside(np.array([[0.0, 0, 0], [0, 1, 5]]))
+    >>> three_quarter_view(np.array([[0.0, 0, 0], [0, 1, 5]]))
     View(azimuth=60.0, elevation=14.0)
     """
-    width, _, depth = np.ptp(y_up(points, up_axis).reshape(-1, 3), axis=0)
-    return View(turn if width >= depth else 90.0 - turn, elevation)
+    poses = poses.reshape(-1, *poses.shape[-2:])
+    front = facing(poses, up_axis)
+    first = y_up(poses[0], up_axis)
+    forwards = np.array([np.sin(np.radians(front)), np.cos(np.radians(front))])
+    along, across = np.ptp(first[:, [0, 2]] @ np.stack([forwards, forwards[::-1] * [1, -1]], axis=1), axis=0)
+    away = turn if across >= along else 90.0 - turn
+    sides = [(front + side + 180) % 360 - 180 for side in (away, -away)]
+    return View(min(sides, key=lambda azimuth: abs((azimuth - 45 + 180) % 360 - 180)), elevation)
 
 
 def shared_limits(
@@ -109,7 +153,7 @@ def shared_limits(
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
     view : View, optional
-        The camera, by default `broadside`.
+        The camera, by default `three_quarter_view`.
     margin : float
         Space around, as a share of the larger side.
 
@@ -120,7 +164,7 @@ def shared_limits(
     """
     world = y_up(points, up_axis).reshape(-1, 3)
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
-    screen = np.concatenate([world, shadow]) @ (view or broadside(points, up_axis)).rows.T
+    screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rows.T
     low, high = screen[:, :2].min(axis=0), screen[:, :2].max(axis=0)
     space = margin * (float((high - low).max()) or 1.0)  # a single point still gets a rectangle
     return low[0] - space, high[0] + space, low[1] - space, high[1] + space

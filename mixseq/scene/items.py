@@ -70,6 +70,11 @@ class SceneItem:
         row = int(nearest_frames(self.header, times)[0])
         return np.asarray(self._frames().points[row : row + 1][0], dtype=np.float32)
 
+    @property
+    def ends(self) -> Single:
+        """The points ``(2, V, 3)`` of the first and the last frame."""
+        return np.stack([self.pose(0.0), self.pose(float(self.elapsed[-1]))])
+
     def exact_pose(self, elapsed: float) -> FloatArray:
         """Return the same in full precision."""
         return np.asarray(next(self.poses(np.array([elapsed])))[0])

@@ -13,7 +13,7 @@ from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import Executor
 from mixseq.scene import Colouring, SceneColours, SceneItem
-from mixseq.scene.camera import View, broadside, y_up
+from mixseq.scene.camera import View, three_quarter_view, y_up
 from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.chart_data import signals_of
@@ -155,7 +155,7 @@ def gather(
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
         if table is None or views is None:
             table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            own = first[1].views[0] if first and same else broadside(block[0], header.up_axis)
+            own = first[1].views[0] if first and same else _view(item, block[0], elapsed)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
@@ -165,6 +165,12 @@ def gather(
         raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
     like_first = same and (first is None or _together(extent, first[1].extent))
     return Gathered(table, extent, views, like_first)
+
+
+def _view(item: SceneItem, start: FloatArray, elapsed: Float) -> View:
+    """Return from where a mesh is seen that starts in a pose, and may travel until the last of the times."""
+    end = next(item.poses(elapsed[-1:]))[-1]
+    return three_quarter_view(np.stack([start, end]), item.header.up_axis)
 
 
 def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:

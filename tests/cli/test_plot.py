@@ -79,6 +79,8 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5", "Missing argument 'TARGET'"),
         ("plot model.h5 bar.npz new.png", "new.png is one file too many"),
         ("plot model.h5 new.png --turn 90", "--turn is about films; give --video"),
+        ("plot model.h5 new.png --follow", "--follow is about films; give --video"),
+        ("plot --video new.gif bar.npz --camera 30", "--camera.*'30' is no angle and height such as 30,15"),
         ("plot model.h5 new.png --fps 30", "--fps is about films; give --video"),
         ("plot --video new.gif", "Missing argument 'FILES...'"),
         ("plot --video new.avi bar.npz", "films are MP4, GIF or WebP files; end the name in .mp4"),
@@ -126,7 +128,7 @@ def test_a_source_is_not_overwritten(run: Run, contents: Contents, folder: Path)
         ("old.webp bar.usdc model.h5 --names=one,two --turn 90 --seconds 0.5 -q", b"RIFF"),
         ("new.gif model.h5 bar.npz --colour parts --fps 20", b"GIF89a"),
         ("new.gif model.h5 --colour error --against bar.usdc --scale 0.01", b"GIF89a"),
-        ("new.gif bar_sequence.h5 --colour strain --up-axis Z", b"GIF89a"),
+        ("new.gif bar_sequence.h5 --colour strain --up-axis Z --camera -30,10 --follow", b"GIF89a"),
     ],
 )
 def test_films(run: Run, line: str, start: bytes) -> None:

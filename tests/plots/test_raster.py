@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mixseq.plots import View, broadside, shared_limits
+from mixseq.plots import View, shared_limits, three_quarter_view
 from mixseq.plots.raster import blank, render_mesh
 from mixseq.scene.camera import Limits
 from mixseq.sequence import MeshSequence
@@ -111,7 +111,7 @@ def test_the_shadow_is_on_the_ground_and_below(gem: MeshSequence) -> None:
 
 
 def test_a_part_of_a_picture_can_be_drawn_on(gem: MeshSequence) -> None:
-    points, view = gem.points[0], broadside(gem.points[0])
+    points, view = gem.points[0], three_quarter_view(gem.points[0])
     limits = shared_limits(points, "Y", view)
     whole, alone = blank(50, 40), blank(30, 20)
     for picture in (whole[10:30, 5:35], alone):

@@ -17,9 +17,9 @@ from mixseq.plots.raster import Picture, blank
 from mixseq.plots.video import FilmSettings, check_film, film, film_format
 from mixseq.plots.video.av1 import scene_lengths
 from mixseq.plots.video.backdrop import backdrop_of, panels_of
+from mixseq.plots.video.cameras import Aim, cameras_of, travel_path
 from mixseq.plots.video.encoding import encode_film
 from mixseq.plots.video.mp4 import read_track
-from mixseq.plots.video.panels import cameras_of
 from mixseq.scene import SceneItem
 from mixseq.scene.colouring import colouring_of
 from mixseq.scene.items import DecodedItem
@@ -102,8 +102,8 @@ def test_models_are_decoded_at_the_times_of_the_film(gem: MeshSequence) -> None:
 
 def test_the_camera_turns_and_holds_all(gem: MeshSequence) -> None:
     track = decoded(gem, np.zeros(8))
-    (camera,) = cameras_of([track], 8, 360)
-    assert camera.at(0.25).azimuth == camera.view.azimuth + 90
+    (camera,) = cameras_of([track], Aim(turn=360), 24)
+    assert camera.at(2).azimuth == camera.view.azimuth + 90
     left, right, *_ = camera.limits
     assert left < -2
     assert right > 2  # when it is seen from the side
@@ -116,16 +116,46 @@ def test_one_camera_for_equal_meshes_and_one_for_each_other(gem: MeshSequence) -
     larger = MeshSequence.from_arrays(3 * gem.points, gem.faces)
     other = MeshSequence.from_arrays(gem.points, gem.faces[:, ::-1])
     tracks = [decoded(each, gem.times) for each in (gem, larger, other)]
-    first, second, third = cameras_of(tracks, 9, 0)
+    first, second, third = cameras_of(tracks, Aim(), 24)
     assert first is second
     assert third.limits[1] < first.limits[1] / 2
 
 
 def test_cameras_are_in_the_middle_of_what_is_far_away(gem: MeshSequence) -> None:
     away = MeshSequence.from_arrays(gem.points + np.array([100, 5, -40]), gem.faces)
-    here, there = (cameras_of([decoded(each, gem.times)], 9, 90)[0] for each in (gem, away))
+    here, there = (cameras_of([decoded(each, gem.times)], Aim(turn=90), 24)[0] for each in (gem, away))
     assert np.allclose(here.limits, there.limits)
-    assert np.allclose(there.centre - here.centre, [100, 5, -40])
+    assert np.allclose(there.centres - here.centres, [100, 5, -40])
+
+
+def travelling(gem: MeshSequence, steps: Float) -> DecodedItem:
+    """A rigid body that goes along x, by ``steps`` ``(N,)`` diagonals of its own at each frame."""
+    times = np.arange(len(steps)) / 24
+    points = gem.points[:1] + np.multiply.outer(gem.diagonal * np.cumsum(steps), [[1.0, 0, 0]])
+    return decoded(MeshSequence.from_arrays(points, gem.faces, times=times), times)
+
+
+def test_a_camera_that_follows_sees_a_rigid_body_stand_still(gem: MeshSequence) -> None:
+    item = travelling(gem, np.full(30, 0.3))
+    (following,) = cameras_of([item], Aim(follow=True), 24)
+    seen = [item.pose(frame) - following.centres[frame] for frame in range(30)]
+    np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), atol=1e-12)
+    (waiting,) = cameras_of([item], Aim(), 24)
+    assert following.limits[1] - following.limits[0] < 0.3 * (waiting.limits[1] - waiting.limits[0])
+
+
+def test_a_camera_that_follows_does_not_follow_steps(gem: MeshSequence) -> None:
+    """The speed goes up and down with every step; the camera's does so a tenth as much."""
+    steps = 0.1 * (1 + np.cos(np.arange(97) * np.pi / 4))
+    item = travelling(gem, steps)
+    speed = np.diff(travel_path(item, 24)[20:77, 0]) / gem.diagonal
+    assert np.ptp(speed) < 0.1 * np.ptp(steps)
+    assert speed.mean() == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_camera_is_asked_for_from_the_front(gem: MeshSequence) -> None:
+    (camera,) = cameras_of([travelling(gem, np.full(3, 1.0))], Aim((-20.0, 5.0)), 24)
+    assert (camera.view.azimuth, camera.view.elevation) == (70, 5)
 
 
 @pytest.mark.parametrize(
@@ -331,6 +361,7 @@ def test_degenerate_meshes_are_survived(tmp_path: Path, colour: Any) -> None:
         ({"fps": 0}, "fps is 0; a positive number"),
         ({"seconds": float("inf")}, "the duration is inf"),
         ({"turn": float("nan")}, "the turn is nan"),
+        ({"camera": (0.0, float("inf"))}, r"the camera is at \(0.0, inf\); two numbers"),
         ({"scale": 1}, "the scale is for the colours error, strain and curvature"),
         ({"scale": -1, "colour": "strain"}, "the scale is -1"),
     ],

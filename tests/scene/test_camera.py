@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixseq.plots import View, broadside, shared_limits
+from mixseq.plots import View, shared_limits, three_quarter_view
+from mixseq.scene.camera import facing
 from mixseq.sequence import MeshSequence
 
 
@@ -23,14 +24,38 @@ def test_camera_of_zero_degrees_looks_along_minus_z() -> None:
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
 def test_broadside_sees_the_longer_side(gem: MeshSequence, order: list[int]) -> None:
     points = gem.points[0][:, order]
-    left, right, *_ = shared_limits(points, "Y", broadside(points))
+    left, right, *_ = shared_limits(points, "Y", three_quarter_view(points))
     assert right - left > 3
 
 
 @pytest.mark.parametrize(("up", "order"), [("X", [1, 2, 0]), ("Z", [2, 0, 1])])
 def test_up_axis_only_renames(up: str, order: list[int]) -> None:
     points = np.random.default_rng(1).normal(size=(20, 3)) * [3, 2, 1]
-    assert np.allclose(shared_limits(points, "Y"), shared_limits(points[:, order], up))
+    assert np.allclose(shared_limits(points, "Y", View()), shared_limits(points[:, order], up, View()))
+
+
+def test_who_stays_faces_as_formats_do() -> None:
+    """Towards +z with Y up, towards -y with Z up: the nose is nearer to the camera than the neck."""
+    neck, nose = np.zeros(3), {"Y": [0.0, 0, 1], "Z": [0.0, -1, 0]}
+    for up, tip in nose.items():
+        body = np.array([neck, tip, [0.4, 0, 0], [-0.4, 0, 0]])
+        near = (body[:, [0, 1, 2] if up == "Y" else [1, 2, 0]] @ View(facing(body[None], up), 0).rows.T)[:, 2]
+        assert near[1] - near[0] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("heading", [0, 35, 90, 180, -90, -145])
+def test_who_travels_is_seen_from_the_front_and_the_longer_side(heading: float) -> None:
+    a = np.radians(heading)
+    forwards = np.array([np.sin(a), 0, np.cos(a)])
+    body = np.multiply.outer([-1.0, 1.0], forwards)
+    view = three_quarter_view(np.stack([body, body + 3 * forwards]))
+    _, _, towards = view.rows @ forwards
+    assert 0.4 < towards < 0.5  # the cosine of 60 degrees, from a little above
+
+
+def test_a_step_is_no_travel() -> None:
+    body = np.array([[0.0, 0, 0], [0, 2, 0], [0, 0, 1]])
+    assert facing(np.stack([body, body + np.array([0.3, 0, 0])])) == 0
 
 
 def test_shared_limits_hold_every_pose(gem: MeshSequence) -> None:

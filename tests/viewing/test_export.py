@@ -26,7 +26,7 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.frame_store import FrameStore, frame_store
 from mixseq.mapping import Executor
 from mixseq.scene import SceneItem
-from mixseq.scene.camera import View, broadside, shared_limits, y_up
+from mixseq.scene.camera import View, shared_limits, three_quarter_view, y_up
 from mixseq.scene.colouring import Colouring, colourings_of
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
@@ -203,7 +203,7 @@ def test_the_up_axis_becomes_y(tmp_path: Path) -> None:
     export_page(tmp_path / "a.html", [exported(sequence)])
     item = Opened(tmp_path / "a.html").items[0]
     assert np.abs(item["points"][..., 1] - points[..., 2]).max() < 1e-3
-    assert item["azimuth"] == broadside(points[0], "Z").azimuth
+    assert item["azimuth"] == three_quarter_view(points, "Z").azimuth
 
 
 def test_models_are_decoded_at_any_rate(tmp_path: Path, bar_model: Model) -> None:

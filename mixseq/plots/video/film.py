@@ -17,8 +17,9 @@ from mixseq.mapping import Executor, on_threads
 from mixseq.plots.raster import Picture
 from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.video.backdrop import backdrop_of, panels_of
+from mixseq.plots.video.cameras import Aim, cameras_of
 from mixseq.plots.video.encoding import check_film, encode_film, film_format
-from mixseq.plots.video.panels import Layout, Panel, cameras_of, draw_moment, moments
+from mixseq.plots.video.panels import Layout, Panel, draw_moment, moments
 from mixseq.progress import Progress, silent
 from mixseq.scene.colouring import Colouring, colouring_of
 from mixseq.scene.items import DecodedItem, Scene, SceneItem, check_starts, same_mesh
@@ -47,6 +48,11 @@ class FilmSettings:
         Duration, by default that of the longest sequence; 4 s where nothing moves.
     turn : float
         Degrees by which the camera goes around the meshes in the film.
+    camera : (float, float), optional
+        From where it is seen: degrees from the front, to the body's left, and above the horizon; by default the front
+        and a side, see `three_quarter_view`.
+    follow : bool
+        Whether the camera goes with a body that travels.
     colour : {"clay", "parts", "error", "strain", "curvature"}
         What colours show.
     scale : float, optional
@@ -63,6 +69,8 @@ class FilmSettings:
     fps: float | None = None
     seconds: float | None = None
     turn: float = 0.0
+    camera: tuple[float, float] | None = None
+    follow: bool = False
     colour: Colour = "clay"
     scale: float | None = None
 
@@ -74,6 +82,8 @@ class FilmSettings:
                 raise SettingsError(f"{name} is {value}; a positive number is expected")
         if not np.isfinite(self.turn):
             raise SettingsError(f"the turn is {self.turn}; a number of degrees is expected")
+        if self.camera is not None and not np.all(np.isfinite(self.camera)):
+            raise SettingsError(f"the camera is at {self.camera}; two numbers of degrees are expected")
         if self.scale is not None and self.colour not in _MEANING:
             raise SettingsError(
                 "the scale is for the colours error, strain and curvature; leave it out, or choose one of them"
@@ -132,7 +142,7 @@ def film(
         times = original.elapsed[nearest_frames(original.header, times)]
     decoded = [item.decode(times, progress, work) for item in items]
     colourings = _scaled(_colourings(items, decoded, chosen.colour, original), decoded, times, chosen)
-    layout = _layout([item.name for item in items], decoded, colourings, chosen)
+    layout = _layout([item.name for item in items], decoded, colourings, chosen, fps)
 
     def draw(frames: Iterable[int]) -> Iterator[Picture]:
         shown_then = moments(decoded, colourings, times, frames)
@@ -224,12 +234,13 @@ def _layout(
     items: Sequence[DecodedItem],
     colourings: Sequence[Colouring],
     settings: FilmSettings,
+    fps: float,
 ) -> Layout:
     """Place panels and cameras, and draw what does not change."""
     width, height = settings.size
     meaning, part = _MEANING.get(settings.colour, ("", 1.0))
     frames = len(items[0].pose_of_frame)
-    cameras = cameras_of(items, frames, settings.turn)
+    cameras = cameras_of(items, Aim(settings.camera, settings.turn, settings.follow), fps)
     aspect = float(np.median([camera.aspect for camera in cameras]))
     places = panels_of(len(items), width, height, aspect, any(names), bool(meaning))
     panels = [

@@ -1,21 +1,19 @@
-"""The frames of a film: panels side by side, each with a mesh and its name, seen by cameras that may turn."""
+"""The frames of a film: panels side by side, each with a mesh and its name."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import Float
 from mixseq.plots.raster import Picture, render_mesh
 from mixseq.plots.video.backdrop import Rectangle
-from mixseq.scene.camera import Camera, broadside, shared_limits, y_up
+from mixseq.scene.camera import Camera, y_up
 from mixseq.scene.colouring import Bytes, Colouring
 from mixseq.scene.items import DecodedItem
 from mixseq.sequence import SequenceHeader
-from mixseq.threads import one_blas_thread
 
 HEAT_CONTRAST = 0.25
 """Strength of the shading under colours that mean numbers, as on paper."""
@@ -91,55 +89,9 @@ def draw_moment(layout: Layout, moment: Moment) -> Picture:
         colours, contrast = panel.colours, 1.0
         if entries is not None and layout.palette is not None:
             colours, contrast = layout.palette[entries[faces]], HEAT_CONTRAST
-        world = y_up(points, panel.header.up_axis) - camera.centre
-        view = camera.at(frame / layout.frames)
-        ground = float(camera.ground - camera.centre[1])
+        centre = camera.centres[frame]
+        world = y_up(points, panel.header.up_axis) - centre
+        view = camera.at(frame)
+        ground = float(camera.ground - centre[1])
         render_mesh(picture[panel.place], world, faces, view, camera.limits, colours, ground, contrast)
     return picture
-
-
-def cameras_of(items: Sequence[DecodedItem], frames: int, turn: float) -> list[Camera]:
-    """Place the cameras: the same for all that have the triangles of the first, one of its own for each of the others.
-
-    Parameters
-    ----------
-    items : sequence of DecodedItem
-        What is shown.
-    frames : int
-        Number of frames of the film.
-    turn : float
-        Degrees by which the cameras turn.
-    """
-    groups: dict[int, list[DecodedItem]] = {}
-    group_of = []
-    for number, item in enumerate(items):
-        same = number > 0 and np.array_equal(item.header.faces, items[0].header.faces)
-        group_of.append(0 if same else number)
-        groups.setdefault(group_of[-1], []).append(item)
-    with one_blas_thread():
-        placed = {number: _camera(group, frames, turn) for number, group in groups.items()}
-    return [placed[number] for number in group_of]
-
-
-def _camera(items: Sequence[DecodedItem], frames: int, turn: float) -> Camera:
-    """Place the camera of meshes that are seen alike."""
-    boxes = []
-    for item in items:
-        for frame in item.shown_first.tolist():
-            world = y_up(item.pose(frame), item.header.up_axis)
-            boxes.append((world.min(axis=0), world.max(axis=0)))
-    low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
-    centre, ground = (low + high) / 2, float(low[1])
-    first = items[0]
-    camera = Camera(
-        broadside(first.pose(0), first.header.up_axis), turn, centre, ground, (0.0, 1.0, 0.0, 1.0)
-    )
-    below = np.array([[0, ground - centre[1], 0]])
-    limits = []
-    for item in items:
-        # while the camera turns, every frame is another picture
-        for frame in range(frames) if turn else item.shown_first.tolist():
-            world = y_up(item.pose(frame), item.header.up_axis) - centre
-            limits.append(shared_limits(np.concatenate([world, below]), "Y", camera.at(frame / frames)))
-    left, right, bottom, top = zip(*limits, strict=True)
-    return Camera(camera.view, turn, centre, ground, (min(left), max(right), min(bottom), max(top)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.plots import CLAY, broadside, draw_mesh, segmentation_colours, shared_limits
+from mixseq.plots import CLAY, draw_mesh, segmentation_colours, shared_limits, three_quarter_view
 from mixseq.plots.charts import LINES, chart_style, new_page
 from mixseq.plots.sheet_layout import Sheet
 from mixseq.scene.camera import Limits, View, y_up
@@ -55,7 +55,7 @@ def gallery(
     """Draw rows of meshes with one camera, as a PNG."""
     up, faces = poses.sequence.up_axis, poses.sequence.faces
     everything = [panel for row in rows for panel in row]
-    view = broadside(poses.points[0], up, turn)
+    view = three_quarter_view(poses.points[0], up, turn)
     limits = [shared_limits(panel.points, up, view) for panel in everything]
     low, high = np.array(limits)[:, ::2], np.array(limits)[:, 1::2]
     size = (high - low).max(axis=0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.plots import broadside
+from mixseq.plots import three_quarter_view
 from mixseq.spaces.edge.edge_space import EdgeSettings
 from scripts.benchmarks.common.section import markdown_table
 from scripts.paper_study.common.damage import BEYOND, SIZE, Pushed, apart, noisy, pushed
@@ -81,7 +81,7 @@ def intersected(
         np.concatenate(decomposition.parts),
         np.concatenate([joint.vertices for joint in decomposition.joints]),
     )
-    damage: Pushed = pushed(poses, part_only, broadside(poses.points[0], poses.sequence.up_axis))
+    damage: Pushed = pushed(poses, part_only, three_quarter_view(poses.points[0], poses.sequence.up_axis))
     edge = float(poses.lengths.mean())
     outside = np.setdiff1d(np.arange(len(poses.points[0])), damage.vertices)
     found: Json = {}

@@ -11,7 +11,7 @@ import numpy as np
 import mixseq
 from mixseq.arrays import Float
 from mixseq.geometry.lengths_angles import edge_lengths
-from mixseq.plots import broadside, draw_embedding, draw_mesh, shared_limits
+from mixseq.plots import draw_embedding, draw_mesh, shared_limits, three_quarter_view
 from mixseq.plots.charts import chart_style, new_page
 from mixseq.scene.camera import y_up
 from mixseq.sequence import MeshSequence
@@ -110,7 +110,7 @@ def draw(
 ) -> None:
     """Draw a row for every space: the embedding, a close-up of it, the frame in between and a close-up of that."""
     sequence = poses.sequence
-    view = broadside(truth, sequence.up_axis)
+    view = three_quarter_view(truth, sequence.up_axis)
     whole = shared_limits(np.stack([truth, *shapes.values()]), sequence.up_axis, view)
     x, y = (y_up(truth[vertex], sequence.up_axis) @ view.rows.T)[:2]
     size = CLOSE * poses.diagonal / 2

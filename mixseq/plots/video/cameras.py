@@ -1,0 +1,103 @@
+"""Cameras of films: in front of a body, or at an angle that is asked for; they may turn, and go with a body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from mixseq.arrays import Float
+from mixseq.scene.camera import Camera, View, facing, shared_limits, three_quarter_view, y_up
+from mixseq.scene.items import DecodedItem
+from mixseq.threads import one_blas_thread
+
+SMOOTHED = 0.25
+"""Seconds over which the camera evens out the swing of a body that it follows."""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """From where a film is seen.
+
+    Attributes
+    ----------
+    camera : (float, float), optional
+        Degrees from the body's front, to its left, and above the horizon; by default its front and a side.
+    turn : float
+        Degrees by which the camera goes around during the film.
+    follow : bool
+        Whether it goes with the body.
+    """
+
+    camera: tuple[float, float] | None = None
+    turn: float = 0.0
+    follow: bool = False
+
+    def view(self, ends: Float, up_axis: str) -> View:
+        """Return the view of the first frame; `ends` ``(2, V, 3)`` are the first and the last pose."""
+        if self.camera is None:
+            return three_quarter_view(ends, up_axis)
+        return View(facing(ends, up_axis) + self.camera[0], self.camera[1])
+
+
+def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camera]:
+    """Place the cameras: the same for all that have the triangles of the first, one of its own for each of the others.
+
+    Parameters
+    ----------
+    items : sequence of DecodedItem
+        What is shown.
+    aim : Aim
+        From where.
+    fps : float
+        Frames per second of the film.
+    """
+    groups: dict[int, list[DecodedItem]] = {}
+    group_of = []
+    for number, item in enumerate(items):
+        same = number > 0 and np.array_equal(item.header.faces, items[0].header.faces)
+        group_of.append(0 if same else number)
+        groups.setdefault(group_of[-1], []).append(item)
+    with one_blas_thread():
+        placed = {number: _camera(group, aim, fps) for number, group in groups.items()}
+    return [placed[number] for number in group_of]
+
+
+def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
+    """Place the camera of meshes that are seen alike."""
+    first, frames = items[0], len(items[0].pose_of_frame)
+    path = travel_path(first, fps) if aim.follow else np.zeros((frames, 3))
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for item in items:
+        for frame in range(frames) if aim.follow else item.shown_first.tolist():
+            world = y_up(item.pose(frame), item.header.up_axis) - path[frame]
+            low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
+    ground = float(low[1])
+    ends = np.stack([first.pose(0), first.pose(frames - 1)])
+    view = aim.view(ends, first.header.up_axis)
+    camera = Camera(view, aim.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
+    limits = []
+    for item in items:
+        # while the camera turns or follows, every frame is another picture
+        for frame in range(frames) if aim.turn or aim.follow else item.shown_first.tolist():
+            centre = camera.centres[frame]
+            world = y_up(item.pose(frame), item.header.up_axis) - centre
+            below = np.array([[0, ground - centre[1], 0]])
+            limits.append(shared_limits(np.concatenate([world, below]), "Y", camera.at(frame)))
+    left, right, bottom, top = zip(*limits, strict=True)
+    return replace(camera, limits=(min(left), max(right), min(bottom), max(top)))
+
+
+def travel_path(item: DecodedItem, fps: float) -> Float:
+    """Return where a mesh goes ``(N, 3)`` over the ground during a film, Y up, from where it is at first.
+
+    It is the middle of its vertices without steps and swings, so that a camera that follows it moves evenly.
+    """
+    middles = np.stack(
+        [y_up(item.pose(frame), item.header.up_axis).mean(axis=0) for frame in range(len(item.pose_of_frame))]
+    )
+    middles = (middles - middles[0]) * [1, 0, 1]
+    straight = np.linspace(0, 1, len(middles))[:, None] * middles[-1]
+    return np.asarray(straight + gaussian_filter1d(middles - straight, SMOOTHED * fps, axis=0))
