@@ -17,7 +17,8 @@ import mixseq
 from mixseq.cli.limits import as_bytes
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues
-from mixseq_io.hdf5.compressed_reader import Stream, StreamIndex, read_compressed, read_index
+from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow

@@ -7,18 +7,7 @@
     /streams     (n,) uint8: an index, then all streams, one after the other
 
 HDF5 has little to say about this, on purpose: it takes more bytes for a second dataset than a checksum of every stream.
-The index says how long every stream is and what its CRC-32 is, so damage is known by stream. Even without HDF5 the
-index is found, by its first bytes:
-
-==========  =====================================================================================================
-bytes       meaning, all numbers little-endian
-==========  =====================================================================================================
-4           ``msq4``
-3 x 4       uint32: size of the lengths, size of the checksums, CRC-32 of both
-any         lengths, as numbers of 7 bits a byte (LEB128): number of groups of the basis, number of chunks, number of
-            frames of every chunk, length of every stream
-any         uint32 each: CRC-32 of the attribute ``coding``, and of every stream that is not empty
-==========  =====================================================================================================
+The index (`stream_index`) says how long every stream is and what its CRC-32 is, so damage is known by stream.
 
 Streams are in this order: connectivity, surface, times, texture coordinates if there are any; spatial basis, group by
 group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
@@ -29,91 +18,28 @@ Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from itertools import accumulate
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
 from mixseq.coding.bitstream.connectivity import decode_polygons
-from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.coding.bitstream.texture_coordinates import decode_uvs
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT, refuse_newer
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
+from mixseq_io.hdf5.stream_index import Container, Stream, StreamIndex, facts_of, read_index
 from mixseq_io.memory import check_memory
-
-COMPRESSED_VERSION = 4
-"""Version of model files that hold a compressed sequence. Frozen: breaks old files."""
-
-TEXTURED_VERSION = 7
-"""The same with texture coordinates in a stream of their own. Frozen: breaks old files."""
-
-MAGIC = b"msq4"
-"""What the index begins with. Frozen: breaks old files."""
-
-HEAD = struct.Struct("<4sIII")
-"""Magic, bytes of the lengths, bytes of the checksums, checksum of both. Frozen: breaks old files."""
 
 _OF_ELEMENT, _OF_CORNER = 64, 256
 """Bytes that decoding takes for each vertex, corner and frame, and more for each corner with texture coordinates."""
 
 _CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
-
-
-@dataclass(frozen=True)
-class Container:
-    """What is in a file: the attribute ``coding`` and the dataset ``streams``, as they are, and the version."""
-
-    text: bytes
-    streams: bytes
-    version: int = COMPRESSED_VERSION
-
-
-@dataclass(frozen=True)
-class Stream:
-    """Where a stream is among the bytes of the dataset, and its CRC-32."""
-
-    what: str
-    start: int
-    size: int
-    checksum: int
-
-    def read(self, streams: bytes) -> bytes | None:
-        """Return the stream's bytes, or None if they are damaged or not all there."""
-        data = streams[self.start : self.start + self.size]
-        return data if len(data) == self.size and crc32(data) == self.checksum else None
-
-
-@dataclass(frozen=True)
-class ChunkStreams:
-    """Streams of the frames `first` to ``first + count - 1``."""
-
-    first: int
-    count: int
-    coefficients: Stream
-    residuals: Stream
-
-
-@dataclass(frozen=True)
-class StreamIndex:
-    """All streams of a file; `ground` are connectivity, surface, times and, if there are any, uvs.
-
-    `size` is that of the index itself.
-    """
-
-    size: int
-    ground: Mapping[str, Stream]
-    basis: tuple[Stream, ...]
-    chunks: tuple[ChunkStreams, ...]
 
 
 def is_compressed(path: Path) -> bool:
@@ -183,65 +109,6 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
     return CompressedSequence(header, read_parameters(path, container), basis, chunks)
 
 
-def read_index(path: Path, container: Container) -> StreamIndex:
-    """Read where the streams are.
-
-    Raises
-    ------
-    FormatError
-        If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
-    """
-    refuse_newer(path, container.version, TEXTURED_VERSION)
-    damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
-    if len(container.streams) < HEAD.size:
-        raise damaged
-    magic, lengths_size, checksums_size, checksum = HEAD.unpack_from(container.streams)
-    size = HEAD.size + lengths_size + checksums_size
-    body = container.streams[HEAD.size : size]
-    if magic != MAGIC or crc32(body) != checksum or checksums_size % 4:
-        raise damaged
-    numbers = list(unpack_leb128(body[:lengths_size]))
-    checksums = np.frombuffer(body[lengths_size:], dtype="<u4").tolist()
-    if not checksums or crc32(container.text) != checksums[0]:
-        raise damaged
-    uvs = _facts(path, container)["coding"].get("uv_steps") is not None
-    try:
-        return _index(size, numbers, checksums[1:], uvs)
-    except (IndexError, ValueError, StopIteration) as error:  # not by chance: somebody made it so
-        raise damaged from error
-
-
-def _index(size: int, numbers: list[int], checksums: list[int], uvs: bool) -> StreamIndex:
-    groups, chunks, *rest = numbers
-    counts, lengths = rest[:chunks], rest[chunks:]
-    if len(lengths) != 3 + uvs + groups + 2 * chunks or 0 in counts or max(lengths) >= 1 << 63:
-        raise ValueError("there cannot be so many streams, or frames, or bytes")
-    firsts = [0, *accumulate(counts)]
-    names = ["the connectivity's bytes", "the surface's bytes", "the times", "the texture coordinates"]
-    names = names[: 3 + uvs]
-    names += [f"the basis vectors of group {group}" for group in range(groups)]
-    for first, count in zip(firsts, counts, strict=False):
-        frames = f"of frames {first} to {first + count - 1}"
-        names += [f"the coefficients {frames}", f"the residuals {frames}"]
-    starts = accumulate(lengths, initial=size)
-    left = iter(checksums)
-    streams = [
-        Stream(name, start, length, next(left) if length else 0)
-        for name, start, length in zip(names, starts, lengths, strict=False)
-    ]
-    if next(left, None) is not None:
-        raise ValueError("there are more checksums than streams")
-    of_chunks = zip(
-        firsts, counts, streams[3 + uvs + groups :: 2], streams[4 + uvs + groups :: 2], strict=False
-    )
-    return StreamIndex(
-        size=size,
-        ground=dict(zip(("connectivity", "surface", "times", "uvs"), streams[: 3 + uvs], strict=False)),
-        basis=tuple(streams[3 + uvs : 3 + uvs + groups]),
-        chunks=tuple(ChunkStreams(*each) for each in of_chunks),
-    )
-
-
 def read_parameters(path: Path, container: Container) -> CodingParameters:
     """Read how the streams are to be decoded.
 
@@ -250,7 +117,7 @@ def read_parameters(path: Path, container: Container) -> CodingParameters:
     FormatError
         If there is a parameter that this mixseq does not know, or one is missing or out of range.
     """
-    facts = _facts(path, container)
+    facts = facts_of(path, container)
     given: dict[str, Any] = facts["coding"]
     known = {field.name for field in fields(CodingParameters)}
     unknown = sorted(set(given) - known)
@@ -277,7 +144,7 @@ def read_header(
     FormatError
         If they contradict each other, or take too much memory.
     """
-    facts = _facts(path, container)
+    facts = facts_of(path, container)
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
     corner = _OF_CORNER * told[1] if "uvs" in ground and isinstance(told[1], int) else 0
@@ -308,13 +175,3 @@ def read_header(
         raise FormatError(f"{path}: {error}; it is damaged") from error
     except MemoryError as error:
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
-
-
-def _facts(path: Path, container: Container) -> dict[str, Any]:
-    try:
-        facts = json.loads(container.text)
-    except ValueError as error:
-        raise FormatError(f"{path}: the attribute coding is no JSON ({error}); it is damaged") from error
-    if not isinstance(facts, dict) or not isinstance(facts.get("coding"), dict):
-        raise FormatError(f"{path}: the attribute coding has no parameters; it is damaged")
-    return facts

@@ -23,17 +23,17 @@ from mixseq.coding.encoder.uv_regions import encode_uvs
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
-from mixseq_io.hdf5.compressed_reader import (
+from mixseq_io.hdf5.compressed_reader import read_container
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+from mixseq_io.hdf5.lossless import pack_surface, pack_times
+from mixseq_io.hdf5.stream_index import (
     COMPRESSED_VERSION,
     HEAD,
     MAGIC,
     TEXTURED_VERSION,
     Container,
-    read_container,
     read_index,
 )
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-from mixseq_io.hdf5.lossless import pack_surface, pack_times
 
 _CONTAINER, _INDEX = 1200, 64
 """Bytes that HDF5 and the attributes take at most, and the index for 64 frames."""

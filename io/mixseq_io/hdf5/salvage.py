@@ -30,19 +30,10 @@ import numpy as np
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.sequence_header import SequenceHeader
-from mixseq_io.hdf5.compressed_reader import (
-    MAGIC,
-    ChunkStreams,
-    Container,
-    StreamIndex,
-    container_of,
-    read_header,
-    read_index,
-    read_parameters,
-    sequence_of,
-)
+from mixseq_io.hdf5.compressed_reader import container_of, read_header, read_parameters, sequence_of
 from mixseq_io.hdf5.contents import read_contents
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+from mixseq_io.hdf5.stream_index import MAGIC, ChunkStreams, Container, StreamIndex, read_index
 
 _TEXT = b'{"coding":{'
 """What the attribute begins with."""

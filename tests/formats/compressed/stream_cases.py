@@ -8,12 +8,8 @@ import h5py
 import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence
-from mixseq_io.hdf5.compressed_reader import (
-    Stream,
-    StreamIndex,
-    read_container,
-    read_index,
-)
+from mixseq_io.hdf5.compressed_reader import read_container
+from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

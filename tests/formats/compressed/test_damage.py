@@ -15,14 +15,9 @@ import pytest
 import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
-from mixseq_io.hdf5.compressed_reader import (
-    TEXTURED_VERSION,
-    Stream,
-    StreamIndex,
-    is_compressed,
-    read_compressed,
-)
+from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.hdf5.stream_index import TEXTURED_VERSION, Stream, StreamIndex
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 pytestmark = pytest.mark.slow

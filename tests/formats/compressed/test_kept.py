@@ -16,12 +16,9 @@ from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequenc
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.sequence import MeshSequence
 from mixseq.spaces.basis import BasisSpace
-from mixseq_io.hdf5.compressed_reader import (
-    COMPRESSED_VERSION,
-    is_compressed,
-    read_compressed,
-)
+from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.hdf5.stream_index import COMPRESSED_VERSION
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
 from tests.meshes import bar
 

@@ -17,9 +17,7 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
-from mixseq_io.hdf5.compressed_reader import (
-    read_compressed,
-)
+from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
 from mixseq_io.hdf5.lossless import pack_surface, pack_times, unpack_surface, unpack_times
 from tests.formats.compressed.stream_cases import any_bytes

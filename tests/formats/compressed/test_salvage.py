@@ -15,11 +15,8 @@ import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.surface import Surface
-from mixseq_io.hdf5.compressed_reader import (
-    Stream,
-    StreamIndex,
-)
 from mixseq_io.hdf5.salvage import salvage_compressed
+from mixseq_io.hdf5.stream_index import Stream, StreamIndex
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 
