@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from mixseq.choices import COLOURS, Colour
+from mixseq.cli.camera import camera_option
 from mixseq.cli.console import announce, progress_bar
 from mixseq.cli.files import scene_items
 from mixseq.cli.options import FILE
@@ -59,18 +60,6 @@ def _as_size(context: click.Context, option: click.Parameter, value: str | None)
     return int(width), int(height)
 
 
-def _as_camera(
-    context: click.Context, option: click.Parameter, value: str | None
-) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    try:
-        angle, height = map(float, value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is no angle and height such as 30,15") from None
-    return angle, height
-
-
 def _as_names(context: click.Context, option: click.Parameter, value: str | None) -> tuple[str, ...] | None:
     return None if value is None else tuple(name.strip() for name in value.split(","))
 
@@ -99,12 +88,7 @@ def film_options(command: Command) -> Command:
         help="Duration of the film; what is shorter starts again.  [default: that of the longest file]",
     )
     @setting("--turn", type=float, metavar="DEGREES", help="Let the camera go around in the film.")
-    @setting(
-        "--camera",
-        callback=_as_camera,
-        metavar="ANGLE,HEIGHT",
-        help="Degrees from the body's front, to its left, and above the horizon.  [default: front and a side]",
-    )
+    @camera_option
     @setting("--follow", is_flag=True, default=None, help="Let the camera go with a body that travels.")
     @click.option(
         "--colour",

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
+from mixseq.cli.camera import camera_option
 from mixseq.cli.console import announce, needed, progress_bar, say
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
@@ -67,6 +68,8 @@ if TYPE_CHECKING:
 @setting(
     "--overlaid", is_flag=True, help="Meshes stand in one place at first, not side by side; on pages, too."
 )
+@camera_option
+@setting("--follow", is_flag=True, default=None, help="Bodies that travel stay in the middle at first.")
 @click.option("--read-only", is_flag=True, help="Nothing can be edited or saved in the browser.")
 @setting("--browser/--no-browser", default=None, help="Open a browser.  [default: where there is a screen]")
 @setting(
@@ -94,6 +97,8 @@ def command(
     host: str | None,
     port: int | None,
     overlaid: bool,
+    camera: tuple[float, float] | None,
+    follow: bool | None,
     read_only: bool,
     browser: bool | None,
     shading: str | None,
@@ -121,6 +126,7 @@ def command(
         "read-only": read_only or None,
         "browser": browser,
         "shading": shading,
+        "follow": follow,
     }
     only_page = {"every": every, "largest": largest}
     for name, value in (only_live if page else only_page | {"overwrite": claim.overwrite}).items():
@@ -143,9 +149,22 @@ def command(
         colours = _scene_colours(scene, original)
         if page is not None:
             given = {name: value for name, value in only_page.items() if value is not None}
-            _export(page, colours, {"fps": rate, "overlaid": overlaid, **given}, threads, progress)
+            _export(
+                page,
+                colours,
+                {"fps": rate, "overlaid": overlaid, "camera": camera, **given},
+                threads,
+                progress,
+            )
     if page is None:
-        how = {"host": host, "port": port, "overlaid": overlaid, "read_only": read_only}
+        how = {
+            "host": host,
+            "port": port,
+            "overlaid": overlaid,
+            "read_only": read_only,
+            "camera": camera,
+            "following": follow,
+        }
         _run(colours, files, how, browser, shading, threads)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.scene.camera import View, three_quarter_view, y_up
+from mixseq.scene.camera import View, seen_from, y_up
 from mixseq.scene.items import Scene
 
 SAMPLES = 8
@@ -45,8 +45,8 @@ class Arrangement:
         The box around everything.
     labels : (n, 3) float64
         Places above the meshes.
-    azimuth : float
-        Degrees around the up axis from which they are seen.
+    view : View
+        From where they are seen.
     """
 
     up_axes: tuple[str, ...]
@@ -55,7 +55,7 @@ class Arrangement:
     low: Float
     high: Float
     labels: Float
-    azimuth: float
+    view: View
 
     def placed(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the points ``(V, 3)`` of a mesh in the scene."""
@@ -65,7 +65,7 @@ class Arrangement:
     def camera(self, aspect: float) -> tuple[Float, Float]:
         """Return where the camera is and what it looks at, for a picture ``aspect`` times as wide as high."""
         centre = (self.low + self.high) / 2
-        rows = View(self.azimuth).rows
+        rows = self.view.rows
         corners = np.array(list(product(*np.stack([self.low, self.high], axis=1)))) - centre
         right, up, near = rows @ corners.T
         tangent = np.tan(np.radians(FIELD) / 2)
@@ -74,8 +74,11 @@ class Arrangement:
         return centre + distance * rows[2], centre
 
 
-def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
-    """Find places for meshes of a scene, such that they never meet if they stand side by side."""
+def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
+    """Find places for meshes of a scene, such that they never meet if they stand side by side.
+
+    They are seen from `camera`, see `mixseq.scene.camera.seen_from`.
+    """
     up_axes = tuple(item.header.up_axis for item in scene.items)
     boxes = []
     for item, up in zip(scene.items, up_axes, strict=True):
@@ -84,8 +87,8 @@ def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
             (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
         )
     first = scene.items[0]
-    azimuth = three_quarter_view(first.ends, up_axes[0]).azimuth
-    offsets = _row(boxes, azimuth) if side_by_side else _together(boxes)
+    view = seen_from(first.ends, up_axes[0], camera)
+    offsets = _row(boxes, view.azimuth) if side_by_side else _together(boxes)
     low = np.min([box[0] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)
     high = np.max([box[1] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)
     scale = HEIGHT / (float((high - low).max()) or 1.0)
@@ -102,7 +105,7 @@ def arranged(scene: Scene, side_by_side: bool) -> Arrangement:
         scale * (low - centre),
         scale * (high - centre),
         np.array(labels) + np.array([0, 0.04 * HEIGHT, 0]),
-        azimuth,
+        view,
     )
 
 

@@ -141,6 +141,23 @@ def three_quarter_view(
     return View(min(sides, key=lambda azimuth: abs((azimuth - 45 + 180) % 360 - 180)), elevation)
 
 
+def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
+    """Return the view that was asked for, or a `three_quarter_view`.
+
+    Parameters
+    ----------
+    ends : (2, V, 3) float
+        The first and the last pose.
+    up_axis : {"X", "Y", "Z"}
+        Axis that points up.
+    camera : (float, float), optional
+        Degrees from the body's front, to its left, and above the horizon.
+    """
+    if camera is None:
+        return three_quarter_view(ends, up_axis)
+    return View(facing(ends, up_axis) + camera[0], camera[1])
+
+
 def shared_limits(
     points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
 ) -> Limits:

@@ -54,6 +54,8 @@ class ExportSettings:
         Whether the meshes stand in one place at first, rather than side by side.
     title : str, optional
         Of the page, by default the names.
+    camera : (float, float), optional
+        From where meshes are seen at first, see `mixseq.scene.camera.seen_from`.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class ExportSettings:
     largest: float = 200.0
     overlaid: bool = False
     title: str | None = None
+    camera: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("fps", self.fps), ("the largest size", self.largest)):
@@ -149,7 +152,7 @@ def export_page(
     first: tuple[SequenceHeader, Gathered] | None = None
     parts = []
     for each, elapsed in zip(items, times, strict=True):
-        gathered = gather(each.mesh, elapsed, first, budget, workers)
+        gathered = gather(each.mesh, elapsed, first, budget, workers, chosen.camera)
         first = first or (each.mesh.header, gathered)
         parts.append(pack(each, elapsed, gathered, tops, budget))
     described = {**description, "items": [part.description for part in parts]}

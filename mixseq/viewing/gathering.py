@@ -13,7 +13,7 @@ from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import Executor
 from mixseq.scene import Colouring, SceneColours, SceneItem
-from mixseq.scene.camera import View, three_quarter_view, y_up
+from mixseq.scene.camera import View, seen_from, y_up
 from mixseq.sequence import SequenceHeader, check_block
 from mixseq.viewing.budget import Budget
 from mixseq.viewing.chart_data import signals_of
@@ -122,6 +122,7 @@ def gather(
     first: tuple[SequenceHeader, Gathered] | None,
     budget: Budget,
     workers: Executor | None = None,
+    camera: tuple[float, float] | None = None,
 ) -> Gathered:
     """Ask for the poses of a mesh once.
 
@@ -137,6 +138,8 @@ def gather(
         Told about all frames.
     workers : Executor, optional
         Who decodes.
+    camera : (float, float), optional
+        From where, see `mixseq.scene.camera.seen_from`.
 
     Raises
     ------
@@ -155,7 +158,7 @@ def gather(
             raise InvalidSequenceError(f"{item.name} has more poses than the {len(elapsed)} times asked for")
         if table is None or views is None:
             table = new_large_array((len(elapsed), header.vertex_count, 3), block.dtype)
-            own = first[1].views[0] if first and same else _view(item, block[0], elapsed)
+            own = first[1].views[0] if first and same else _view(item, block[0], elapsed, camera)
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
@@ -167,10 +170,10 @@ def gather(
     return Gathered(table, extent, views, like_first)
 
 
-def _view(item: SceneItem, start: FloatArray, elapsed: Float) -> View:
+def _view(item: SceneItem, start: FloatArray, elapsed: Float, camera: tuple[float, float] | None) -> View:
     """Return from where a mesh is seen that starts in a pose, and may travel until the last of the times."""
     end = next(item.poses(elapsed[-1:]))[-1]
-    return three_quarter_view(np.stack([start, end]), item.header.up_axis)
+    return seen_from(np.stack([start, end]), item.header.up_axis, camera)
 
 
 def extent_of(world: FloatArray, views: Sequence[View]) -> Extent:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mixseq.arrays import Float
 from mixseq.frame_store import frame_store
 from mixseq.scene.arrangement import FIELD, GAP, HEIGHT, MARGIN, Arrangement, arranged
+from mixseq.scene.camera import View
 from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
 from tests.meshes import bar, tetrahedron, tube
@@ -40,7 +41,7 @@ def placed(scene: Scene, found: Arrangement) -> list[Float]:
 
 def across(found: Arrangement) -> Float:
     """The direction that points right in the view."""
-    a = np.radians(found.azimuth)
+    a = np.radians(found.view.azimuth)
     return np.array([np.cos(a), 0, -np.sin(a)])
 
 
@@ -160,10 +161,17 @@ def test_the_camera_sees_any_box(
 ) -> None:
     low = np.array(at)
     nothing = np.zeros((1, 3))
-    found = Arrangement(("Y",), 1.0, nothing, low, low + size, nothing, azimuth)
+    found = Arrangement(("Y",), 1.0, nothing, low, low + size, nothing, View(azimuth))
     assert shares(found, aspect).max() == pytest.approx(1 / MARGIN)
     place, centre = found.camera(aspect)
     assert place[1] > centre[1]  # from above
     toward = place - centre
     turned = np.degrees(np.arctan2(toward[0], toward[2])) - azimuth
     assert (turned + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
+
+
+def test_the_camera_is_where_it_was_asked_for() -> None:
+    """What stays where it is has its front towards +z; 90 degrees to its left is +x."""
+    still = MeshSequence.from_arrays(bar().points[:1], bar().faces)
+    place, centre = arranged(Scene((SceneItem("bar", still),)), True, (90.0, 0.0)).camera(1.0)
+    np.testing.assert_allclose((place - centre) / np.linalg.norm(place - centre), [1, 0, 0], atol=1e-12)

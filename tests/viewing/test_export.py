@@ -206,6 +206,13 @@ def test_the_up_axis_becomes_y(tmp_path: Path) -> None:
     assert item["azimuth"] == three_quarter_view(points, "Z").azimuth
 
 
+def test_a_page_begins_where_the_camera_was_asked_for(tmp_path: Path) -> None:
+    still = MeshSequence.from_arrays(bar().points[:1], bar().faces)
+    export_page(tmp_path / "a.html", [exported(still)], ExportSettings(camera=(-15.0, 40.0)))
+    item = Opened(tmp_path / "a.html").items[0]
+    assert (item["azimuth"], item["elevation"]) == (-15, 40)
+
+
 def test_models_are_decoded_at_any_rate(tmp_path: Path, bar_model: Model) -> None:
     report = export_page(tmp_path / "a.html", [exported_model(bar_model)], ExportSettings(fps=30))
     item = Opened(tmp_path / "a.html").items[0]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mixseq.arrays import Float
-from mixseq.scene.camera import Camera, View, facing, shared_limits, three_quarter_view, y_up
+from mixseq.scene.camera import Camera, seen_from, shared_limits, y_up
 from mixseq.scene.items import DecodedItem
 from mixseq.threads import one_blas_thread
 
@@ -34,12 +34,6 @@ class Aim:
     camera: tuple[float, float] | None = None
     turn: float = 0.0
     follow: bool = False
-
-    def view(self, ends: Float, up_axis: str) -> View:
-        """Return the view of the first frame; `ends` ``(2, V, 3)`` are the first and the last pose."""
-        if self.camera is None:
-            return three_quarter_view(ends, up_axis)
-        return View(facing(ends, up_axis) + self.camera[0], self.camera[1])
 
 
 def cameras_of(items: Sequence[DecodedItem], aim: Aim, fps: float) -> list[Camera]:
@@ -76,7 +70,7 @@ def _camera(items: Sequence[DecodedItem], aim: Aim, fps: float) -> Camera:
             low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
     ground = float(low[1])
     ends = np.stack([first.pose(0), first.pose(frames - 1)])
-    view = aim.view(ends, first.header.up_axis)
+    view = seen_from(ends, first.header.up_axis, aim.camera)
     camera = Camera(view, aim.turn, path + (low + high) / 2, ground, (0.0, 1.0, 0.0, 1.0))
     limits = []
     for item in items:

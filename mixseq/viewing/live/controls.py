@@ -158,6 +158,9 @@ class ShowControls:
             self._colour = gui.add_dropdown("Colour", colours.names, initial_value="clay")
             self._legend = gui.add_html("")
             wire = gui.add_checkbox("Wireframe", False)
+            follow = gui.add_checkbox(
+                "Follow", stage.following, hint="Bodies that travel stay in the middle, and the ground moves"
+            )
             if len(names) > 1:
                 places = gui.add_dropdown(
                     "Meshes", (ROW, PLACE), initial_value=PLACE if stage.overlaid else ROW
@@ -168,6 +171,7 @@ class ShowControls:
             self._picked = gui.add_html(_line("Click a mesh for its vertex and part", "mixseq-picked"))
         self._colour.on_update(lambda event: self._paint(event, playback))
         wire.on_update(lambda _: stage.wire(wire.value))
+        follow.on_update(lambda _: self._follow(playback, follow.value))
 
     def picked(self, text: str) -> None:
         """Show what was clicked."""
@@ -176,6 +180,10 @@ class ShowControls:
     def _add_switch(self, gui: Any, index: int, name: str) -> None:
         switch = gui.add_checkbox(name, True)
         switch.on_update(lambda _: self._stage.hide(index, not switch.value))
+
+    def _follow(self, playback: Playback, on: bool) -> None:
+        self._stage.following = on
+        playback.refresh()
 
     def _arrange(self, playback: Playback, side_by_side: bool) -> None:
         self._stage.arrange(playback.scene, side_by_side)

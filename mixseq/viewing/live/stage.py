@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float
-from mixseq.scene.arrangement import FIELD, HEIGHT, arranged
+from mixseq.arrays import Float, Single
+from mixseq.scene.arrangement import FIELD, HEIGHT, Arrangement, arranged
 from mixseq.scene.colouring import Bytes, Colouring
 from mixseq.scene.colours import SceneColours
 from mixseq.scene.items import Scene
@@ -19,6 +19,9 @@ from mixseq.viewing.playback import Moment
 GROUND = (243, 243, 240)
 LINES = (222, 222, 218)
 MARK = (20, 20, 20)
+
+CELL = HEIGHT / 2
+"""Size of the squares on the ground."""
 
 WIDER = 0.02
 """Windows of pages that changed their shape by less need no other camera."""
@@ -39,6 +42,10 @@ class LiveStage:
         Whether meshes stand in one place at first, rather than side by side.
     report : callable
         Called with every moment that is shown, while it is.
+    camera : (float, float), optional
+        From where, see `mixseq.scene.camera.seen_from`.
+    following : bool
+        Whether bodies that travel stay where they are, and the ground moves, at first.
     """
 
     def __init__(
@@ -48,6 +55,8 @@ class LiveStage:
         material: str,
         overlaid: bool,
         report: Callable[[Moment], None],
+        camera: tuple[float, float] | None = None,
+        following: bool = False,
     ) -> None:
         self._server = server
         self._scene_colours = colours
@@ -59,7 +68,9 @@ class LiveStage:
         self._placed: dict[int, tuple[Float, float]] = {}
         self._colour = "clay"
         self._painted: list[Colouring | None] = [None] * len(colours.scene.items)
-        self._arrangement = arranged(colours.scene, side_by_side=not overlaid)
+        self._camera = camera
+        self.following = following
+        self._arrangement = arranged(colours.scene, not overlaid, camera)
         self._furnish()
         self._meshes, self._clouds, self._labels = [], [], []
         self._marked: tuple[int, int] | None = None  # a mesh and its vertex
@@ -118,7 +129,9 @@ class LiveStage:
             self._moment = moment
             elapsed = moment.scene.elapsed(moment.frame)
             for index, (points, colours) in enumerate(zip(moment.poses, self.colours, strict=True)):
-                placed = self._arrangement.placed(index, points)
+                placed, shift = self._standing(self._arrangement, index, points)
+                if index == 0:
+                    self._ground.position = (-shift[0] % CELL, -1e-3 * HEIGHT, -shift[2] % CELL)
                 self._meshes[index].vertices = placed
                 if self._marked is not None and self._marked[0] == index:
                     self._mark.position = placed[self._marked[1]]
@@ -127,13 +140,21 @@ class LiveStage:
                     self._painted[index] = colours
             self._report(moment)
 
+    def _standing(self, arrangement: Arrangement, index: int, points: Single) -> tuple[Single, Float]:
+        """Return where a mesh stands ``(V, 3)``, and how far ``(3,)`` it would have travelled if it is followed."""
+        placed = arrangement.placed(index, points)
+        if not self.following:
+            return placed, np.zeros(3)
+        shift = (placed.mean(axis=0, dtype=np.float64) - arrangement.labels[index]) * [1, 0, 1]
+        return np.asarray(placed - shift, dtype=np.float32), shift
+
     def colour(self, name: str) -> None:
         """Choose what colours show; the next moment does."""
         self._colour = name
 
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Put meshes side by side or into one place; the next moment does."""
-        arrangement = arranged(scene, side_by_side)
+        arrangement = arranged(scene, side_by_side, self._camera)
         with self._lock:
             self._arrangement = arrangement
             for label, place in zip(self._labels, arrangement.labels, strict=True):
@@ -161,7 +182,7 @@ class LiveStage:
                     moment, arrangement = self._moment, self._arrangement
                 if moment is None:
                     return
-                points = arrangement.placed(index, moment.poses[index])
+                points, _ = self._standing(arrangement, index, moment.poses[index])
                 found = pick(
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
@@ -178,13 +199,13 @@ class LiveStage:
         scene.set_up_direction("+y")
         scene.configure_default_lights(cast_shadow=False)
         extent = float(np.abs([self._arrangement.low, self._arrangement.high]).max()) * 6
-        scene.add_grid(
+        self._ground = scene.add_grid(
             "/ground",
             extent,
             extent,
             plane="xz",
             cell_size=HEIGHT / 10,
-            section_size=HEIGHT / 2,
+            section_size=CELL,
             cell_color=LINES,
             section_color=LINES,
             plane_color=GROUND,

@@ -44,6 +44,10 @@ class ViewSettings:
         Whether meshes stand in one place at first, rather than side by side.
     read_only : bool
         Whether nothing can be edited or saved: there are no controls for that.
+    camera : (float, float), optional
+        From where meshes are seen at first: degrees from the front of the first, to its left, and above the horizon.
+    following : bool
+        Whether bodies that travel stay in the middle at first, and the ground moves.
     """
 
     host: str = "127.0.0.1"
@@ -53,6 +57,8 @@ class ViewSettings:
     material: str = "standard"
     overlaid: bool = False
     read_only: bool = False
+    camera: tuple[float, float] | None = None
+    following: bool = False
 
 
 class Viewer:
@@ -83,7 +89,15 @@ class Viewer:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         gui.set_panel_label("mixseq")
-        self._stage = LiveStage(server, colours, settings.material, settings.overlaid, self._show)
+        self._stage = LiveStage(
+            server,
+            colours,
+            settings.material,
+            settings.overlaid,
+            self._show,
+            settings.camera,
+            settings.following,
+        )
         self.playback = stack.enter_context(
             Playback(colours.scene, self._stage, self._failed, threads=settings.threads)
         )
