@@ -15,11 +15,16 @@ def _leave(number: int, frame: FrameType | None) -> NoReturn:
     os._exit(128 + number)
 
 
-def main() -> None:
-    """Run the command line."""
+def listen() -> None:
+    """Let Ctrl-C end the program at once, until it has begun to work."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
             signal.signal(number, _leave)
+
+
+def main() -> None:
+    """Run the command line."""
+    listen()
     from mixseq.cli import main as run
 
     run()

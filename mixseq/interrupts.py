@@ -2,9 +2,10 @@
 
 What a handler raises is raised wherever Python happens to be. If that is inside a library in C that called Python, a
 module that is being imported or a callback, the library may print or drop it, and the work goes on: USD does so with
-an interrupt that falls into ``import pxr``. So signals wait until imports are done, come again when they were seen to
-be swallowed, and are looked for once more before a file gets its name. All this is for programs, as the command line:
-whoever uses the library decides what a signal does.
+an interrupt that falls into ``import pxr``; HDF5 dies of one that falls into its file. So signals wait until imports
+are done, and functions that are `unbroken`, come again when they were seen to be swallowed, and are looked for once
+more before a file gets its name. All this is for programs, as the command line: whoever uses the library decides what
+a signal does.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
-from typing import Any, NoReturn
+from types import CodeType, FrameType, FunctionType
+from typing import Any, NoReturn, TypeVar, cast
 
 ENDING = [
     signal.SIGINT,
@@ -24,7 +25,10 @@ ENDING = [
     *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []),
 ]  # Windows: not
 _LATER = 0.1  # seconds
-_PATIENCE = 50  # times that an import is waited for
+_PATIENCE = 50  # times that an import, or an unbroken function, is waited for
+
+_unbroken: set[CodeType] = set()
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _arrived: int | None = None
 """The signal that is to end the work, from when it came until the work has ended."""
@@ -47,7 +51,7 @@ def unwinding() -> Iterator[None]:
     def leave(number: int, frame: FrameType | None) -> None:
         global _arrived
         _arrived = number
-        if _importing(frame) and len(again) < _PATIENCE:
+        if _must_wait(frame) and len(again) < _PATIENCE:
             come_again(number)
         else:
             _end(number)
@@ -76,6 +80,12 @@ def unwinding() -> Iterator[None]:
         for number in handled:
             signal.signal(number, before[number])
         _arrived = None
+
+
+def unbroken(function: _Function) -> _Function:
+    """Let signals wait for the end of a function, which a library in C calls that no exception may pass through."""
+    _unbroken.add(cast("FunctionType", function).__code__)
+    return function
 
 
 @contextmanager
@@ -116,9 +126,9 @@ def _end(number: int) -> NoReturn:
     raise SystemExit(128 + number)
 
 
-def _importing(frame: FrameType | None) -> bool:
+def _must_wait(frame: FrameType | None) -> bool:
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        if frame.f_code in _unbroken or frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
         frame = frame.f_back
     return False

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from mixseq import interrupts
-from mixseq.interrupts import answered, held, unwinding
+from mixseq.interrupts import answered, held, unbroken, unwinding
 from mixseq_io import temporary
 from mixseq_io.atomic import replacing, replacing_many
 
@@ -59,6 +59,27 @@ def test_an_import_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(KeyboardInterrupt), unwinding():
         work()
     assert done == [True]
+
+
+def test_what_is_unbroken_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As are the functions that HDF5 calls to write, wherever in them, or below, the signal is heard."""
+    monkeypatch.setattr(interrupts, "_LATER", 0.001)
+    done: list[str] = []
+
+    @unbroken
+    def called_by_a_library() -> None:
+        send()
+        time.sleep(0.05)  # the signal comes again, and again
+        done.append("called")
+
+    def work() -> None:
+        called_by_a_library()
+        wait()
+        done.append("worked")
+
+    with pytest.raises(KeyboardInterrupt), unwinding():
+        work()
+    assert done == ["called"]
 
 
 def test_an_import_without_end_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,7 @@ class FilmOptions:
     names: tuple[str, ...] | None
 
     def refuse(self) -> None:
-        """Refuse all of them where no film is made.
+        """Refuse all of them but the camera where no film is made.
 
         Raises
         ------
@@ -47,7 +47,7 @@ class FilmOptions:
             If there is one.
         """
         for name, value in vars(self).items():
-            if value is not None:
+            if value is not None and name != "camera":
                 raise SettingsError(f"--{name} is about films; give --video as well, or leave it out")
 
 

@@ -91,7 +91,9 @@ def command(
     from mixseq_io.atomic import replacing
 
     picture_format(target)
-    check_settings(kind, against is not None, None if frames is None else frames.ranges, tolerance)
+    check_settings(
+        kind, against is not None, None if frames is None else frames.ranges, tolerance, filming.camera
+    )
     if against is None and reading:
         raise SettingsError(
             "--prim, --animation, --input-fps, --mesh and --allow-gaps tell how to read a sequence; give --against"
@@ -110,6 +112,7 @@ def command(
                 against=original,
                 frames=None if frames is None else frames.indices(model.header),
                 tolerance=tolerance,
+                camera=filming.camera,
                 progress=progress,
             )
     announce(target)

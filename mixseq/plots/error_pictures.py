@@ -30,7 +30,7 @@ from mixseq.arrays import IntArray
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
-from mixseq.scene.camera import y_up
+from mixseq.scene.camera import View, y_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -163,6 +163,7 @@ def draw_vertex_errors(
     errors: VertexErrors,
     original: MeshSequence,
     frames: Sequence[int] | None = None,
+    near: View | None = None,
 ) -> Any:
     """Draw errors as colours of the mesh from two opposite sides: the largest of all frames, and of single ones.
 
@@ -178,6 +179,8 @@ def draw_vertex_errors(
         The sequence it was measured against.
     frames : sequence of int, optional
         Frames with a row, by default the worst one.
+    near : View, optional
+        The first side, see `two_sides`.
 
     Returns
     -------
@@ -189,7 +192,7 @@ def draw_vertex_errors(
     _, *single = rows = drawn_frames(errors, frames)
     values = [errors.by_vertex, *(errors.by_frame[frame] for frame in single)]
     titles = ["largest of all frames", *(_title(errors, original, frame) for frame in single)]
-    sides = two_sides(original.points[rows], original.up_axis)
+    sides = two_sides(original.points[rows], original.up_axis, near)
     for axes, frame, error, title, pair in zip(panels, rows, values, titles, sides, strict=True):
         points, most = original.points[frame], int(error.argmax())
         colours = heat.to_rgba(error[original.faces].max(axis=1))[:, :3]

@@ -13,7 +13,7 @@ from mixseq.arrays import Float, FloatArray, IntArray
 from mixseq.plots.drawing import draw_mesh
 from mixseq.plots.sheet_layout import matplotlib_module
 from mixseq.plots.two_sides import two_sides
-from mixseq.scene.camera import Limits, y_up
+from mixseq.scene.camera import Limits, View, y_up
 from mixseq.scene.palettes import JOINT_RED, part_colours, segmentation_colours
 from mixseq.segmentation.joints import Decomposition
 from mixseq.signals import Model
@@ -31,7 +31,7 @@ _ROOM = 4.0
 """Pixels that a number needs around its middle."""
 
 
-def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray) -> None:
+def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray, near: View | None = None) -> None:
     """Draw a pose from two opposite sides, coloured by part, joints in red, with the parts' numbers.
 
     Parameters
@@ -42,6 +42,8 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray) -> None
         The model, in a space that has parts.
     points : (V, 3) float
         The pose.
+    near : View, optional
+        The first side, see `two_sides`.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def draw_parts(panels: Sequence[Axes], model: Model, points: FloatArray) -> None
     path_effects = matplotlib_module("patheffects")
     halo = [path_effects.withStroke(linewidth=2, foreground="white")]
     numbered = np.where(parts.joint_of_face >= 0, -1, parts.part_of_face)
-    for ax, (view, limits) in zip(panels, two_sides(points[None], header.up_axis)[0], strict=True):
+    for ax, (view, limits) in zip(panels, two_sides(points[None], header.up_axis, near)[0], strict=True):
         draw_mesh(ax, points, header.faces, colours, header.up_axis, view, limits)
         ax.set_rasterization_zorder(3)  # in SVG too: thousands of triangles are better pixels
         screen = y_up(points, header.up_axis) @ view.rows.T

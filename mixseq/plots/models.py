@@ -32,6 +32,7 @@ from mixseq.plots.model_parts import draw_parts, draw_parts_legend, legend_rows
 from mixseq.plots.sheet_layout import Target
 from mixseq.plots.two_sides import height_per_width, two_sides
 from mixseq.progress import Progress, silent
+from mixseq.scene.camera import View, seen_from
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 
@@ -53,6 +54,7 @@ def plot_model(
     against: MeshSequence | None = None,
     frames: Sequence[int] | None = None,
     tolerance: float | None = None,
+    camera: tuple[float, float] | None = None,
     file_format: Format | None = None,
     progress: Progress = silent,
 ) -> None:
@@ -73,6 +75,9 @@ def plot_model(
         the worst one).
     tolerance : float, optional
         Where to draw a line among the errors of the frames, in diagonals.
+    camera : (float, float), optional
+        From where meshes are seen, and from the other side: degrees from the front, to the body's left, and above the
+        horizon; by default the front and a side.
     file_format : {"png", "svg"}, optional
         By default that of the extension of the target; PNG for files without a name.
     progress : callable, optional
@@ -90,9 +95,9 @@ def plot_model(
     """
     chosen = picture_format(target, file_format)
     kind = known_picture(kind)
-    check_settings(kind, against is not None, frames, tolerance)
+    check_settings(kind, against is not None, frames, tolerance, camera)
     with chart_style():
-        content = _content(model, kind, against, frames, tolerance, progress)
+        content = _content(model, kind, against, frames, tolerance, camera, progress)
         title = model.header.name if kind else summary(model)
         page = new_page(content.width, content.height + _HEADING, title)
         content.draw(page)
@@ -123,7 +128,11 @@ def _count(number: int, one: str, many: str = "") -> str:
 
 
 def check_settings(
-    kind: PictureKind | None, against: bool, frames: Sequence[object] | None, tolerance: float | None
+    kind: PictureKind | None,
+    against: bool,
+    frames: Sequence[object] | None,
+    tolerance: float | None,
+    camera: tuple[float, float] | None = None,
 ) -> None:
     """Refuse settings of `plot_model` that contradict each other, before the work.
 
@@ -142,12 +151,15 @@ def check_settings(
         ("against", against, ("error-frames", "error-vertices")),
         ("frames", frames is not None, ("embedding", "error-vertices")),
         ("tolerance", tolerance is not None, ("error-frames",)),
+        ("camera", camera is not None, ("parts", "error-vertices")),
     ]
     for name, given, kinds in uses:
         if given and kind is not None and kind not in kinds:
             raise SettingsError(f"{name} is for {' and '.join(kinds)}, not for {kind}; leave it out")
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise SettingsError(f"tolerance is {tolerance}; a positive number of diagonals is expected")
+    if camera is not None and not np.all(np.isfinite(camera)):
+        raise SettingsError(f"the camera is at {camera}; two numbers of degrees are expected")
     if kind == "error-vertices" and frames is not None and not 0 < len(set(frames)) <= MOST_ROWS:
         raise SettingsError(f"frames are {len(set(frames))}; errors of 1 to {MOST_ROWS} frames fit on a page")
 
@@ -158,6 +170,7 @@ def _content(
     against: MeshSequence | None,
     frames: Sequence[int] | None,
     tolerance: float | None,
+    camera: tuple[float, float] | None,
     progress: Progress,
 ) -> Section:
     """Choose what is on the page, and find what it needs."""
@@ -168,23 +181,26 @@ def _content(
             return _coefficients(model)
         case "singular-values":
             return _singular_values(model)
-        case "parts":
-            return _parts(model)
+    near = seen_from(np.stack([model(model.start), model(model.end)]), model.header.up_axis, camera)
+    if kind == "parts":
+        return _parts(model, near)
     rows = []
     if kind is None:
         charts = stacked(_coefficients(model, 2.7), _singular_values(model, 2.7))
         rows.append(beside(_embedding(model, frames), charts))
         if model.space.decomposed:
-            rows.append(_parts(model, 5.0))
+            rows.append(_parts(model, near, 5.0))
     if against is not None:
         own = kind == "error-vertices" and frames is not None
         single = existing_frames(frames or (), against.frame_count) if own else None
         errors = vertex_errors(model, against, single or (), progress)
         by_frame = _frame_errors(errors, against, tolerance)
         if kind is None:
-            rows.append(beside(by_frame, _vertex_errors(errors, against, None, 3.0)))
+            rows.append(beside(by_frame, _vertex_errors(errors, against, None, near, 3.0)))
         else:
-            rows.append(by_frame if kind == "error-frames" else _vertex_errors(errors, against, single, 4.5))
+            rows.append(
+                by_frame if kind == "error-frames" else _vertex_errors(errors, against, single, near, 4.5)
+            )
     return stacked(*rows)
 
 
@@ -202,15 +218,15 @@ def _singular_values(model: Model, height: float = 4.0) -> Section:
     return Section(7.5, height, lambda page: draw_singular_values(page.subplots(), model))
 
 
-def _parts(model: Model, width: float = 4.5) -> Section:
+def _parts(model: Model, near: View, width: float = 4.5) -> Section:
     parts, pose = model.decomposition, model(model.start)
     columns = int(2 * width / _LEGEND)
-    picture = _picture_height(pose[None], model.header.up_axis, width)
+    picture = _picture_height(pose[None], model.header.up_axis, near, width)
     legend = 0.2 * legend_rows(parts, columns)
 
     def draw(page: FigureBase) -> None:
         panels = page.subplot_mosaic([["near", "far"], ["legend", "legend"]], height_ratios=[picture, legend])
-        draw_parts([panels["near"], panels["far"]], model, pose)
+        draw_parts([panels["near"], panels["far"]], model, pose, near)
         draw_parts_legend(panels["legend"], parts, columns)
 
     return Section(2 * width, picture + legend + 0.5, draw)
@@ -224,21 +240,21 @@ def _frame_errors(errors: VertexErrors, against: MeshSequence, tolerance: float 
 
 
 def _vertex_errors(
-    errors: VertexErrors, against: MeshSequence, frames: Sequence[int] | None, width: float
+    errors: VertexErrors, against: MeshSequence, frames: Sequence[int] | None, near: View, width: float
 ) -> Section:
     def draw(page: FigureBase) -> None:
         panels = page.subplots(len(shown), 2, squeeze=False)
-        heat = draw_vertex_errors(panels.tolist(), errors, against, frames)
+        heat = draw_vertex_errors(panels.tolist(), errors, against, frames, near)
         add_error_bar(page, panels.ravel().tolist(), heat)
 
     shown = against.points[drawn_frames(errors, frames)]
-    height = _picture_height(shown, against.up_axis, width)
+    height = _picture_height(shown, against.up_axis, near, width)
     return Section(2 * width + 1.0, len(shown) * (height + 0.4), draw)
 
 
-def _picture_height(poses: FloatArray, up_axis: str, width: float) -> float:
+def _picture_height(poses: FloatArray, up_axis: str, near: View, width: float) -> float:
     """Height of a picture of a mesh that is so wide; a tall one is drawn smaller."""
-    return width * float(np.clip(height_per_width(two_sides(poses, up_axis)), 0.3, 0.9))
+    return width * float(np.clip(height_per_width(two_sides(poses, up_axis, near)), 0.3, 0.9))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,9 @@ def draw_segmentation(
     sheet.save(target)
 
 
-def two_sides(poses: FloatArray, up_axis: str = "Y") -> list[list[tuple[View, Limits]]]:
+def two_sides(
+    poses: FloatArray, up_axis: str = "Y", near: View | None = None
+) -> list[list[tuple[View, Limits]]]:
     """Find cameras and screen rectangles to see poses from two opposite sides.
 
     Parameters
@@ -54,13 +56,15 @@ def two_sides(poses: FloatArray, up_axis: str = "Y") -> list[list[tuple[View, Li
         The poses.
     up_axis : {"X", "Y", "Z"}
         Axis that points up.
+    near : View, optional
+        The first side, by default that of `three_quarter_view`.
 
     Returns
     -------
     list of n lists of two pairs
         The same two cameras for every pose; all rectangles have one size, each about the middle of what it shows.
     """
-    near = three_quarter_view(poses[0], up_axis)
+    near = near or three_quarter_view(poses[0], up_axis)
     views = near, View(near.azimuth + 180, near.elevation)
     boxes = [[shared_limits(pose, up_axis, view) for view in views] for pose in poses]
     corners = np.array(boxes).reshape(len(poses), 2, 2, 2)

@@ -10,17 +10,25 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from mixseq.cli import main
-from mixseq.viewing import live
-
-_usual = live.viewer
+from mixseq.__main__ import listen
 
 
-@contextmanager
-def _saving(*settings: Any) -> Iterator[Any]:
-    with _usual(*settings) as running:
-        Thread(target=_save, args=(running.session,), daemon=True).start()
-        yield running
+def run() -> None:
+    """Run the viewer, which heeds Ctrl-C from the start, as the command does."""
+    listen()
+    from mixseq.cli import main
+    from mixseq.viewing import live
+
+    usual = live.viewer
+
+    @contextmanager
+    def saving(*settings: Any) -> Iterator[Any]:
+        with usual(*settings) as running:
+            Thread(target=_save, args=(running.session,), daemon=True).start()
+            yield running
+
+    live.viewer = saving  # type: ignore[assignment]
+    main(["view", sys.argv[1], "--no-browser"], prog_name="mixseq")
 
 
 def _save(session: Any) -> None:
@@ -29,5 +37,4 @@ def _save(session: Any) -> None:
         time.sleep(0.2)
 
 
-live.viewer = _saving  # type: ignore[assignment]
-main(["view", sys.argv[1], "--no-browser"], prog_name="mixseq")
+run()

@@ -79,6 +79,8 @@ def test_reader_options_are_for_the_original(run: Run) -> None:
         ("plot model.h5", "Missing argument 'TARGET'"),
         ("plot model.h5 bar.npz new.png", "new.png is one file too many"),
         ("plot model.h5 new.png --turn 90", "--turn is about films; give --video"),
+        ("plot model.h5 new.png --kind embedding --camera 0,0", "camera is for parts and error-vertices"),
+        ("plot model.h5 new.png --camera 0,nan", "the camera is at"),
         ("plot model.h5 new.png --follow", "--follow is about films; give --video"),
         ("plot --video new.gif bar.npz --camera 30", "--camera.*'30' is no angle and height such as 30,15"),
         ("plot model.h5 new.png --fps 30", "--fps is about films; give --video"),

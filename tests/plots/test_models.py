@@ -16,6 +16,7 @@ from mixseq.plots import check_settings, plot_model
 from mixseq.plots.charts import Format
 from mixseq.plots.models import MOST_ROWS, _content, _embedding, _parts, summary
 from mixseq.progress import silent
+from mixseq.scene.camera import three_quarter_view
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from tests.plots.test_sheets import png_size
@@ -57,11 +58,13 @@ def test_overview_has_a_row_for_what_there_is(
     bar_model: Model, vertex_model: Model, bent_bar: MeshSequence
 ) -> None:
     def height(model: Model, against: MeshSequence | None = None) -> float:
-        return _content(model, None, against, None, None, silent).height
+        return _content(model, None, against, None, None, None, silent).height
 
     signals = [max(_embedding(model, None).height, 5.4) for model in (vertex_model, bar_model)]
+    ends = np.stack([bar_model(bar_model.start), bar_model(bar_model.end)])
+    near = three_quarter_view(ends, bar_model.header.up_axis)
     assert height(vertex_model) == pytest.approx(signals[0])
-    assert height(bar_model) == pytest.approx(signals[1] + _parts(bar_model, 5.0).height)
+    assert height(bar_model) == pytest.approx(signals[1] + _parts(bar_model, near, 5.0).height)
     for model in (vertex_model, bar_model):
         assert height(model, bent_bar) > height(model) + 3
 
@@ -129,6 +132,12 @@ def test_settings_that_contradict(
 ) -> None:
     with pytest.raises(SettingsError, match=message):
         check_settings(kind, against, frames, tolerance)
+
+
+def test_meshes_are_seen_from_the_camera_and_its_other_side(bar_model: Model) -> None:
+    front = picture(bar_model, "parts", camera=(0.0, 0.0))
+    assert front == picture(bar_model, "parts", camera=(360.0, 0.0))
+    assert front != picture(bar_model, "parts", camera=(90.0, 0.0))
 
 
 def test_parts_need_a_space_with_parts(vertex_model: Model) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
+from mixseq.interrupts import unbroken
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.hdf5.contents import Contents
@@ -114,8 +115,8 @@ class Store:
     """A file that takes what HDF5 gives it even if the disk does not, and tells afterwards.
 
     HDF5 cannot close a file that it cannot write: it keeps it half open, and the process dies of a
-    segmentation fault later. Nor can it pass on what is raised while it calls Python, be it Ctrl-C. So the first
-    failure is kept for `check`, and nothing is written from there on.
+    segmentation fault later. Nor can it pass on what is raised while it calls Python. So the first failure is kept for
+    `check`, nothing is written from there on, and signals wait.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -127,6 +128,7 @@ class Store:
         if self._failure is not None:
             raise self._failure
 
+    @unbroken
     def write(self, data: memoryview) -> int:
         """Write all of the data."""
         try:
@@ -137,6 +139,7 @@ class Store:
             self._failure = error
         return len(data)
 
+    @unbroken
     def truncate(self, size: int) -> int:
         """Set the file's size."""
         try:
@@ -146,17 +149,21 @@ class Store:
             self._failure = error
         return size
 
+    @unbroken
     def seek(self, offset: int, whence: int = 0) -> int:
         """Go to a byte."""
         return self._file.seek(offset, whence)
 
+    @unbroken
     def tell(self) -> int:
         """Return the current byte."""
         return self._file.tell()
 
+    @unbroken
     def read(self, size: int = -1) -> bytes:
         """Read bytes."""
         return self._file.read(size)
 
+    @unbroken
     def flush(self) -> None:
         """Do nothing: the file has no buffer, and is flushed to the disk before it gets its name."""
