@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixseq.errors import OutputError, SettingsError
+from mixseq.errors import OutputError
 from mixseq.public import public
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     OutputError
         If the name does not end in .glb or .gltf, the file cannot be written or would be too large, or a skin has
         more than 65535 bones.
-    SettingsError
+    TypeError
         If `rig` is something else.
     InvalidSequenceError
         If points or times do not fit into float32.
@@ -48,18 +48,13 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     """
     file = Path(path)
     check_rig_target(file)
-    from mixseq.rigging.rigs import Morph, Skin
+    from mixseq.rigging.rigs import Skin
     from mixseq_io.atomic import replacing
     from mixseq_io.gltf.buffers import writing_buffer
     from mixseq_io.gltf.morph_rig import morphed_scene
     from mixseq_io.gltf.skin_rig import skinned_scene
     from mixseq_io.gltf.writer import lost_alone, warn_of_changes
 
-    if not isinstance(rig, Skin | Morph):
-        raise SettingsError(
-            f"a {type(rig).__name__} is neither a Skin nor a Morph; make one with mixseq.fit_skin or mixseq.fit_morph, "
-            "or write sequences with mixseq.write"
-        )
     layout = skinned_scene(rig) if isinstance(rig, Skin) else morphed_scene(rig)
     warn_of_changes(file, rig.header, lost_alone(rig.header))
     with replacing(file) as temporary, writing_buffer(file, temporary, layout):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import FormatError, InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import FormatError, OutputError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.version import __version__
 from mixseq_io.alembic.library import ERRORS, Abc, open_archive
@@ -31,8 +31,9 @@ from mixseq_io.alembic.overlay import MovedMesh, largest_size, lay_over
 from mixseq_io.alembic.samples import time_sampling
 from mixseq_io.alembic.targets import MadeMesh, Target, make_meshes, make_targets
 from mixseq_io.atomic import replacing
-from mixseq_io.blocks import Numbered, as_float32, checked, warn
+from mixseq_io.blocks import Numbered, as_float32, checked
 from mixseq_io.losses import lost_scale, warn_of_losses
+from mixseq_io.originals import opened_original
 from mixseq_io.reader import brief
 
 _ERRORS: tuple[type[Exception], ...] = (*ERRORS, FormatError)
@@ -84,7 +85,11 @@ def write_alembic(
         raise SettingsError(
             f"sources are {np.size(sources)} times for {header.frame_count} frames; give one each"
         )
-    original = None if flatten else _original(path, header, onto)
+    original = (
+        None
+        if flatten
+        else opened_original(path, header, onto, "Alembic", lambda file: open_original(file, header))
+    )
     targets = [] if original else make_targets(header)
     moving = velocities is not None
     with replacing(path) as temporary:
@@ -106,27 +111,6 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except _ERRORS as error:
         raise OutputError(f"cannot write {path}: {brief(error)}; check the disk and the path") from error
-
-
-def _original(path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None) -> Original | None:
-    """Return the archive that the sequence is laid over, None if there is none."""
-    if onto is not None:
-        file = Path(onto)
-    elif header.surface.origin is not None and header.surface.origin.format == "Alembic":
-        file = Path(header.surface.origin.path)
-    else:
-        return None
-    if path.exists() and file.exists() and path.samefile(file):
-        raise OutputError(f"{path} is the original and would be lost; write to another name")
-    try:
-        return open_original(file, header)
-    except (FormatError, InvalidSequenceError) as error:
-        if onto is not None:
-            raise OutputError(f"cannot write {path} onto another file: {error}") from error
-        warn(
-            f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
-        )
-        return None
 
 
 def _write(

@@ -12,7 +12,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import FormatError, OutputError, SettingsError
+from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import as_float32, checked, warn
@@ -23,6 +23,7 @@ from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
 from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
 from mixseq_io.losses import lost_subdivision, warn_of_losses
+from mixseq_io.originals import opened_original
 from mixseq_io.reader import reading
 from mixseq_io.scene_meshes import SceneMesh, split
 
@@ -92,24 +93,12 @@ def _overlay(
     path: Path, header: SequenceHeader, onto: str | os.PathLike[str] | None, sources: ArrayLike | None
 ) -> tuple[Layout, list[MovingMesh], OtherMotion] | None:
     """Return the document of the file that the sequence is laid over, None if there is none."""
-    if onto is not None:
-        file = Path(onto)
-    elif header.surface.origin is not None and header.surface.origin.format == "glTF":
-        file = Path(header.surface.origin.path)
-    else:
-        return None
-    if path.exists() and file.exists() and path.samefile(file):
-        raise OutputError(f"{path} is the original and would be lost; write to another name")
-    try:
+
+    def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
         with reading(file, "glTF", *_DAMAGE):
             return lay_over(load_document(file), header, sources)
-    except FormatError as error:
-        if onto is not None:
-            raise OutputError(f"cannot write {path} onto another file: {error}") from error
-        warn(
-            f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
-        )
-        return None
+
+    return opened_original(path, header, onto, "glTF", opened)
 
 
 # Of browsers: WebGL holds weights in uniforms, usually 1024 or 4096, and targets in layers of a texture, usually 2048.
