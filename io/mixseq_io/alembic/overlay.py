@@ -12,23 +12,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import SequenceHeader
-from mixseq_io.alembic.archive_copy import Copied, copy_archive
+from mixseq_io.alembic.archive_copy import copy_archive
 from mixseq_io.alembic.library import Abc, AbcGeom, array_of, imath
 from mixseq_io.alembic.original import Fit, Original
 from mixseq_io.alembic.targets import PER_SAMPLE
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
+from mixseq_io.originals import warn_of_other_times
 
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
-
-_SAME_FRAME = 1e-3
-"""Fraction of a frame by which times may differ; the value is ours."""
 
 _GROWTH = 2
 """How many times the size of an archive its copy has at most: an instance that moves becomes an object of its own."""
@@ -160,22 +157,5 @@ def lay_over(
     copied = copy_archive(original.archive, archive, moved, header.times, original.room)
     if copied.lost:
         warn(f"{path}: of {original.path} the library cannot copy {listed(copied.lost)}; they are left out")
-    _warn_of_times(path, header, copied, sources)
+    warn_of_other_times(path, header, dict(sorted(copied.moving.items())), sources)
     return [MovedMesh.make(fit, copied.schemas[fit.mesh.path], sampling, velocities) for fit in original.fits]
-
-
-def _warn_of_times(path: Path, header: SequenceHeader, copied: Copied, sources: ArrayLike | None) -> None:
-    """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame."""
-    first, last = (float(time) for time in header.times[[0, -1]])
-    frame = 1 / header.fps
-    retimed = sources is not None and not np.allclose(sources, header.times, rtol=0, atol=_SAME_FRAME * frame)
-    moving = sorted(
-        each
-        for each, (start, end) in copied.moving.items()
-        if retimed or first < start - frame or last > end + frame
-    )
-    if moving:
-        start, end = (pick(copied.moving[each][k] for each in moving) for k, pick in ((0, min), (1, max)))
-        warn(
-            f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: {listed(moving)}"
-        )

@@ -14,15 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mixseq.sequence import SequenceHeader
-from mixseq_io.blocks import warn
-from mixseq_io.choosing import listed
 from mixseq_io.gltf.animation import Channel, read_channels, told_by
 from mixseq_io.gltf.buffers import Json, Layout
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
-
-_SAME_FRAME = 1e-3
-"""Fraction of a frame by which times may differ; the value is ours."""
+from mixseq_io.originals import warn_of_other_times
 
 _SEEN = ("mesh", "camera", "extensions")
 
@@ -79,20 +75,10 @@ class OtherMotion:
 
     def warn_of_times(self, path: Path, header: SequenceHeader, sources: ArrayLike | None) -> None:
         """Tell what else moves if the sequence shows other times than its own, or goes on for more than a frame."""
-        moving = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
-        if not moving:
-            return
-        start, end = float(np.min(moving)), float(np.max(moving))
-        first, last = header.times[[0, -1]]
-        frame = 1 / header.fps
-        retimed = sources is not None and not np.allclose(
-            sources, header.times, rtol=0, atol=_SAME_FRAME * frame
-        )
-        if retimed or first < start - frame or last > end + frame:
-            warn(
-                f"{path}: what else moves keeps its own times, {start:g} to {end:g} s, and is not retimed: "
-                f"{listed(self.things)}"
-            )
+        ends = [channel.times[[0, -1]] + self.start for channel in self.channels if channel.moves]
+        if ends:
+            span = float(np.min(ends)), float(np.max(ends))
+            warn_of_other_times(path, header, dict.fromkeys(self.things, span), sources)
 
 
 NOTHING = OtherMotion()

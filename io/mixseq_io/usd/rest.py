@@ -15,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
+from mixseq_io.originals import is_retimed
 from mixseq_io.usd.layers import Samples, attribute_in
 from mixseq_io.usd.mesh_motion import Mover
 from mixseq_io.usd.original import Original
@@ -24,9 +25,6 @@ from mixseq_io.usd.prims import Notes, prims_of, shortened
 from mixseq_io.usd.shown import Shown
 from mixseq_io.usd.skeletons import Skin, skins_of
 from mixseq_io.usd.transforms import Placement
-
-_SAME_FRAME = 1e-3
-"""Fraction of a frame by which times may differ where nothing is retimed: ends are typed with a few digits."""
 
 
 def what_else_moves(original: Original) -> list[str]:
@@ -47,7 +45,7 @@ def warn_of_rest(
     MixseqWarning
         If there is anything.
     """
-    if np.allclose(times, header.times, rtol=0, atol=_SAME_FRAME / header.fps):
+    if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
     if paths := what_else_moves(original):
