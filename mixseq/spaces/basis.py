@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.renamed import renamed_attributes
@@ -17,6 +18,9 @@ from mixseq.threads import one_blas_thread
 
 NEGLIGIBLE = 1e-9
 """Basis vectors below this share of a shape are rounding errors."""
+
+MOST_BLOCKS = 128
+"""Bases that fall into more pieces than a compressed sequence has parts are taken as one."""
 
 
 @renamed_attributes(fields="basis")
@@ -51,6 +55,31 @@ class BasisSpace(ShapeSpace):
     def weights(self) -> Float:
         """The norms of the basis vectors, for all three coordinates."""
         return np.repeat(np.sqrt(np.square(self.basis).sum(axis=1)), 3)
+
+    def constants(self) -> Iterable[object]:
+        """Implement `ShapeSpace.constants`."""
+        return (self._blocks,)
+
+    @cached_property
+    def _blocks(self) -> list[tuple[Index | slice, Index | slice, Float]]:
+        """Vertices and vectors that have nothing to do with others, and the basis ``(n, k)`` of these at those."""
+        count, vertices = self.basis.shape
+        whole: list[tuple[Index | slice, Index | slice, Float]] = [(slice(None), slice(None), self.basis.T)]
+        if self.basis.all(axis=1).any():
+            return whole
+        rows, columns = np.nonzero(self.basis)
+        links = sparse.coo_array(
+            (np.ones(len(rows), np.int8), (rows, count + columns)), (count + vertices,) * 2
+        )
+        number, labels = sparse.csgraph.connected_components(links, directed=False)
+        if number > MOST_BLOCKS:
+            return whole
+        blocks: list[tuple[Index | slice, Index | slice, Float]] = []
+        for block in range(number):
+            some, beside = np.flatnonzero(labels[:count] == block), np.flatnonzero(labels[count:] == block)
+            if len(some):  # vertices without vectors are at the origin
+                blocks.append((beside, some, self.basis[np.ix_(some, beside)].T))
+        return blocks
 
     @cached_property
     def _inverse(self) -> Float:
@@ -102,10 +131,12 @@ class BasisSpace(ShapeSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        points = np.empty((len(vectors), self.basis.shape[1], 3))
+        points = np.zeros((len(vectors), self.basis.shape[1], 3))
         with one_blas_thread():
             for frame, vector in zip(points, vectors, strict=True):  # the same bits whatever is asked with it
-                frame[:] = self.basis.T @ (self.scale * vector.reshape(-1, 3))
+                coefficients = self.scale * vector.reshape(-1, 3)
+                for vertices, some, transposed in self._blocks:
+                    frame[vertices] = transposed @ coefficients[some]
         return points
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:

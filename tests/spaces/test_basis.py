@@ -105,3 +105,16 @@ def test_the_old_name_of_the_basis_works_with_a_warning() -> None:
     with pytest.warns(DeprecationWarning, match="fields is now basis"):
         again = BasisSpace(fields=VECTORS, scale=2.5)  # type: ignore[call-arg]
     np.testing.assert_array_equal(again.basis, SPACE.basis)
+
+
+def test_vectors_of_parts_are_as_all_of_them() -> None:
+    """Where vectors are zero on each other's vertices, only those of a vertex's part are added; some have none."""
+    basis = np.zeros((6, 31))
+    for part in range(3):
+        basis[part::3, part:30:3] = np.random.default_rng(part).normal(size=(2, 10))
+    space = BasisSpace(basis, 2.0)
+    vectors = np.random.default_rng(4).normal(size=(3, 18))
+    expected = 2.0 * np.einsum("kv,tki->tvi", basis, vectors.reshape(3, 6, 3))
+    np.testing.assert_allclose(space.decode(vectors), expected, atol=1e-12)
+    assert not space.decode(vectors)[:, 30].any()
+    np.testing.assert_array_equal(space.decode(vectors)[1], space.decode(vectors[1:2])[0])

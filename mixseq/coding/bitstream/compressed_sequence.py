@@ -241,7 +241,7 @@ def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[Shap
     if basis.kind == "shapes":
         vectors = basis.vectors.transpose(0, 2, 1).reshape(len(basis.vectors), -1) / unit
         mean = vectors[0] / np.sqrt(basis.frame_count)
-        return VertexSpace(basis.vectors.shape[2], unit), coefficients[..., 0], mean, vectors[1:]
+        return VertexSpace(basis.vertex_count, unit), coefficients[..., 0], mean, vectors[1:]
     space = BasisSpace(basis.vectors[:, 0], unit)
     rows = coefficients.reshape(len(coefficients), -1) / unit
     mean = rows.mean(axis=0)

@@ -70,6 +70,13 @@ def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     return tuple(found)
 
 
+class Block(NamedTuple):
+    """What a basis has of a part: its vertices ``(n,)``, increasing, and the vectors ``(K, c, n)`` over them."""
+
+    vertices: Index
+    vectors: Float
+
+
 @dataclass(frozen=True, eq=False)
 class SpatialBasis:
     """A basis, as a decoder has it.
@@ -78,25 +85,40 @@ class SpatialBasis:
     ----------
     kind : {"trajectories", "shapes"}
         What is compared: vertices or frames.
-    vectors : (K, c, V) float64
-        Basis vectors in the units of the sequence: c = 1 of trajectories, the first of which are constant, one for
-        every part; c = 3 of shapes.
+    blocks : tuple of Block
+        Basis vectors of every part, in the units of the sequence; they are zero everywhere else. c = 1 of trajectories,
+        the first of which are constant; c = 3 of shapes, the first of which is the mean times the root of T.
+    parts : (K,) int64
+        Part that a vector belongs to, for all vectors in the order of their coefficients.
     frame_count : int
         Number T of frames.
-    parts : (K,) int64
-        Part of the mesh that a vector belongs to; it is zero elsewhere.
     """
 
     kind: BasisKind
-    vectors: Float
-    frame_count: int
+    blocks: tuple[Block, ...]
     parts: Index
+    frame_count: int
+
+    @property
+    def vertex_count(self) -> int:
+        """Number V of vertices."""
+        return sum(len(block.vertices) for block in self.blocks)
 
     @property
     def norms(self) -> Float:
         """Norms ``(K,)`` of the vectors."""
-        norms: Float = np.sqrt(np.square(self.vectors).sum(axis=(1, 2)))
+        norms = np.empty(len(self.parts))
+        for place, block in enumerate(self.blocks):
+            norms[self.parts == place] = np.sqrt(np.square(block.vectors).sum(axis=(1, 2)))
         return norms
+
+    @property
+    def vectors(self) -> Float:
+        """All vectors ``(K, c, V)`` over the whole mesh."""
+        vectors = np.zeros((len(self.parts), 1 if self.kind == "trajectories" else 3, self.vertex_count))
+        for place, block in enumerate(self.blocks):
+            vectors[np.ix_(self.parts == place, np.arange(vectors.shape[1]), block.vertices)] = block.vectors
+        return vectors
 
     @property
     def varying(self) -> slice:
@@ -106,16 +128,19 @@ class SpatialBasis:
     @property
     def mean(self) -> Float:
         """The mean ``(V, 3)`` of shapes."""
-        mean: Float = self.vectors[0].T / np.sqrt(self.frame_count)
+        mean: Float = self.blocks[0].vectors[0].T / np.sqrt(self.frame_count)
         return mean
 
     def frames(self, coefficients: Float) -> Float:
         """Return the frames ``(T, V, 3)`` of coefficients ``(T, K, 3 / c)`` of the varying vectors."""
-        if self.kind == "trajectories":
-            return np.asarray(np.einsum("kv,tki->tvi", self.vectors[:, 0], coefficients, optimize=True))
-        return np.asarray(
-            self.mean + np.einsum("kiv,tk->tvi", self.vectors[1:], coefficients[..., 0], optimize=True)
-        )
+        if self.kind == "shapes":
+            moved = np.tensordot(coefficients[..., 0], self.blocks[0].vectors[1:], 1)
+            return np.asarray(self.mean + moved.transpose(0, 2, 1))
+        frames = np.empty((len(coefficients), self.vertex_count, 3))
+        for place, block in enumerate(self.blocks):
+            own = coefficients[:, self.parts == place].transpose(0, 2, 1)
+            frames[:, block.vertices] = (own @ block.vectors[:, 0]).transpose(0, 2, 1)
+        return frames
 
 
 def groups(rank: int) -> list[slice]:
@@ -132,7 +157,7 @@ def groups_of_parts(ranks: Sequence[int]) -> list[list[tuple[int, slice]]]:
     of_parts = [groups(rank) for rank in ranks]
     return [
         [(place, some[number]) for place, some in enumerate(of_parts) if number < len(some)]
-        for number in range(max(map(len, of_parts)))
+        for number in range(max(map(len, of_parts), default=0))
     ]
 
 
@@ -177,28 +202,20 @@ def assemble_basis(
 ) -> SpatialBasis:
     """Return the basis of coded vectors ``(K, c, n)`` of all parts, without those that are zero.
 
-    These have no coefficients. Vectors are in the order of their groups, so that those of the first groups come first.
+    These have no coefficients. Coefficients are in the order of the groups, so that those of the first groups come
+    first.
     """
-    vertices = sum(len(part.vertices) for part in parts)
-    found: list[tuple[int, Float]] = []
-    if kind == "trajectories":
-        found += [
-            (place, np.full((1, 1, len(part.vertices)), 1 / np.sqrt(len(part.vertices))))
-            for place, part in enumerate(parts)
-        ]
-    for of_parts in groups_of_parts([len(some) for some in vectors]) if any(map(len, vectors)) else ():
-        for place, group in of_parts:
-            some = vectors[place][group]
-            there: NDArray[np.bool_] = np.any(some, axis=(1, 2))
-            there[:1] |= kind == "shapes" and group.start == 0  # the mean, which may be zero
-            found.append((place, some[there]))
-    scattered = np.zeros((sum(len(some) for _, some in found), 1 if kind == "trajectories" else 3, vertices))
-    done = 0
-    for place, some in found:
-        scattered[done : done + len(some), :, parts[place].vertices] = some
-        done += len(some)
-    owners = np.repeat([place for place, _ in found], [len(some) for _, some in found]).astype(np.int64)
-    return SpatialBasis(kind, scattered, frame_count, owners)
+    kept = [np.any(some, axis=(1, 2)) for some in vectors]
+    if kind == "shapes":
+        kept[0][:1] = True  # the mean, which may be zero
+    blocks, owners = [], [np.arange(len(parts) if kind == "trajectories" else 0)]
+    for part, some, there in zip(parts, vectors, kept, strict=True):
+        constant = np.full((1, 1, len(part.vertices)), 1 / np.sqrt(len(part.vertices)))
+        stacked = some[there] if kind == "shapes" else np.concatenate([constant, some[there]])
+        blocks.append(Block(part.vertices, stacked))
+    for of_parts in groups_of_parts([len(some) for some in vectors]):
+        owners += [np.full(np.count_nonzero(kept[place][group]), place) for place, group in of_parts]
+    return SpatialBasis(kind, tuple(blocks), np.concatenate(owners), frame_count)
 
 
 def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
@@ -215,8 +232,7 @@ def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: floa
 def coefficient_coders(basis: SpatialBasis, count: int) -> list[SignalCoder]:
     """Return the coders of all parts' coefficients in a chunk of so many frames; they share their models."""
     models, dim = NumberModels(), 3 if basis.kind == "trajectories" else 1
-    number = int(basis.parts.max(initial=0)) + 1
-    return [SignalCoder(path_graph(count), dim, models) for _ in range(number)]
+    return [SignalCoder(path_graph(count), dim, models) for _ in basis.blocks]
 
 
 def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
