@@ -1,0 +1,167 @@
+r"""Predict the values of signals over a graph, from those before it: basis vectors over a mesh, coefficients over time.
+
+Signals over one graph resemble each other: in a rigid part, every vector of a basis of trajectories is an affine
+function of the vertex's place, in a joint a smooth one. So weights that would have predicted earlier signals well
+predict the next one. Node v has the weights of its neighbours that minimise
+
+.. math:: \sum_j \tau_j \Bigl( \sum_n w_n b_j(n) - b_j(v) \Bigr)^2
+          + \rho \sum_j \tau_j \sum_n (w_n - w^0_n)^2, \qquad \sum_n w_n = 1
+
+over the signals j that are known. The trust :math:`\tau_j`, about :math:`1 / (1 + m_j / 10)`, where m_j is how rough
+the signal is (mean square difference of neighbours, in squared steps), lets large signals teach as much as small ones;
+the second term stands for rounding errors of the signals, and :math:`w^0` are weights from the graph alone. Where the
+signals that are known are affine functions, so is the prediction: the parallelogram rule is a case of it.
+
+Nodes resemble each other, too: after the first signals every node is joined to the nodes before it that have been most
+like it, wherever they are. So vertices of one rigid part that are far apart, or of several components, predict each
+other, and so do frames of one pose in a motion that comes back to it.
+
+**The same everywhere.** Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
+2^-24, so that roughness, distances, products and predictions are exact in float64, in whatever order they are added,
+as long as values are below 2^29 (8 million steps). Only the weights are solved for with rounded operations, + - * / and
+roots in a fixed order: `mixseq.coding.bitstream.predictor_kernels`.
+
+The constants are ours. Frozen: they break files when they change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream import predictor_kernels as kernels
+from mixseq.coding.bitstream.predictor_kernels import UNIT
+from mixseq.coding.bitstream.signal_graph import MOST, SignalGraph
+
+SIMILAR = 8
+"""So many nodes that are most like a node are joined to it. Frozen: breaks files."""
+
+WIDTH = MOST + SIMILAR
+"""Nodes are predicted from so many others at most."""
+
+SEARCHES = (4, 16)
+"""When so many signals are known, times their coordinates, these nodes are looked for. Frozen: breaks files."""
+
+EXHAUSTIVE = 1024
+"""The first nodes look at all nodes before them, later ones only near those of their neighbours. Frozen: breaks
+files."""
+
+RIDGE = 0.5
+"""Squared rounding error of a known signal, in steps, that weights have to live with (rho). Frozen: breaks files."""
+
+ROUGH = 10.0
+"""Signals whose squared differences are above this teach less, in proportion. Frozen: breaks files."""
+
+SELDOM = 3
+"""Weights are new after every signal, after 16 signals after every other, after 24 after every third, and so on.
+Frozen: breaks files."""
+
+
+class Predictor:
+    """What is known about signals over a graph, while they are coded or decoded one after another.
+
+    Whoever codes fills `values` node by node, each after `predictor_kernels.predict` has told what it may be, and calls
+    `finish` after the last one.
+
+    Parameters
+    ----------
+    graph : SignalGraph
+        The graph of N nodes.
+    coordinates : int
+        Number of signals that belong together: coordinates of a basis vector, or of a coefficient.
+
+    Attributes
+    ----------
+    neighbours : (N, WIDTH) int32
+        Nodes before every node that it is predicted from: those of the graph, then those most like it.
+    counts : (N,) int32
+        How many of them there are.
+    weights : (N, WIDTH) float64
+        Their weights, multiples of 2^-24.
+    values : (N,) int64
+        The signal in work, in nodes' order, in steps / UNIT.
+    """
+
+    def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
+        self._searches = tuple(coordinates * known for known in SEARCHES)
+        self._plain = graph
+        self.neighbours = np.zeros((graph.size, WIDTH), dtype=np.int32)
+        self.neighbours[:, : graph.neighbours.shape[1]] = graph.neighbours
+        self.counts = graph.counts.astype(np.int32)
+        self._start = np.zeros((graph.size, WIDTH))
+        self._start[:, : graph.weights.shape[1]] = kernels.rounded(graph.weights)
+        self.weights = self._start.copy()
+        self.values = np.zeros(graph.size, dtype=np.int64)
+        self._signals: list[Float] = []  # as long as nodes that are like each other are looked for
+        self._pending: list[Float] = []  # those that the weights do not know yet
+        self._known = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        """Make room for what is to be learned about the neighbours that there are."""
+        self._blocks, self._sizes = blocks(self.counts)
+        entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1
+        self._places = np.cumsum(entries) - entries
+        self._gram = np.zeros((int(entries.sum()), kernels.LANES))
+        self._ridge = 0.0
+
+    def finish(self) -> None:
+        """Learn from the signal whose values are all known, and be ready for the next one."""
+        signal = self.values.astype(np.float64)
+        self._known += 1
+        known = self._known
+        if known <= self._searches[-1]:
+            self._signals.append(signal)
+        self._pending.append(signal)
+        if known in self._searches:
+            self._join_similar()
+        # Weights are renewed ever more rarely, as they change less.
+        if known in self._searches or known % max(1, known >> SELDOM) == 0:
+            self._renew()
+        if known == self._searches[-1]:
+            self._signals.clear()
+
+    def _renew(self) -> None:
+        """Learn from the signals that are waiting, and find weights."""
+        signals = np.array(self._pending)
+        trusts = np.array(
+            [kernels.trust(one, ROUGH * UNIT**2, self.neighbours, self.counts) for one in signals]
+        )
+        self._ridge += RIDGE * UNIT**2 * float(trusts.sum())
+        of_blocks = self._blocks, self._sizes, self._places
+        for signal, trust in zip(signals, trusts, strict=True):
+            kernels.learn(signal, float(trust), *of_blocks, self.neighbours, self._gram)
+        kernels.solve(self._ridge, *of_blocks, self._gram, self._start, self.weights)
+        self._pending.clear()
+
+    def _join_similar(self) -> None:
+        """Join every node to those before it that are most like it in all signals that are known."""
+        plain = self._plain
+        similar = np.zeros((plain.size, SIMILAR), dtype=np.int32)
+        found = np.zeros(plain.size, dtype=np.int32)
+        counts = plain.counts.astype(np.int32)
+        kernels.nearest(np.array(self._signals), self.neighbours, counts, EXHAUSTIVE, similar, found)
+        columns = np.arange(WIDTH)
+        behind = (columns >= counts[:, None]) & (columns < (counts + found)[:, None])
+        self.neighbours[behind] = similar[np.arange(SIMILAR) < found[:, None]]
+        self.counts = counts + found
+        self.weights = self._start.copy()
+        self._pending = self._signals.copy()
+        self._forget()
+
+
+def blocks(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return blocks ``(B, LANES)`` of nodes with equally many neighbours, and how many ``(B,)`` these are.
+
+    Nodes with one neighbour or none are left out: there is nothing to learn of them. Blocks that are not full repeat
+    their last node.
+    """
+    found, sizes = [np.zeros((0, kernels.LANES), dtype=np.int32)], []
+    for count in np.unique(counts[counts > 1]):
+        nodes: Index = np.flatnonzero(counts == count)
+        rows = -(-len(nodes) // kernels.LANES)
+        filled = np.minimum(np.arange(rows * kernels.LANES), len(nodes) - 1)
+        found.append(nodes[filled].reshape(rows, kernels.LANES).astype(np.int32))
+        sizes += rows * [count]
+    return np.concatenate(found), np.array(sizes, dtype=np.int32)

@@ -1,0 +1,239 @@
+"""Compiled loops of `mixseq.coding.bitstream.predictor`: predictions, their weights, and nodes that are alike.
+
+Arguments that they share, of a graph with N nodes of up to n neighbours each, all of them before the node:
+
+============  ====================================================================================================
+values        (N,) int64, in work, or float64, whole numbers: a signal, in units of 1/64 step
+neighbours    (N, n) int32: nodes that each is predicted from; the first ``counts[node]`` of a row count
+counts        (N,) int32
+weights       (N, n) float64: of the neighbours, rows add up to one; multiples of 2^-24
+blocks        (B, LANES) int32: nodes with equally many neighbours, ``sizes[block]`` of them, which are worked at
+              together, so that one instruction does it for several of them
+sizes         (B,) int32
+places        (B,) int64: where a block begins in `gram`
+gram          (entries, LANES) float64, in squared units: of every block's matrices, and of the right sides below
+              them, the lower triangles row by row
+============  ====================================================================================================
+
+The weight of a node's first neighbour is one minus the others, so that matrices are those of differences to it.
+
+Values, trust and weights are such that sums are exact (see there), up to values of 2^29; where values are larger, of
+damaged files, results are any, but no error. Only `solve` rounds: it needs + - * / and roots of float64 in the order
+that is written here, without contraction to fused operations, and then rounds its results.
+
+Frozen: changing results breaks files.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.compiled import compiled, inlined
+
+UNIT = 64
+"""Values are whole numbers of steps / UNIT. Frozen: breaks files."""
+
+LANES = 32
+"""Nodes in a block. Free: a matter of time."""
+
+_FARTHEST = 2.0**50
+"""Predictions are not beyond this: those of damaged files might be any. Frozen: breaks files."""
+
+_ROUNDING = 1.5 * 2.0**28
+"""A number that is added to this and taken from it again is rounded to a multiple of 2^-24. Frozen: breaks files."""
+
+_LEAST = 1e-12
+"""Share of the traces of matrices that is added to the ridge: those of signals of very many steps are singular but for
+rounding. Frozen: breaks files."""
+
+Small = NDArray[np.int32]
+
+
+@inlined
+def predict(node: int, neighbours: Small, counts: Small, weights: Float, values: Index) -> int:
+    """Return what the values ``(N,)`` before a node let expect of it, in units."""
+    total = 0.5
+    for i in range(counts[node]):
+        total += weights[node, i] * values[neighbours[node, i]]
+    if total > _FARTHEST:
+        total = _FARTHEST
+    elif not total > -_FARTHEST:
+        total = -_FARTHEST
+    return math.floor(total)
+
+
+@compiled
+def rounded(weights: Float) -> Float:
+    """Return weights ``(N, n)``, rounded to multiples of 2^-24."""
+    return (weights + _ROUNDING) - _ROUNDING
+
+
+@compiled
+def trust(values: Float, rough: float, neighbours: Small, counts: Small) -> float:
+    """Return about ``1 / (1 + m / rough)``, with the mean square m of differences of nodes and first neighbours.
+
+    It is the power of two that is at least 2/3 of that, and less than 4/3.
+    """
+    total, pairs = 0.0, 0
+    for node in range(len(values)):
+        if counts[node]:
+            apart = values[node] - values[neighbours[node, 0]]
+            total += apart * apart
+            pairs += 1
+    share, whole = 1.0, rough * pairs
+    total += whole
+    while share * total > 1.5 * whole:
+        share *= 0.5
+    return share
+
+
+@compiled
+def learn(
+    values: Float, weight: float, blocks: Small, sizes: Small, places: Index, neighbours: Small, gram: Float
+) -> None:
+    """Add weight times the products of the differences of a signal to the Gram matrices."""
+    apart = np.zeros((neighbours.shape[1], LANES))
+    for block in range(len(blocks)):
+        last = sizes[block] - 1  # the row of the node itself
+        for lane in range(LANES):
+            node = blocks[block, lane]
+            first = values[neighbours[node, 0]]
+            for i in range(last):
+                apart[i, lane] = values[neighbours[node, i + 1]] - first
+            apart[last, lane] = values[node] - first
+        place = places[block]
+        for i in range(last + 1):
+            for j in range(min(i + 1, last)):
+                for lane in range(LANES):
+                    gram[place, lane] += (weight * apart[i, lane]) * apart[j, lane]
+                place += 1
+
+
+@compiled
+def solve(
+    ridge: float, blocks: Small, sizes: Small, places: Index, gram: Float, start: Float, weights: Float
+) -> None:
+    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one; start is ``(N, n)``.
+
+    By Cholesky's factors, with pivots that are not below the ridge.
+    """
+    most = start.shape[1]
+    lower = np.zeros((most * (most + 1) // 2, LANES))  # and the right side, divided by it, as its last row
+    inverse = np.zeros((most, LANES))  # of the diagonal: divisions are slow
+    found = np.zeros((most, LANES))
+    pull, entry = np.zeros(LANES), np.zeros(LANES)
+    for block in range(len(blocks)):
+        nodes, last, place = blocks[block], sizes[block] - 1, places[block]
+        pull[:] = ridge
+        for i in range(last):
+            for lane in range(LANES):
+                pull[lane] += _LEAST * gram[place + i * (i + 3) // 2, lane]
+        for i in range(last + 1):
+            row = i * (i + 1) // 2
+            for j in range(min(i + 1, last)):
+                column = j * (j + 1) // 2
+                # The ridge of the first weight, too, which is one minus the others.
+                for lane in range(LANES):
+                    entry[lane] = gram[place, lane] + pull[lane]
+                if i == last:
+                    for lane in range(LANES):
+                        entry[lane] += pull[lane] * (start[nodes[lane], j + 1] - start[nodes[lane], 0])
+                elif i == j:
+                    for lane in range(LANES):
+                        entry[lane] += pull[lane]
+                for k in range(j):
+                    for lane in range(LANES):
+                        entry[lane] -= lower[row + k, lane] * lower[column + k, lane]
+                if i == j:
+                    for lane in range(LANES):
+                        inverse[i, lane] = 1.0 / math.sqrt(max(entry[lane], pull[lane]))
+                else:
+                    for lane in range(LANES):
+                        lower[row + j, lane] = entry[lane] * inverse[j, lane]
+                place += 1
+        row = last * (last + 1) // 2
+        pull[:] = 1.0  # what is left for the first
+        for i in range(last - 1, -1, -1):
+            for lane in range(LANES):
+                entry[lane] = lower[row + i, lane]
+            for k in range(i + 1, last):
+                for lane in range(LANES):
+                    entry[lane] -= lower[k * (k + 1) // 2 + i, lane] * found[k, lane]
+            for lane in range(LANES):
+                found[i, lane] = (entry[lane] * inverse[i, lane] + _ROUNDING) - _ROUNDING
+                pull[lane] -= found[i, lane]
+        for lane in range(LANES):
+            weights[nodes[lane], 0] = pull[lane]
+            for i in range(last):
+                weights[nodes[lane], i + 1] = found[i, lane]
+
+
+@compiled
+def nearest(
+    signals: Float, neighbours: Small, counts: Small, exhaustive: int, similar: Small, found: Small
+) -> None:
+    """Write the nodes before every node that are nearest to it in signals ``(D, N)``, but for its neighbours.
+
+    The first `exhaustive` nodes look at all nodes before them; later ones at neighbours of their neighbours, and at
+    what was found for these. Of every node as many are found as ``similar`` (N, most) has room for, nearest first, of
+    equally near ones the one that was looked at first: ``found`` (N,).
+    """
+    size, most = signals.shape[1], similar.shape[1]
+    first = min(size, exhaustive)
+    apart = np.empty(most)
+    distances = np.empty(first)
+    for node in range(first):
+        # Dimension by dimension: one instruction does it for several nodes.
+        distances[:node] = 0.0
+        for dimension in range(len(signals)):
+            here = signals[dimension, node]
+            for other in range(node):
+                one = signals[dimension, other] - here
+                distances[other] += one * one
+        for i in range(counts[node]):
+            distances[neighbours[node, i]] = np.inf
+        found[node] = 0
+        apart[:] = np.inf
+        for other in range(node):
+            if distances[other] < apart[most - 1]:
+                _insert(node, other, distances[other], similar, found, apart)
+    points = np.ascontiguousarray(signals.T)
+    seen = np.full(size, -1, dtype=np.int32)  # the last node that looked at a node
+    for node in range(first, size):
+        found[node] = 0
+        apart[:] = np.inf
+        for i in range(counts[node]):
+            seen[neighbours[node, i]] = node
+        for i in range(counts[node]):
+            beside = neighbours[node, i]
+            for j in range(counts[beside] + found[beside]):
+                own = j < counts[beside]
+                other = neighbours[beside, j] if own else similar[beside, j - counts[beside]]
+                if seen[other] == node:
+                    continue
+                seen[other] = node
+                distance = 0.0
+                for dimension in range(points.shape[1]):
+                    one = points[node, dimension] - points[other, dimension]
+                    distance += one * one
+                    if distance >= apart[most - 1]:
+                        break
+                if distance < apart[most - 1]:
+                    _insert(node, other, distance, similar, found, apart)
+
+
+@inlined
+def _insert(node: int, other: int, distance: float, similar: Small, found: Small, apart: Float) -> None:
+    """Insert a node into the nearest ones at squared distances `apart` (most,), whose last one is farther."""
+    place = len(apart) - 1
+    while place > 0 and apart[place - 1] > distance:
+        apart[place] = apart[place - 1]
+        similar[node, place] = similar[node, place - 1]
+        place -= 1
+    apart[place] = distance
+    similar[node, place] = other
+    found[node] = min(found[node] + 1, len(apart))
