@@ -11,13 +11,29 @@ from mixseq.coding.bitstream import spatial_basis
 from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis, whole
 from mixseq.coding.encoder import trial
-from mixseq.coding.encoder.principal_components import PrincipalComponents
+from mixseq.coding.encoder.part_components import PartComponents
+from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
+from mixseq.coding.encoder.trial import Candidate, in_order
+from mixseq.frame_store import FrameStore
+
+
+def principal_components(sequence: FrameStore, kind: BasisKind, least: float) -> PrincipalComponents:
+    return (
+        trajectories(sequence, least)
+        if kind == "trajectories"
+        else shapes(trajectories(sequence, 0.0), least)
+    )
+
+
+def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candidate:
+    [part] = whole(graph)
+    return Candidate(components, (PartComponents(components, part, 0.0),), graph)
 
 
 def write_basis(
-    components: PrincipalComponents, step: float, graph: SignalGraph, dry: bool = False
+    components: PrincipalComponents, step: float, graph: SignalGraph
 ) -> tuple[Float, tuple[bytes, ...]]:
-    [vectors], streams = trial.write_basis([components], step, whole(graph), graph, dry)
+    [vectors], streams = trial.write_basis(candidate_of(components, graph), step)
     return vectors, streams
 
 
@@ -31,3 +47,11 @@ def read_basis(
 
 def basis_of(kind: BasisKind, vectors: Float, frame_count: int) -> SpatialBasis:
     return spatial_basis.assemble_basis(kind, [vectors], whole(path_graph(vectors.shape[2])), frame_count)
+
+
+def least_squares(basis: SpatialBasis, sequence: FrameStore) -> Float:
+    """Coefficients ``(T, K, d)`` of the varying vectors that are nearest to a sequence."""
+    components = principal_components(sequence, basis.kind, 0.0)
+    [part] = candidate_of(components, path_graph(basis.vertex_count)).parts
+    nearest = in_order(basis, [part.fitted(basis.blocks[0]).coefficients])
+    return nearest / basis.norms[basis.varying, None]

@@ -11,8 +11,9 @@ import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence, to_model
 from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.coding.encoder.residuals import width
 from mixseq.coding.encoder.search import ROUNDS, Search
-from mixseq.coding.encoder.trial import Trial, width
+from mixseq.coding.encoder.trial import Trial
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate

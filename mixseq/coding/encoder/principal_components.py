@@ -1,22 +1,25 @@
 r"""Principal components of a sequence: the spatial basis before it is rounded.
 
 trajectories
-    :math:`x_t(v) = u_0(t) / \sqrt V + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories. A
-    basis vector :math:`b_k` has one number at each vertex, its coefficients :math:`u_k(t)` three coordinates. A rigid
-    part needs four of them, which are affine functions of the place. The best for most sequences.
+    :math:`x_t(v) = m(t) + \sum_k u_k(t)\, b_k(v)`: principal components of the vertices' trajectories about their mean
+    m. A basis vector :math:`b_k` has one number at each vertex, its coefficients :math:`u_k(t)` three coordinates. A
+    rigid part needs three of them, which are affine functions of the place. The best for most sequences.
 shapes
-    :math:`x_t(v) = b_0(v) / \sqrt T + \sum_k u_k(t)\, b_k(v)`: principal components of the frames. A basis vector has
-    three coordinates at each vertex, its coefficients are numbers. For meshes that have few vertices for their frames'
-    number.
+    :math:`x_t(v) = m(v) + \sum_k u_k(t)\, b_k(v)`: principal components of the frames about their mean m. A basis
+    vector has three coordinates at each vertex, its coefficients are numbers. For meshes that have few vertices for
+    their frames' number.
 
 Both are optimal in the least-squares sense. If every number of :math:`b_k` and of :math:`u_k \|b_k\|` is rounded to a
 multiple of the same step, all of them cost the same bits and make the same error: reverse water-filling.
+
+Frames are looked at for the trajectories of the whole mesh only. These components, far fewer than there are frames, are
+all that is known of the sequence from there on: shapes and the components of parts are sums of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -30,124 +33,148 @@ MOST = 3000
 """Principal components are found of so many rows or columns; of longer sequences, frames are left out for it."""
 
 
-_AT_ONCE = 128
-"""So many components are computed at once."""
-
-
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:
-    """Basis vectors over the mesh, most important first.
+    """What is known of a sequence: curves over time times vectors over the mesh, most important first.
 
     Attributes
     ----------
     kind : {"trajectories", "shapes"}
         What is compared: vertices or frames.
-    vectors : (K, c, V) array, perhaps on disk, of float64
-        Basis vectors in the units of the sequence, without the constant one of trajectories, of which c = 1; c = 3 of
-        shapes.
-    norms : (K,) float64
-        Their norms, decreasing (but for the mean of shapes, the first).
+    mean : (T, 3) or (3, V) float64
+        Mean of all vertices at every frame (trajectories), or of all frames at every vertex (shapes).
+    curves : (K, T, d) float64
+        Coefficients, orthonormal: d = 3 of trajectories, 1 of shapes.
+    vectors : (K, c, V) float64
+        Basis vectors in the units of the sequence, orthogonal: c = 1 of trajectories, 3 of shapes.
+    left_out : float
+        Sum of squares of what components that are too small have of the sequence.
     """
 
     kind: BasisKind
-    vectors: LargeArray
-    norms: Float
+    mean: Float
+    curves: Float
+    vectors: Float
+    left_out: float
+
+    @cached_property
+    def norms(self) -> Float:
+        """Norms ``(K,)`` of the vectors, decreasing: the singular values."""
+        return np.asarray(np.sqrt(np.square(self.vectors).sum(axis=(1, 2))))
+
+    @property
+    def frame_count(self) -> int:
+        """Number T of frames."""
+        return int(self.curves.shape[1])
 
 
-def principal_components(
-    sequence: FrameStore, kind: BasisKind, least: float, some: Index | None = None
-) -> PrincipalComponents:
-    """Find the principal components of a sequence, or of some of its vertices.
+def trajectories(sequence: FrameStore, least: float) -> PrincipalComponents:
+    """Find the principal components of all vertices' trajectories.
 
     Parameters
     ----------
     sequence : FrameStore
         The sequence.
-    kind : {"trajectories", "shapes"}
-        What is compared: vertices or frames.
     least : float
         Components with a norm below this are left out, in the units of the sequence.
-    some : (n,) int64, optional
-        Vertices, by default all.
     """
-    if some is not None:
-        sequence = FrameStore(sequence.header, _of_vertices(sequence, some))
-    count, vertices = len(sequence.points), sequence.points.shape[1]
-    rows, coordinates = (3, 1) if kind == "trajectories" else (1, 3)
-    stride = -(-min(rows * count, coordinates * vertices) // MOST)
-    frames = np.arange(0, count, stride)
-    mean = _mean_shape(sequence, frames) if kind == "shapes" else None
-    table = _centred(sequence, frames, mean)
-    most = max(min(len(table) - (mean is not None), coordinates * vertices), 1)
-    # Each of the frames that were looked at stands for those beside it.
-    sizes, blocks = _principal(table, least / np.sqrt(stride), most)
-    first = [] if mean is None else [np.sqrt(count) * mean.T]
-    vectors = new_large_array((len(first) + len(sizes), coordinates, vertices))
-    for row, vector in enumerate(first):
-        vectors[row : row + 1] = vector[None]
-    done = len(first)
-    for block in blocks:
-        cubes = np.sqrt(stride) * block.reshape(-1, vertices, coordinates).transpose(0, 2, 1)
-        vectors[done : done + len(cubes)] = cubes
-        done += len(cubes)
-    norms = np.append([np.linalg.norm(vector) for vector in first], np.sqrt(stride) * sizes)
-    return PrincipalComponents(kind, vectors, norms)
+    count = len(sequence.points)
+    table, means = _centred(sequence, np.arange(count))
+    stride = -(-min(table.shape) // MOST)
+    if stride == 1 and table.shape[0] <= table.shape[1]:
+        curves = _leading(_gram_of_rows(table), least)
+        vectors = _product(curves, table)
+    else:
+        # Each of the frames that are looked at stands for those beside it.
+        some = table if stride == 1 else _centred(sequence, np.arange(0, count, stride))[0]
+        scores = _scores(table, _directions(some, least / np.sqrt(stride)))
+        curves = np.asarray(linalg.qr(scores, mode="economic")[0].T, dtype=np.float64)
+        vectors = _product(curves, table)
+        turn = _leading(vectors @ vectors.T, 0.0)
+        curves, vectors = turn @ curves, turn @ vectors
+    energy = sum(float(np.square(block).sum()) for _, block in column_blocks(table))
+    left_out = max(energy - float(np.square(vectors).sum()), 0.0)
+    return PrincipalComponents(
+        "trajectories", means, curves.reshape(-1, count, 3), vectors[:, None], left_out
+    )
 
 
-def _principal(table: LargeArray, least: float, most: int) -> tuple[Float, Iterator[Float]]:
-    """Return the singular values of rows ``(R, W)``, `most` of them, and their components scaled by them, in blocks."""
+def shapes(components: PrincipalComponents, least: float) -> PrincipalComponents:
+    """Find the principal components of the frames from those of the trajectories.
+
+    Parameters
+    ----------
+    components : PrincipalComponents
+        Of trajectories.
+    least : float
+        Components with a norm below this are left out, in the units of the sequence.
+    """
+    some = components.norms > 0
+    curves, vectors, norms = components.curves[some], components.vectors[some, 0], components.norms[some]
+    mean = components.mean.mean(axis=0)[:, None] + curves.mean(axis=1).T @ vectors
+    # Frames as numbers (T, 3 (K + 1)) times vectors that are orthonormal, the last of which is constant.
+    own = np.append(norms, np.sqrt(vectors.shape[1]))
+    moved = np.concatenate([curves, components.mean[None]])
+    moved = (moved - moved.mean(axis=1, keepdims=True)) * own[:, None, None]
+    table = moved.transpose(1, 2, 0).reshape(len(components.mean), -1)
+    if table.shape[0] <= table.shape[1]:
+        found = _leading(_gram_of_rows(table), least)
+    else:
+        directions = _leading(table.T @ table, least)
+        found = np.asarray(linalg.qr(table @ directions.T, mode="economic")[0].T)
+    turned = (found @ table).reshape(len(found), 3, -1) / own
+    shapes = turned[..., :-1] @ vectors + turned[..., -1:]
+    left_out = max(float(np.square(table).sum() - np.square(turned * own).sum()), 0.0)
+    return PrincipalComponents("shapes", mean, found[..., None], shapes, components.left_out + left_out)
+
+
+def _leading(gram: Float, least: float) -> Float:
+    """Return the eigenvectors ``(K, n)`` of a matrix ``(n, n)`` with values above `least` squared, one at least."""
+    vectors = linalg.eigh(gram, subset_by_value=(max(least, 0.0) ** 2, np.inf), check_finite=False)[1]
+    if not vectors.shape[1]:
+        vectors = np.eye(len(gram))[:, -1:]
+    return np.ascontiguousarray(vectors[:, ::-1].T)
+
+
+def _gram_of_rows(table: LargeArray) -> Float:
+    gram = np.zeros((table.shape[0],) * 2)
+    for _, block in column_blocks(table):
+        gram += block @ block.T
+    return gram
+
+
+def _directions(table: LargeArray, least: float) -> Float:
+    """Return orthogonal vectors ``(K, V)`` that rows ``(R, V)`` are nearly sums of."""
     height, width = table.shape
     if height <= width:
-        gram = np.zeros((height, height))
-        for _, block in column_blocks(table):
-            gram += block @ block.T
-    else:
-        gram = np.zeros((width, width))
-        for start in range(0, height, width):
-            block = table[start : start + width]
-            gram += block.T @ block
-    values, vectors = linalg.eigh(gram)
-    sizes = np.sqrt(np.maximum(values[::-1], 0.0))
-    kept = max(1, min(int(np.count_nonzero(sizes > least)), most))
-    basis = vectors[:, ::-1][:, :kept].T
-    if height > width:
-        return sizes[:kept], iter([sizes[:kept, None] * basis])
-    return sizes[:kept], _projected(table, basis)
+        return _product(_leading(_gram_of_rows(table), least), table)
+    gram = np.zeros((width, width))
+    for start in range(0, height, width):
+        block = table[start : start + width]
+        gram += block.T @ block
+    return _leading(gram, least)
 
 
-def _projected(table: LargeArray, basis: Float) -> Iterator[Float]:
-    for start in range(0, len(basis), _AT_ONCE):
-        some = basis[start : start + _AT_ONCE]
-        components = np.empty((len(some), table.shape[1]))
-        for columns, block in column_blocks(table):
-            components[:, columns] = some @ block
-        yield components
+def _product(some: Float, table: LargeArray) -> Float:
+    product = np.empty((len(some), table.shape[1]))
+    for columns, block in column_blocks(table):
+        product[:, columns] = some @ block
+    return product
 
 
-def _centred(sequence: FrameStore, frames: Index, mean: Float | None) -> LargeArray:
-    """Return trajectories without the mean of all vertices (3T, V), or frames without the mean shape (T, 3V)."""
-    vertices = sequence.points.shape[1]
-    if mean is not None:
-        table = new_large_array((len(frames), 3 * vertices))
-        for row, frame in enumerate(frames):
-            table[row : row + 1] = (sequence.points[frame : frame + 1][0] - mean).reshape(1, -1)
-        return table
-    table = new_large_array((3 * len(frames), vertices))
+def _scores(table: LargeArray, directions: Float) -> Float:
+    scores, size = np.empty((len(table), len(directions))), 1 << 10
+    for start in range(0, len(table), size):
+        scores[start : start + size] = table[start : start + size] @ directions.T
+    return scores
+
+
+def _centred(sequence: FrameStore, frames: Index) -> tuple[LargeArray, Float]:
+    """Return trajectories ``(3T, V)`` without the mean of all vertices, and these means ``(T, 3)``."""
+    table = new_large_array((3 * len(frames), sequence.points.shape[1]))
+    means = np.empty((len(frames), 3))
     for row, frame in enumerate(frames):
         points = sequence.points[frame : frame + 1][0].astype(np.float64)
-        table[3 * row : 3 * row + 3] = (points - points.mean(axis=0)).T
-    return table
-
-
-def _of_vertices(sequence: FrameStore, some: Index) -> LargeArray:
-    points = new_large_array((len(sequence.points), len(some), 3), sequence.points.dtype)
-    for frame in range(len(points)):
-        points[frame : frame + 1] = sequence.points[frame : frame + 1][:, some]
-    return points
-
-
-def _mean_shape(sequence: FrameStore, frames: Index) -> Float:
-    total = np.zeros(sequence.points.shape[1:])
-    for frame in frames:
-        total += sequence.points[frame : frame + 1][0]
-    return total / len(frames)
+        means[row] = points.mean(axis=0)
+        table[3 * row : 3 * row + 3] = (points - means[row]).T
+    return table, means

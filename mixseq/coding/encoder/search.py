@@ -4,22 +4,24 @@ The error grows with the step, the number of bytes shrinks; the step is found by
 nearly powers of it. With a bound on every vertex there is a choice: few residuals of an accurate basis, or many of a
 coarse one; the cheapest of some steps is taken.
 
-At the first step both kinds of basis are tried, and more and more parts as long as bytes become fewer.
+At the first step both kinds of basis are tried, and all numbers of parts. Every trial says how wrong the first guess of
+the step was, and the next begins with a better one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from mixseq.coding.bitstream.signal_graph import SignalGraph
-from mixseq.coding.bitstream.spatial_basis import BasisKind, Part, parts_of, whole
+from mixseq.coding.bitstream.spatial_basis import BasisKind, parts_of, whole
+from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.part_merging import vertex_parts
-from mixseq.coding.encoder.principal_components import PrincipalComponents, principal_components
-from mixseq.coding.encoder.trial import Trial, try_step
+from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
+from mixseq.coding.encoder.residuals import with_residuals
+from mixseq.coding.encoder.trial import Candidate, Trial, squared_error, try_step
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
 from mixseq.progress import Stages
@@ -45,22 +47,16 @@ FACTOR = 1.5
 SHAPES = 2.0
 """Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
 
-NEARLY = 1.04
+NEARLY = 1.02
 """The best two are tried with several steps, if their sizes at the first step are so near."""
 
 PARTS = (3, 6, 12)
-"""So many parts are tried, one number after the other, as long as bytes become fewer."""
+"""So many parts are tried."""
 
 KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
 
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """Principal components of the parts of a sequence, all of one kind, and the first trial with them."""
-
-    components: tuple[PrincipalComponents, ...]
-    parts: tuple[Part, ...]
-    first: Trial
+TINY = 1e-9
+"""Errors below this share of what is asked for are as good as none."""
 
 
 class Search:
@@ -73,84 +69,74 @@ class Search:
         self._count = len(sequence.points) * sequence.points.shape[1]
         self._rounds = 0
 
-    def _try(self, candidate: Candidate, step: float, bound: float | None = None, dry: bool = False) -> Trial:
-        return self._trial(candidate.components, candidate.parts, step, bound, dry)
-
-    def _trial(
-        self,
-        components: tuple[PrincipalComponents, ...],
-        parts: tuple[Part, ...],
-        step: float,
-        bound: float | None,
-        dry: bool = False,
-    ) -> Trial:
+    def _try(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, ROUNDS - 1))(0, 1, "choosing the step")
         self._rounds += 1
-        return try_step(self._sequence, components, step, parts, self._graph, bound, dry)
+        return try_step(self._sequence, candidate, step)
 
-    def _candidates(self, error: float, bound: float | None = None) -> list[Candidate]:
-        """Try both kinds of basis, and several parts, with steps that should make an error.
+    def _first_trials(self, error: float) -> list[Trial]:
+        """Try all candidates with steps that should make an error; return those that may be the best, best first."""
+        found: list[Trial] = []
+        share = 1.0
+        for candidate in self._candidates(error):
+            found.append(self._try(candidate, step_of(candidate, error / share)))
+            share *= max(found[-1].error, TINY * error) / error
+        found.sort(key=lambda one: _size_at(one, error))
+        return [one for one in found[:2] if _size_at(one, error) <= NEARLY * _size_at(found[0], error)]
 
-        Returns
-        -------
-        list of Candidate
-            Those that may be the best.
-        """
-        candidates: list[Candidate] = []
-        bits = np.inf
-        for kind in KINDS:
-            components = (principal_components(self._sequence, kind, _least(self._sequence, kind, error)),)
-            step = _guess(components, error)
-            if _bits(components[0], step) < SHAPES * bits:
-                parts = whole(self._graph)
-                candidates.append(Candidate(components, parts, self._trial(components, parts, step, bound)))
-            bits = _bits(components[0], step)
-
-        def size(one: Candidate) -> float:
-            # With a bound errors are the same, without one sizes are as they would be if errors were.
-            return one.first.size * (1.0 if bound else (one.first.error / error) ** SLOPE)
-
-        best = min(map(size, candidates))
-        for several in self._several_parts(error, bound):
-            candidates.append(several)
-            if size(several) > best:
-                break
-            best = size(several)
-        return [one for one in sorted(candidates, key=size)[:2] if size(one) <= NEARLY * best]
-
-    def _several_parts(self, error: float, bound: float | None) -> Iterator[Candidate]:
-        """Try more and more parts, each with trajectories of its own."""
-        for labels in vertex_parts(self._sequence, PARTS).values():
-            parts = parts_of(labels, self._sequence.header.faces)
-            least = _least(self._sequence, "trajectories", error)
-            components = tuple(
-                principal_components(self._sequence, "trajectories", least, part.vertices) for part in parts
+    def _candidates(self, error: float) -> Iterator[Candidate]:
+        least = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
+        components = trajectories(self._sequence, least)
+        one, bits = self._candidate(components), np.inf
+        if "trajectories" in KINDS:
+            bits = _bits(one, step_of(one, error))
+            yield one
+        if "shapes" in KINDS:
+            other = self._candidate(shapes(components, 3**0.5 * least))
+            if _bits(other, step_of(other, error)) < SHAPES * bits:
+                yield other
+        for labels in vertex_parts(self._sequence, PARTS).values() if "trajectories" in KINDS else ():
+            several = (
+                PartComponents(components, part, least)
+                for part in parts_of(labels, self._sequence.header.faces)
             )
-            trial = self._trial(components, parts, _guess(components, error), bound)
-            yield Candidate(components, parts, trial)
+            yield Candidate(components, tuple(several), self._graph)
+
+    def _candidate(self, components: PrincipalComponents) -> Candidate:
+        [part] = whole(self._graph)
+        return Candidate(components, (PartComponents(components, part, 0.0),), self._graph)
 
     def with_error(self, error: float) -> Trial:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
-        found: list[Trial] = []
-        for candidate in self._candidates(error):
-            best = _closest(
-                partial(self._try, candidate, dry=True),
-                lambda one: error / max(one.error, 1e-9 * error),
-                candidate.first,
-                1.0,
+        best: Trial | None = None
+        for first in self._first_trials(error):
+            if best is not None and best.size <= _size_at(first, error):
+                break
+            found = _closest(
+                partial(self._try, first.candidate),
+                lambda one: error / max(one.error, TINY * error),
+                first,
+                _slope(first),
             )
-            if best is not None:
-                found.append(best if best is candidate.first else self._try(candidate, best.step))
-        if not found:  # frames were left out of the components: the residual layer makes good for them
+            if found is not None and (best is None or found.size < best.size):
+                best = found
+        for _ in range(ROUNDS if best is not None else 0):
+            if best is None or squared_error(self._sequence, best.basis, best.coefficients) <= error**2:
+                break
+            best = self._try(best.candidate, (1 - CLOSE / 3) * best.step)  # what algebra does not see
+        if best is None:  # frames were left out of the components: the residual layer makes good for them
             return self.within(error / self._count**0.5)
-        return min(found, key=lambda one: one.size)
+        return best
 
     def with_size(self, size: int, deviation: float) -> Trial:
         """Find the finest step that fits into a number of bytes; begin with an error of 0.2 % of the deviation."""
         found: list[Trial] = []
-        for candidate in self._candidates(FIRST * deviation):
+        for first in self._first_trials(FIRST * deviation):
             best = _closest(
-                partial(self._try, candidate), lambda one: size / one.size, candidate.first, -SLOPE
+                partial(self._try, first.candidate),
+                lambda one: size / one.size,
+                first,
+                -SLOPE * _slope(first),
             )
             if best is not None:
                 found.append(best)
@@ -160,13 +146,14 @@ class Search:
 
     def within(self, bound: float) -> Trial:
         """Find the cheapest of some steps whose residual layer keeps a bound, in the units of the sequence."""
-        candidates = self._candidates(RATIO * bound * self._count**0.5, bound)
-        candidate = min(candidates, key=lambda one: one.first.size)
-        best = candidate.first
+        first = self._first_trials(RATIO * bound * self._count**0.5)[0]
+        best = with_residuals(self._sequence, first, bound)
         for direction in (FACTOR, 1 / FACTOR):
             found = False
-            while self._rounds < ROUNDS + len(PARTS):
-                other = self._try(candidate, best.step * direction, bound)
+            while self._rounds < 2 * ROUNDS:
+                other = with_residuals(
+                    self._sequence, self._try(best.candidate, best.step * direction), bound
+                )
                 if other.size >= best.size:
                     break
                 best, found = other, True
@@ -195,28 +182,33 @@ def _closest(
     return best
 
 
-def _least(sequence: FrameStore, kind: BasisKind, error: float) -> float:
-    """Norm of components that are not worth looking at, if all of them together shall make an error."""
-    rows = 3 if kind == "trajectories" else 1
-    return 0.1 * error / float(np.sqrt(rows * len(sequence.points)))
+def _size_at(trial: Trial, error: float) -> float:
+    """Return about how many bytes a trial would have if it had an error."""
+    return float(trial.size * (max(trial.error, TINY * error) / error) ** SLOPE)
 
 
-def _guess(components: Sequence[PrincipalComponents], error: float) -> float:
-    """Return the step whose error is about a given one: s^2 / 12 for every number above it, all of those below."""
-    counts = np.repeat(
-        [one.vectors.shape[1] * one.vectors.shape[2] for one in components],
-        [len(one.norms) for one in components],
-    )
-    squares = np.square(np.concatenate([one.norms for one in components]))
+def expected_error(candidate: Candidate, step: float) -> float:
+    """Return about which error a step makes: s^2 / 12 for every number above it, all of those below."""
+    squares = [np.minimum(np.square(one.norms), one.width * step**2 / 12).sum() for one in candidate.parts]
+    return float(np.sqrt(sum(squares) + candidate.components.left_out))
+
+
+def step_of(candidate: Candidate, error: float) -> float:
+    """Return the step that is expected to make an error."""
     low, high = 1e-12 * error, error
     for _ in range(60):
         step = float(np.sqrt(low * high))
-        expected = np.minimum(squares, counts * step**2 / 12).sum()
-        low, high = (step, high) if expected < error**2 else (low, step)
+        low, high = (step, high) if expected_error(candidate, step) < error else (low, step)
     return low
 
 
-def _bits(components: PrincipalComponents, step: float) -> float:
-    """Return how many bits components would cost if nothing were known of them but their norms."""
-    count = components.vectors.shape[1] * components.vectors.shape[2]
-    return float(count * np.log2(np.maximum(components.norms / (step * count**0.5), 1.0)).sum())
+def _slope(trial: Trial) -> float:
+    """Return about the power of the step with which the error grows."""
+    finer, coarser = (expected_error(trial.candidate, trial.step * factor) for factor in (0.9, 1.1))
+    return float(max(np.log(coarser / finer) / np.log(1.1 / 0.9), 0.1)) if finer > 0 else 1.0
+
+
+def _bits(candidate: Candidate, step: float) -> float:
+    """Return how many bits one part would cost if nothing were known of its components but their norms."""
+    [part] = candidate.parts
+    return float(part.width * np.log2(np.maximum(part.norms / (step * part.width**0.5), 1.0)).sum())

@@ -12,16 +12,14 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.compressed_sequence import Chunk
 from mixseq.coding.bitstream.entropy import Writer
-from mixseq.coding.bitstream.residual_layer import write_residuals
-from mixseq.coding.bitstream.signal_coder import NumberModels, PredictedSignal, SignalCoder
+from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import (
+    BasisKind,
     Part,
     SpatialBasis,
     assemble_basis,
@@ -29,14 +27,39 @@ from mixseq.coding.bitstream.spatial_basis import (
     groups_of_parts,
     write_labels,
 )
+from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 from mixseq.frame_store import FrameStore, block_size, blocks_of
 
 CHUNK = 512
 """A chunk has about so many frames."""
 
-ZEROS = 3
-"""Basis vectors are coded until so many in a row are zero everywhere, after rounding."""
+DIGITS = 1e-10
+"""Squared errors below this share of the squared motion are measured of frames: others have lost too many digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A way to code a sequence: with its components, of one kind, and with these parts.
+
+    Attributes
+    ----------
+    components : PrincipalComponents
+        Of the whole mesh.
+    parts : tuple of PartComponents
+        Of every part.
+    graph : SignalGraph
+        Of the whole mesh.
+    """
+
+    components: PrincipalComponents
+    parts: tuple[PartComponents, ...]
+    graph: SignalGraph
+
+    @property
+    def kind(self) -> BasisKind:
+        """What is compared: vertices or frames."""
+        return self.components.kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +68,16 @@ class Trial:
 
     Attributes
     ----------
+    candidate : Candidate
+        How it was coded.
     step : float
         The step, in the units of the sequence.
     ranks : tuple of int
         Number of basis vectors of every part that were coded; those that are zero are not in the basis.
     basis : SpatialBasis
         The basis as a decoder has it.
+    coefficients : (T, K, d) float64
+        Its coefficients as a decoder has them.
     basis_streams : tuple of bytes
         Streams of its groups.
     chunks : tuple of Chunk
@@ -61,9 +88,11 @@ class Trial:
         What the residual layer is for.
     """
 
+    candidate: Candidate
     step: float
     ranks: tuple[int, ...]
     basis: SpatialBasis
+    coefficients: Float
     basis_streams: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]
     error: float
@@ -76,46 +105,36 @@ class Trial:
         return sum(map(len, self.basis_streams)) + of_chunks
 
 
-def try_step(
-    sequence: FrameStore,
-    components: Sequence[PrincipalComponents],
-    step: float,
-    parts: Sequence[Part],
-    graph: SignalGraph,
-    bound: float | None = None,
-    dry: bool = False,
-) -> Trial:
+def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
     """Code a sequence.
 
     Parameters
     ----------
     sequence : FrameStore
         The sequence.
-    components : sequence of PrincipalComponents
-        Those of every part, all of one kind.
+    candidate : Candidate
+        What is known of it, and how it is to be coded.
     step : float
         Quantisation step, in the units of the sequence.
-    parts : sequence of Part
-        The parts of the mesh.
-    graph : SignalGraph
-        Of its mesh.
-    bound : float, optional
-        Largest distance of a vertex, in the units of the sequence; by default there is no residual layer.
-    dry : bool
-        Leave out the coding: only the error counts.
     """
-    vectors, basis_streams = write_basis(components, step, parts, graph, dry)
-    basis = assemble_basis(components[0].kind, vectors, parts, len(sequence.points))
-    coefficients, streams = write_coefficients(basis, least_squares(basis, sequence), step, dry)
-    squares = 0.0
-    for points, block in zip(blocks_of(sequence.points), decoded_blocks(basis, coefficients), strict=True):
-        squares += float(np.square(points - block).sum())
-    done = []
-    for frames, stream in zip(chunks(len(coefficients)), streams, strict=True):
-        residuals = b"" if bound is None else _residuals(sequence, basis, coefficients, frames, bound, graph)
-        done.append(Chunk(frames.start, len(frames), stream, residuals))
+    vectors, basis_streams = write_basis(candidate, step)
+    parts = [one.part for one in candidate.parts]
+    basis = assemble_basis(candidate.kind, vectors, parts, len(sequence.points))
+    fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
+    nearest, scales, owners = in_order(basis, [fit.coefficients for fit in fits]), *_varying(basis)
+    decoded, streams = write_coefficients(basis, nearest / scales[:, None], step)
+    squares = candidate.components.left_out
+    for place, fit in enumerate(fits):
+        own = owners == place
+        squares += fit.squares_of((decoded[:, own] * scales[own, None]).transpose(1, 0, 2))
     ranks = tuple(map(len, vectors))
-    return Trial(step, ranks, basis, basis_streams, tuple(done), float(np.sqrt(squares)), bound)
+    done = tuple(
+        Chunk(frames.start, len(frames), stream)
+        for frames, stream in zip(chunks(len(decoded)), streams, strict=True)
+    )
+    if squares <= DIGITS * np.square(candidate.components.norms).sum():
+        squares = squared_error(sequence, basis, decoded)
+    return Trial(candidate, step, ranks, basis, decoded, basis_streams, done, float(np.sqrt(squares)))
 
 
 def chunks(frame_count: int) -> list[range]:
@@ -125,40 +144,29 @@ def chunks(frame_count: int) -> list[range]:
     return [range(a, b) for a, b in pairwise(ends)]
 
 
-def write_basis(
-    components: Sequence[PrincipalComponents],
-    step: float,
-    parts: Sequence[Part],
-    graph: SignalGraph,
-    dry: bool = False,
-) -> tuple[list[Float], tuple[bytes, ...]]:
-    """Code principal components of every part until they are zero, as `read_basis` reads them.
+def write_basis(candidate: Candidate, step: float) -> tuple[list[Float], tuple[bytes, ...]]:
+    """Code the components of every part until they are zero, as `read_basis` reads them.
 
     Returns
     -------
     vectors : list of (K, c, n) float64
         Basis vectors of every part as a decoder has them, without the constant one of trajectories.
     streams : tuple of bytes
-        Streams of the groups; none if it is a dry run, which is to see what rounding does.
+        Streams of the groups.
     """
-    vectors, signals = [], []
-    for one, part in zip(components, parts, strict=True):
-        rounded, predicted = _rounded(one, step, part, dry)
-        vectors.append(rounded)
-        signals.append(predicted)
-    if dry:
-        return vectors, ()
-    models, streams = NumberModels(), []
-    for number, of_parts in enumerate(groups_of_parts([len(some) for some in vectors])):
+    parts, models, streams = candidate.parts, NumberModels(), []
+    coders = [SignalCoder(one.part.graph, one.coordinates, models) for one in parts]
+    vectors: list[list[Float]] = [[] for _ in parts]
+    for number, of_parts in enumerate(groups_of_parts([one.rank(step) for one in parts])):
         writer = Writer()
         if number == 0 and len(parts) > 1:
-            write_labels(writer, labels_of(parts), graph)
+            write_labels(writer, labels_of([one.part for one in parts]), candidate.graph)
         for place, group in of_parts:
-            for coordinates in signals[place][group]:
-                for signal in coordinates:
-                    models.write(writer, signal, parts[place].graph.batches)
+            for row in range(group.start, group.stop):
+                numbers = parts[place].vector(row) / step
+                vectors[place].append(np.stack([coders[place].write(writer, one) for one in numbers]))
         streams.append(writer.finish())
-    return vectors, tuple(streams)
+    return [step * np.array(some) for some in vectors], tuple(streams)
 
 
 def labels_of(parts: Sequence[Part]) -> Index:
@@ -169,123 +177,44 @@ def labels_of(parts: Sequence[Part]) -> Index:
     return labels
 
 
-def _rounded(
-    components: PrincipalComponents, step: float, part: Part, dry: bool
-) -> tuple[Float, list[list[PredictedSignal]]]:
-    """Return the basis vectors ``(K, c, n)`` of a part after rounding, until they are zero, and what is coded of them.
-
-    Nothing is coded of a dry run.
-    """
-    coder = SignalCoder(part.graph, components.vectors.shape[1])
-    vectors: list[Float] = []
-    signals: list[list[PredictedSignal]] = []
-    zeros = 0
-    for place in range(len(components.vectors)):
-        numbers = components.vectors[place : place + 1][0] / step
-        if dry:
-            vectors.append(np.stack([coder.quantise(one) for one in numbers]))
-        else:
-            values, predicted = zip(*(coder.predict(one) for one in numbers), strict=True)
-            vectors.append(np.stack(values))
-            signals.append(list(predicted))
-        zeros = 0 if vectors[-1].any() else zeros + 1
-        if zeros == ZEROS:
-            break
-    kept = max(len(vectors) - zeros, 1)
-    return step * np.array(vectors[:kept]), signals[:kept]
+def _varying(basis: SpatialBasis) -> tuple[Float, Index]:
+    """Return norms ``(K,)`` and parts ``(K,)`` of the vectors whose coefficients are coded."""
+    return basis.norms[basis.varying], basis.parts[basis.varying]
 
 
-def least_squares(basis: SpatialBasis, sequence: FrameStore) -> Float:
-    """Return the coefficients ``(T, K, 3 / c)`` of the varying vectors that are nearest to a sequence."""
-    scales = basis.norms[basis.varying]
-    scaled = basis.vectors[basis.varying] / scales[:, None, None]
-    count = len(scaled)
-    if not count:  # a mean shape, and nothing that moves
-        return np.zeros((len(sequence.points), 0, 1))
-    flat = scaled.reshape(count, -1)
-    # Vectors are nearly orthogonal; a trace of damping is for those that are the same, after rounding.
-    gram = flat @ flat.T
-    factor = linalg.cho_factor(gram + 1e-9 * np.eye(count))
-    coefficients = []
-    for block in blocks_of(sequence.points):
-        points = block.astype(np.float64)
-        if basis.kind == "trajectories":
-            right = np.einsum("kv,tvi->kti", flat, points, optimize=True)
-        else:
-            points = points - basis.mean
-            right = np.einsum("kiv,tvi->kt", scaled, points, optimize=True)[..., None]
-        right = right.reshape(count, -1)
-        solved = linalg.cho_solve(factor, right)
-        solved += linalg.cho_solve(factor, right - gram @ solved)  # takes back what the damping took
-        coefficients.append(solved.reshape(count, len(points), -1).transpose(1, 0, 2))
-    return np.concatenate(coefficients) / scales[:, None]
+def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
+    """Return coefficients ``(K, T, d)`` of all parts in the order in which they are coded, ``(T, K, d)``."""
+    owners = basis.parts[basis.varying]
+    ordered = np.empty((len(owners), *coefficients[0].shape[1:]))
+    for place, some in enumerate(coefficients):
+        ordered[owners == place] = some
+    return ordered.transpose(1, 0, 2)
 
 
-def write_coefficients(
-    basis: SpatialBasis, coefficients: Float, step: float, dry: bool = False
-) -> tuple[Float, list[bytes]]:
+def write_coefficients(basis: SpatialBasis, coefficients: Float, step: float) -> tuple[Float, list[bytes]]:
     """Code coefficients ``(T, K, d)``; return them as decoders have them, and a stream for every chunk."""
-    scales = basis.norms[basis.varying, None] / step
+    scales, owners = _varying(basis)
+    scales = scales / step
     decoded = np.empty_like(coefficients)
     streams = []
     for chunk in chunks(len(coefficients)):
         writer, coders = Writer(), coefficient_coders(basis, len(chunk))
         frames = slice(chunk.start, chunk.stop)
         for place, coordinate in np.ndindex(coefficients.shape[1:]):
-            coder = coders[basis.parts[basis.varying][place]]
             numbers = coefficients[frames, place, coordinate] * scales[place]
-            values = coder.quantise(numbers) if dry else coder.write(writer, numbers)
-            decoded[frames, place, coordinate] = values / scales[place]
+            decoded[frames, place, coordinate] = coders[owners[place]].write(writer, numbers) / scales[place]
         streams.append(writer.finish())
     return decoded, streams
 
 
+def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:
+    """Return the sum of all squared distances of decoded frames from those of a sequence."""
+    blocks = zip(blocks_of(sequence.points), decoded_blocks(basis, coefficients), strict=True)
+    return sum(float(np.square(points - block).sum()) for points, block in blocks)
+
+
 def decoded_blocks(basis: SpatialBasis, coefficients: Float) -> Iterator[Float]:
     """Yield the frames of coefficients in blocks of those of `mixseq.frame_store.blocks_of`."""
-    size = block_size(basis.vectors.shape[2])
+    size = block_size(basis.vertex_count)
     for start in range(0, len(coefficients), size):
         yield basis.frames(coefficients[start : start + size])
-
-
-def width(bound: float) -> float:
-    """Return the unit w of the residual layer for a bound, both in the units of the sequence."""
-    return float(2.0 * bound / np.sqrt(3.0))
-
-
-def needed(apart: Float, bound: float) -> Index:
-    r"""Return the residuals that bring every vertex below a bound :math:`\varepsilon`.
-
-    Where a decoded frame is further than the bound from the original, the difference is rounded to multiples of
-    :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate. What is left is at most :math:`w / 2` in each, so at most
-    :math:`\varepsilon` in all. Everywhere else there is no residual.
-
-    Parameters
-    ----------
-    apart : (T, V, 3) float64
-        Originals minus decoded frames, in the units of the sequence.
-    bound : float
-        The bound, in the same units.
-
-    Returns
-    -------
-    (T, V, 3) int64
-        In units of `width`, zeros where nothing has to be added.
-    """
-    far = np.einsum("tvi,tvi->tv", apart, apart) > bound * bound
-    return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)
-
-
-def _residuals(
-    sequence: FrameStore,
-    basis: SpatialBasis,
-    coefficients: Float,
-    frames: range,
-    bound: float,
-    graph: SignalGraph,
-) -> bytes:
-    def numbers(frame: int) -> NDArray[np.int64]:
-        one = slice(frame, frame + 1)
-        apart = np.asarray(sequence.points[one] - basis.frames(coefficients[one]))
-        return np.asarray(needed(apart, bound)[0])
-
-    return write_residuals((numbers(frame) for frame in frames), graph)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.residual_layer import RUN, read_residuals, write_residuals
 from mixseq.coding.bitstream.signal_graph import mesh_graph
-from mixseq.coding.encoder.trial import needed, width
+from mixseq.coding.encoder.residuals import needed, width
 from mixseq.errors import FormatError
 from tests.meshes import seeds, torus
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mixseq.coding.bitstream.spatial_basis import SpatialBasis
-from mixseq.coding.encoder.trial import decoded_blocks, least_squares
+from mixseq.coding.encoder.trial import decoded_blocks
 from mixseq.frame_store import FrameStore, block_size, frame_store
 from mixseq.sequence import MeshSequence
-from tests.coding.one_part import basis_of
+from tests.coding.one_part import basis_of, least_squares
 from tests.meshes import bar, tube
 
 RNG = np.random.default_rng(4)

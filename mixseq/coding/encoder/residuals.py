@@ -1,0 +1,59 @@
+r"""The residual layer of an encoder: where decoded frames are farther than a bound from the original, and how far."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.bitstream.residual_layer import write_residuals
+from mixseq.coding.encoder.trial import Trial
+from mixseq.frame_store import FrameStore
+
+
+def width(bound: float) -> float:
+    """Return the unit w of the residual layer for a bound, both in the units of the sequence."""
+    return float(2.0 * bound / np.sqrt(3.0))
+
+
+def needed(apart: Float, bound: float) -> Index:
+    r"""Return the residuals that bring every vertex below a bound :math:`\varepsilon`.
+
+    Where a decoded frame is further than the bound from the original, the difference is rounded to multiples of
+    :math:`w = 2 \varepsilon / \sqrt 3` in every coordinate. What is left is at most :math:`w / 2` in each, so at most
+    :math:`\varepsilon` in all. Everywhere else there is no residual.
+
+    Parameters
+    ----------
+    apart : (T, V, 3) float64
+        Originals minus decoded frames, in the units of the sequence.
+    bound : float
+        The bound, in the same units.
+
+    Returns
+    -------
+    (T, V, 3) int64
+        In units of `width`, zeros where nothing has to be added.
+    """
+    far = np.einsum("tvi,tvi->tv", apart, apart) > bound * bound
+    return np.where(far[..., None], np.rint(apart / width(bound)), 0.0).astype(np.int64)
+
+
+def with_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
+    """Return a trial with the residual layer that keeps a bound, in the units of the sequence."""
+
+    def numbers(frame: int) -> NDArray[np.int64]:
+        one = slice(frame, frame + 1)
+        apart = np.asarray(sequence.points[one] - trial.basis.frames(trial.coefficients[one]))
+        return np.asarray(needed(apart, bound)[0])
+
+    layers = (
+        write_residuals(map(numbers, range(chunk.first, chunk.first + chunk.count)), trial.candidate.graph)
+        for chunk in trial.chunks
+    )
+    chunks = tuple(
+        replace(chunk, residuals=residuals) for chunk, residuals in zip(trial.chunks, layers, strict=True)
+    )
+    return replace(trial, chunks=chunks, bound=bound)
