@@ -32,6 +32,10 @@ TransferName = Literal["mixed", "gradients"]
 TRANSFERS: tuple[TransferName, ...] = get_args(TransferName)
 """How motions are transferred: part by part and joint by joint, or by deformation gradients."""
 
+OrderName = Literal["keep", "vertices", "free"]
+ORDERS: tuple[OrderName, ...] = get_args(OrderName)
+"""What keeps its numbers in a compressed file: vertices and faces, vertices only, or neither."""
+
 PictureKind = Literal[
     "embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"
 ]

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
+from mixseq.coding.renumbering import numbered_as
 from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
@@ -116,7 +117,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     a : MeshSequence or SequenceReader
         The reference.
     b : MeshSequence or SequenceReader
-        The same mesh at the same times.
+        The same mesh at the same times; its vertices may have the numbers that a compressed file gave them
+        (``order="free"``).
 
     Raises
     ------
@@ -134,6 +136,7 @@ def compare(a: Frames, b: Frames) -> Comparison:
     >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
     (0.1, 0.331, 0.0)
     """
+    a, _ = numbered_as(a, b.header)
     header = a.header
     check_comparable(header, b.header)
     topology = Topology(header.faces, header.vertex_count)

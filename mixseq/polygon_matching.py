@@ -46,24 +46,40 @@ def matched(ours: Polygons, theirs: Polygons) -> PolygonMatch | None:
     """
     if ours.same_as(theirs):
         return PolygonMatch(np.arange(len(ours.counts)), np.arange(ours.indices.size))
-    if not np.array_equal(np.sort(ours.counts), np.sort(theirs.counts)):
+    own, other = in_canonical_order(ours), in_canonical_order(theirs)
+    if not (
+        np.array_equal(ours.counts[own.polygons], theirs.counts[other.polygons])
+        and np.array_equal(ours.indices[own.corners], theirs.indices[other.corners])
+    ):
         return None
-    polygons = np.zeros(len(ours.counts), dtype=np.int64)
-    corners = np.zeros(ours.indices.size, dtype=np.int64)
-    for size in np.unique(ours.counts).tolist():
-        (own, own_corners), (other, other_corners) = (_cycles(each, size) for each in (ours, theirs))
-        if not np.array_equal(ours.indices[own_corners], theirs.indices[other_corners]):
-            return None
-        polygons[own] = other
-        corners[own_corners] = other_corners
+    polygons, corners = np.empty_like(own.polygons), np.empty_like(own.corners)
+    polygons[own.polygons] = other.polygons
+    corners[own.corners] = other.corners
     return PolygonMatch(polygons, corners)
 
 
-def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
-    """Return the polygons ``(m,)`` of a size and their corners ``(m, size)``, both in an order that cycles alone tell.
+def in_canonical_order(polygons: Polygons) -> PolygonMatch:
+    """Return which polygons and corners are first, second, ... in an order that cycles alone tell.
 
-    Every polygon begins where its list of vertices is the first of all its rotations in lexicographic order.
+    The smallest polygons come first, those of a size in lexicographic order; each begins where its list of vertices is
+    the first of all its rotations in that order.
+
+    Examples
+    --------
+    >>> found = in_canonical_order(Polygons(np.array([4, 3]), np.array([2, 3, 0, 1, 4, 3, 2])))
+    >>> found.polygons.tolist(), found.corners.tolist()
+    ([1, 0], [6, 4, 5, 2, 3, 0, 1])
     """
+    cycles = [_cycles(polygons, size) for size in np.unique(polygons.counts).tolist()]
+    none = [np.zeros(0, dtype=np.int64)]
+    return PolygonMatch(
+        np.concatenate(none + [number for number, _ in cycles]),
+        np.concatenate(none + [corners.reshape(-1) for _, corners in cycles]),
+    )
+
+
+def _cycles(polygons: Polygons, size: int) -> tuple[Index, Index]:
+    """Return the polygons ``(m,)`` of a size and their corners ``(m, size)`` in canonical order."""
     number = np.flatnonzero(polygons.counts == size)
     starts = (np.cumsum(polygons.counts) - polygons.counts)[number]
     corners = starts[:, None] + np.arange(size)

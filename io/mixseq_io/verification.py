@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import FloatArray
+from mixseq.coding.renumbering import numbered_as
 from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
 from mixseq.metrics import check_comparable, paired_blocks
@@ -54,7 +55,7 @@ class Verification:
     kg_percent : float or None
         Karni-Gotsman error.
     worst_frame, worst_vertex : int or None
-        Where the largest distance is.
+        Where the largest distance is, in the original's numbers.
     uv_bound : float or None
         Largest difference of a texture coordinate from the original that was asked for; None if there are none, or
         they are as they were.
@@ -97,7 +98,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     path : path-like
         A file that `mixseq.save` wrote of what `mixseq.compress` returned.
     original : MeshSequence or SequenceReader, optional
-        What was compressed; every vertex of every frame is compared with it.
+        What was compressed; every vertex of every frame is compared with it, also if it has another number there.
     progress : callable, optional
         Told about every frame.
 
@@ -127,9 +128,13 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         uv_bound=parameters.uv_error,
     )
     if original is not None:
+        original, renumbering = numbered_as(original, header)
         check_comparable(original.header, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
-        return replace(found, **_errors(original, frames), uv_error=uv_error)
+        found = replace(found, **_errors(original, frames), uv_error=uv_error)
+        if renumbering is None or found.worst_vertex is None:
+            return found
+        return replace(found, worst_vertex=int(renumbering.vertices[found.worst_vertex]))
     for _ in frames.blocks():
         pass
     return found

@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 import mixseq
+from mixseq.choices import ORDERS
 from mixseq.cli.console import format_bytes
 from mixseq.cli.limits import as_bytes
 from mixseq.cli.settings import setting
@@ -39,6 +40,12 @@ _OF_FITTING = (
 )
 """Options of ``mixseq encode`` that are about models that are not compressed."""
 
+_RENUMBERED = {
+    "vertices": "faces have other numbers than the original's",
+    "free": "vertices and faces have other numbers than the original's",
+}
+"""What is told of orders in which not all numbers are kept."""
+
 
 def aim_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add what a compressed model can aim at; the command gets ``aim``: one of the three by name, or nothing.
@@ -65,6 +72,11 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         metavar="X",
         help="Compressed: u and v are off by X at most, 0 keeps all bits.  [default: 1/16 texel of 4096]",
     )
+    @setting(
+        "--order",
+        type=click.Choice(ORDERS),
+        help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
+    )
     @setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates.  [default: uvs]")
     @wraps(command)
     def with_options(
@@ -74,18 +86,18 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         size: int | None,
         uv_error: float | None,
         uvs: bool,
+        order: str | None,
         **settings: Any,
     ) -> None:
         aims = {"max_error": max_error, "kg": kg, "size": size}
-        aim = {name: value for name, value in aims.items() if value is not None}
+        aim: dict[str, Any] = {name: value for name, value in aims.items() if value is not None}
         _check_aim(click.get_current_context(), [name.replace("_", "-") for name in aim])
-        textures = {"uv_error": uv_error} if uv_error is not None else {}
-        textures |= {} if uvs else {"uvs": False}
-        if textures and not aim:
-            raise SettingsError(
-                f"--{'uv-error' if uvs else 'no-uvs'} is for compressed models; give --max-error, --kg or --size, too"
-            )
-        aim |= textures
+        others = {"uv_error": uv_error, "uvs": None if uvs else False, "order": order}
+        given = {name: value for name, value in others.items() if value is not None}
+        if given and not aim:
+            option = {"uv_error": "uv-error", "uvs": "no-uvs", "order": "order"}[next(iter(given))]
+            raise SettingsError(f"--{option} is for compressed models; give --max-error, --kg or --size, too")
+        aim |= given
         command(*args, aim=aim, **settings)
 
     return with_options
@@ -96,8 +108,8 @@ def compressed(frames: Frames, aim: Mapping[str, Any], progress: Progress) -> Co
     from mixseq_io.hdf5.compressed_writer import room_for_signals
 
     if "size" in aim:
-        textures = {name: value for name, value in aim.items() if name in ("uv_error", "uvs")}
-        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **textures)}
+        others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
+        aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
     return mixseq.compress(frames, **aim, progress=progress)
 
 
@@ -125,6 +137,7 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
         "bytes": sizes,
         "coding": {
             **asdict(coded.parameters),
+            "order": coded.order,
             "groups": len(coded.basis),
             "chunks": len(coded.chunks),
             "bits": {name: bits(sizes[name], coded.header) for name in ("signals", "total")},
@@ -166,4 +179,5 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("max error", f"{stated}{coding['max_error']:.3g} of the diagonal"),
         ("KG error", f"{coding['kg_percent']:.3g} %"),
         *texture,
+        *([("order", _RENUMBERED[coding["order"]])] if coding["order"] in _RENUMBERED else []),
     ]

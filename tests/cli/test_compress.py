@@ -19,6 +19,7 @@ from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
+from tests.coding.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
@@ -94,6 +95,23 @@ def test_encode_to_a_size(run: Run) -> None:
     assert not found.promised
 
 
+def test_encode_in_an_order_of_our_own(run: Run) -> None:
+    """The numbers of vertices are other ones, and the original is compared all the same."""
+    mixseq.write("mixed.npz", shuffled(bar(8, 25)))
+    table = rows(succeed(run("encode", "mixed.npz", "new.h5", "--kg", "0.5", "--order", "free", "--check")))
+    assert table["order"] == "vertices and faces have other numbers than the original's"
+    succeed(run("encode", "mixed.npz", "kept.h5", "--kg", "0.5", "--set", "order=keep"))
+    assert "order" not in rows(succeed(run("info", "kept.h5")))
+    facts = [json.loads(succeed(run("info", file, "--json"))) for file in ("new.h5", "kept.h5")]
+    assert [each["coding"]["order"] for each in facts] == ["free", "keep"]
+    assert facts[0]["bytes"]["connectivity"] < facts[1]["bytes"]["connectivity"] / 5
+    assert rows(succeed(run("verify", "new.h5", "mixed.npz")))["bound holds"] == "yes"
+    succeed(run("decode", "new.h5", "again.npz"))
+    for other in ("new.h5", "again.npz"):
+        found = json.loads(succeed(run("compare", "mixed.npz", other, "--json")))
+        assert found["kg_percent"] == pytest.approx(0.5, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -108,6 +126,8 @@ def test_encode_to_a_size(run: Run) -> None:
             "--tolerance is for models that are not compressed; leave it out, or leave out --kg",
         ),
         ("--max-error 0.1 --exact", "--exact is for models .* leave out --max-error"),
+        ("--kg 1 --order any", "'any' is not one of 'keep', 'vertices', 'free'"),
+        ("--order free", "--order is for compressed models; give --max-error, --kg or --size, too"),
         ("--size 1MB --parts 3", "--parts is for models"),
         ("--size 1MB --rank 3", "--rank is for models"),
         ("--size 1MB --space vertex", "--space is for models"),

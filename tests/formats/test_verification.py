@@ -78,6 +78,19 @@ def test_a_bound_is_met_to_the_last_digit(
         assert mixseq.verify(path, bent_bar).holds is holds
 
 
+def test_vertices_with_other_numbers_are_found(bent_bar: MeshSequence, tmp_path: Path) -> None:
+    """The worst vertex has the number that it has in the original."""
+    file = tmp_path / "free.h5"
+    mixseq.save(file, mixseq.compress(bent_bar, max_error=BOUND, order="free"))
+    found = mixseq.verify(file, bent_bar)
+    assert found.holds
+    assert found.max_error == pytest.approx(mixseq.compare(bent_bar, mixseq.load(file).sample()).max_error)
+    points = np.array(bent_bar.points)
+    points[2, 17] += [0, 0.3, 0.4]
+    found = mixseq.verify(file, bent_bar.with_points(points))
+    assert (found.worst_frame, found.worst_vertex, found.holds) == (2, 17, False)
+
+
 @pytest.mark.parametrize("exponent", [-1030, -600, -100, 0, 100, 600, 1020])
 def test_nothing_is_said_to_hold_that_does_not_at_any_scale(
     exponent: int, path: Path, bent_bar: MeshSequence, coded: CompressedSequence

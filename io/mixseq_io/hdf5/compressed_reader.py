@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from mixseq.choices import ORDERS, OrderName
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
 from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.texture_coordinates import decode_uvs
@@ -106,7 +107,9 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
         for each in index.chunks
     )
     header = read_header(path, container, index, ground)
-    return CompressedSequence(header, read_parameters(path, container), basis, chunks)
+    return CompressedSequence(
+        header, read_parameters(path, container), basis, chunks, read_order(path, container)
+    )
 
 
 def read_parameters(path: Path, container: Container) -> CodingParameters:
@@ -132,6 +135,20 @@ def read_parameters(path: Path, container: Container) -> CodingParameters:
     if parameters.frame_count != facts.get("frame_count"):
         raise FormatError(f"{path}: its two numbers of frames contradict each other; it is damaged")
     return parameters
+
+
+def read_order(path: Path, container: Container) -> OrderName:
+    """Read what has the numbers of the original.
+
+    Raises
+    ------
+    FormatError
+        If this mixseq does not know the order.
+    """
+    order: OrderName = facts_of(path, container).get("order", "keep")
+    if order not in ORDERS:
+        raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
+    return order
 
 
 def read_header(

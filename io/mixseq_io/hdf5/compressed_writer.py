@@ -14,10 +14,12 @@ from zlib import crc32
 import h5py
 import numpy as np
 
+from mixseq.choices import OrderName
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
 from mixseq.coding.bitstream.entropy import pack_leb128
 from mixseq.coding.bitstream.texture_coordinates import grid_numbers
+from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.coding.encoder.uv_regions import encode_uvs
 from mixseq.errors import InvalidSequenceError, SettingsError
@@ -108,17 +110,23 @@ def compressed_sizes(path: Path) -> dict[str, int]:
 
 
 def room_for_signals(
-    header: SequenceHeader, size: int, *, uv_error: float = UV_ERROR, uvs: bool = True
+    header: SequenceHeader,
+    size: int,
+    *,
+    uv_error: float = UV_ERROR,
+    uvs: bool = True,
+    order: OrderName = "keep",
 ) -> int:
     """Return how many bytes of a file of some size are left for basis, coefficients and residual layer.
 
-    Texture coordinates are told as to `mixseq.compress`.
+    Texture coordinates and order are told as to `mixseq.compress`.
 
     Raises
     ------
     SettingsError
-        If there are none, or `uv_error` is out of range.
+        If there are none, or `uv_error` is out of range, or there is no such `order`.
     """
+    header = cheapest_numbering(header, order).of_header(header)
     connectivity, surface, times, *textures = map(len, _ground(*with_quantised_uvs(header, uv_error, uvs)))
     surface += sum(textures)
     container = _CONTAINER + times + _INDEX * (1 + header.frame_count // 64)
@@ -167,4 +175,6 @@ def _json(coded: CompressedSequence) -> bytes:
         "first_time": float(header.times[0]),
         "frame_count": header.frame_count,
     }
+    if coded.order != "keep":
+        facts["order"] = coded.order
     return json.dumps(facts, separators=(",", ":")).encode("ascii")

@@ -30,7 +30,13 @@ import numpy as np
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.sequence_header import SequenceHeader
-from mixseq_io.hdf5.compressed_reader import container_of, read_header, read_parameters, sequence_of
+from mixseq_io.hdf5.compressed_reader import (
+    container_of,
+    read_header,
+    read_order,
+    read_parameters,
+    sequence_of,
+)
 from mixseq_io.hdf5.contents import read_contents
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.stream_index import MAGIC, ChunkStreams, Container, StreamIndex, read_index
@@ -81,6 +87,7 @@ def salvage_compressed(path: Path) -> CompressedSequence | None:
         parameters if complete and bounded else replace(parameters, promised=False),
         groups,
         chunks,
+        read_order(path, container),
     )
 
 

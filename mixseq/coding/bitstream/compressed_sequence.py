@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from mixseq.arrays import Float
+from mixseq.choices import OrderName
 from mixseq.coding.bitstream.residual_layer import CodedResidualLayer
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.coding.bitstream.spatial_basis import (
@@ -158,12 +159,15 @@ class CompressedSequence:
         The spatial basis, in groups; each group needs those before it, and makes the sequence more accurate.
     chunks : tuple of Chunk
         Signals over time: all frames, in order.
+    order : {"keep", "vertices", "free"}
+        What has the numbers of the original: vertices and polygons, vertices only, or neither. Decoders do not need it.
     """
 
     header: SequenceHeader
     parameters: CodingParameters
     basis: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]
+    order: OrderName = "keep"
 
 
 def to_model(coded: CompressedSequence) -> Model:

@@ -9,8 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mixseq.choices import OrderName
 from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence, to_model
 from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.residuals import width
 from mixseq.coding.encoder.search import ROUNDS, Search
 from mixseq.coding.encoder.trial import Trial
@@ -33,6 +35,7 @@ def compress(
     *,
     uv_error: float = UV_ERROR,
     uvs: bool = True,
+    order: OrderName = "keep",
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -54,6 +57,9 @@ def compress(
         a promise. By default a sixteenth of a texel of a texture of 4096 x 4096; 0 keeps all bits.
     uvs : bool
         Whether to keep texture coordinates.
+    order : {"keep", "vertices", "free"}
+        What keeps its numbers: vertices and faces; vertices only; or neither. The other numbers are those that take the
+        fewest bytes; what is on vertices, faces and corners goes along.
 
     Returns
     -------
@@ -64,12 +70,15 @@ def compress(
     ------
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached,
-        or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25.
+        or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25,
+        or there is no such `order`.
     FormatError, InvalidSequenceError
         If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     """
     check_frames(sequence)
     _check(max_error, kg, size)
+    numbering = cheapest_numbering(sequence.header, order)
+    sequence = numbering.of_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
     stages = Stages(progress, 2 + ROUNDS, sequence.header.frame_count)
     with one_blas_thread():
@@ -83,7 +92,7 @@ def compress(
         else:
             best = search.with_size(int(size or 0), _deviation(frames))
         stages.at(1 + ROUNDS)(0, 1, "checking")
-        coded = _checked(frames, best, unit, max_error)
+        coded = replace(_checked(frames, best, unit, max_error), order=numbering.order)
     if uv_steps is None:
         return replace(coded, header=replace(coded.header, surface=header.surface))
     parameters = replace(coded.parameters, uv_steps=uv_steps, uv_error=float(uv_error))

@@ -109,6 +109,7 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
     ("change", "message"),
     [
         (lambda facts: facts["coding"].update(magic=1), "does not know the parameter 'magic'; upgrade it"),
+        (lambda facts: facts.update(order="spiral"), "does not know the order 'spiral'; upgrade it"),
         (lambda facts: facts["coding"].pop("step"), "parameters are missing .*step"),
         (lambda facts: facts.pop("coding"), "no parameters"),
         (lambda facts: facts["coding"].update(factors="x"), "factors is 'x'; trajectories or shapes"),

@@ -1,0 +1,37 @@
+"""Choose the numbers that vertices and polygons have in a compressed file: those that take the fewest bytes."""
+
+from __future__ import annotations
+
+from mixseq.choices import ORDERS, OrderName
+from mixseq.coding.bitstream.connectivity import encode_polygons
+from mixseq.coding.renumbering import Renumbering, as_it_is, by_walk
+from mixseq.errors import SettingsError
+from mixseq.sequence_header import SequenceHeader
+
+
+def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
+    """Return the numbering in which polygons take the fewest bytes.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        The mesh.
+    order : {"keep", "vertices", "free"}
+        What keeps its numbers: vertices and polygons, vertices only, or nothing. Numbers that are no worse than others
+        are kept anyway, as those of regular grids.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such order.
+    """
+    if order not in ORDERS:
+        raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
+    tried = [as_it_is(header)]
+    if order != "keep":
+        tried += [by_walk(header, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
+    if len(tried) == 1:
+        return tried[0]
+    return min(
+        tried, key=lambda each: len(encode_polygons(each.of_polygons(header.polygons), header.vertex_count))
+    )

@@ -1,0 +1,190 @@
+"""Meshes with other numbers of vertices and polygons: what is on vertices, corners and polygons goes along.
+
+Numbers are worth more than connectivity: where they are random, twenty times as much. So a compressed file may leave
+out the order of polygons, or of vertices, too, and have that of `mixseq.coding.bitstream.polygon_walk`. That is a
+function of the mesh, so nobody has to store it: whoever has the original renumbers it, too.
+
+Triangles stay triangles with the same winding: a triangle may begin at another corner, a quad at the one opposite, and
+larger polygons begin where they began, so that all of them are cut into the same triangles. All that hard edges say is
+which corners share a normal, so normals are numbered as they come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mixseq.arrays import FloatArray, Index, IntArray
+from mixseq.choices import OrderName
+from mixseq.polygon_matching import matched
+from mixseq.polygons import Polygons
+from mixseq.sequence import Frames, MeshSequence, SequenceHeader, header_fields
+from mixseq.surface import CornerValues, FaceSet, Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Renumbering:
+    """Which vertices, polygons and corners of a mesh are first, second, ... in another numbering of it.
+
+    Attributes
+    ----------
+    vertices : (V,) int64
+        The old number of every vertex.
+    polygons : (P,) int64
+        The old number of every polygon.
+    corners : (sum of counts,) int64
+        The old place of every corner.
+    """
+
+    vertices: Index
+    polygons: Index
+    corners: Index
+
+    @property
+    def order(self) -> OrderName:
+        """What keeps its number: vertices and polygons, vertices only, or neither."""
+        if not _is_sorted(self.vertices):
+            return "free"
+        return "keep" if _is_sorted(self.corners) else "vertices"
+
+    @property
+    def inverse(self) -> Renumbering:
+        """The numbering back."""
+        return Renumbering(*map(_inverse, (self.vertices, self.polygons, self.corners)))
+
+    def of_polygons(self, polygons: Polygons) -> Polygons:
+        """Return the polygons in their new order, on vertices with their new numbers."""
+        new = _inverse(self.vertices)
+        return Polygons(polygons.counts[self.polygons], new[polygons.indices[self.corners]])
+
+    def of_header(self, header: SequenceHeader) -> SequenceHeader:
+        """Return the same mesh, with everything that is on it, at the same times."""
+        renumbered = {
+            "polygons": self.of_polygons(header.polygons),
+            "surface": self._of_surface(header.surface),
+        }
+        return SequenceHeader(**{**header_fields(header), **renumbered})
+
+    def of_frames(self, frames: Frames) -> Frames:
+        """Return the same frames of the same mesh: in memory if they are, else read as they are asked for."""
+        if not isinstance(frames, MeshSequence):
+            return _Renumbered(frames, self.of_header(frames.header), self._of_points)
+        velocities = None if frames.velocities is None else self._of_points(frames.velocities)
+        return MeshSequence.from_header(
+            self.of_header(frames.header), self._of_points(frames.points), velocities
+        )
+
+    def _of_points(self, points: FloatArray) -> FloatArray:
+        """Return points ``(B, V, 3)``, the same if vertices keep their numbers."""
+        return points if _is_sorted(self.vertices) else points[:, self.vertices]
+
+    def _of_surface(self, surface: Surface) -> Surface:
+        new = _inverse(self.polygons)
+        uvs, hard_edges = surface.uvs, surface.hard_edges
+        return replace(
+            surface,
+            uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[self.corners]),
+            hard_edges=None if hard_edges is None else _by_first_use(hard_edges[self.corners]),
+            face_sets=tuple(
+                FaceSet(each.name, new[each.polygons], each.material) for each in surface.face_sets
+            ),
+        )
+
+
+def as_it_is(header: SequenceHeader) -> Renumbering:
+    """Return the numbering that a mesh has."""
+    polygons = header.polygons
+    counts = header.vertex_count, len(polygons.counts), polygons.indices.size
+    return Renumbering(*map(np.arange, counts))
+
+
+def by_walk(header: SequenceHeader, *, vertices: bool) -> Renumbering:
+    """Return the numbering in which connectivity takes few bits.
+
+    Objects stay runs of vertices and polygons, in their order.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        The mesh.
+    vertices : bool
+        Whether vertices are numbered as the walk meets them, those of no polygon last; else they keep their numbers.
+    """
+    from mixseq.coding.bitstream.polygon_walk import walk_polygons
+
+    polygons, count = header.polygons, header.vertex_count
+    order, entered = walk_polygons(polygons, count)
+    sizes, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
+    sizes, starts = sizes[order], starts[order]
+    place = entered - starts
+    begin = np.where(sizes == 3, place, np.where(sizes == 4, (place + place % 2) % 4, 0))
+    numbers = np.arange(count)
+    if vertices:
+        met, first = np.unique(polygons.indices[_corners(starts, sizes, place)], return_index=True)
+        when = np.full(count, polygons.indices.size)
+        when[met] = first
+        owner = np.repeat(np.arange(len(header.objects)), [each.vertex_count for each in header.objects])
+        numbers = np.lexsort((when, owner))
+    return Renumbering(numbers, order, _corners(starts, sizes, begin))
+
+
+def numbered_as(frames: Frames, header: SequenceHeader) -> tuple[Frames, Renumbering | None]:
+    """Return frames of a mesh with the numbers of vertices that a compressed file has, and how it was numbered.
+
+    Frames whose vertices have these numbers, and those of any other mesh, are returned as they are.
+
+    Parameters
+    ----------
+    frames : Frames
+        The original.
+    header : SequenceHeader
+        The mesh in the file.
+    """
+    ours = frames.header
+    same_size = ours.vertex_count == header.vertex_count and np.array_equal(
+        np.sort(ours.polygons.counts), np.sort(header.polygons.counts)
+    )
+    if not same_size or matched(ours.polygons, header.polygons) is not None:
+        return frames, None
+    found = by_walk(ours, vertices=True)
+    if matched(found.of_polygons(ours.polygons), header.polygons) is None:
+        return frames, None
+    return found.of_frames(frames), found
+
+
+@dataclass(frozen=True, eq=False)
+class _Renumbered:
+    """Frames that are renumbered as they are read."""
+
+    frames: Frames
+    header: SequenceHeader
+    renumbered: Callable[[FloatArray], FloatArray]
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Iterate over the points."""
+        return map(self.renumbered, self.frames.blocks(size))
+
+
+def _corners(starts: Index, sizes: Index, begin: Index) -> Index:
+    """Return the corners of polygons, one polygon after the other, each from its corner number `begin` on."""
+    first = np.cumsum(sizes) - sizes
+    along = np.arange(int(sizes.sum())) - np.repeat(first - begin, sizes)
+    return np.asarray(np.repeat(starts, sizes) + along % np.repeat(sizes, sizes), dtype=np.int64)
+
+
+def _by_first_use(numbers: IntArray) -> Index:
+    """Return numbers that are equal where these are: 0, 1, 2, ... as they come, which takes the fewest bytes."""
+    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+    return np.asarray(_inverse(np.argsort(first))[number], dtype=np.int64)
+
+
+def _is_sorted(numbers: Index) -> bool:
+    return bool((np.diff(numbers) > 0).all())
+
+
+def _inverse(order: Index) -> Index:
+    inverse = np.empty(len(order), dtype=np.int64)
+    inverse[order] = np.arange(len(order))
+    return inverse
