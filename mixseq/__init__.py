@@ -18,6 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mixseq.forwarding import forwarded
 from mixseq.version import __version__
 
 if TYPE_CHECKING:
@@ -37,19 +38,20 @@ if TYPE_CHECKING:
     from mixseq.unit_conversion import convert_units
     from mixseq_io import open_sequence, read, write, write_blocks, write_rig
     from mixseq_io.correspondence.markers import read_markers
-    from mixseq_io.hdf5.model_files import load, save
+    from mixseq_io.hdf5.loading import load
+    from mixseq_io.hdf5.saving import save
     from mixseq_io.verification import Verification, verify
 
 _HOME = {
     "Comparison": "mixseq.metrics",
     "Correspondence": "mixseq.correspondence.dense",
-    "Curve": "mixseq.signals",
+    "Curve": "mixseq.signals.curve",
     "Markers": "mixseq.correspondence.markers",
     "MeshSequence": "mixseq.sequence",
-    "Model": "mixseq.signals",
+    "Model": "mixseq.signals.model",
     "Morph": "mixseq.rigging",
     "Polygons": "mixseq.sequence",
-    "PoseMap": "mixseq.signals",
+    "PoseMap": "mixseq.signals.pose",
     "SequenceHeader": "mixseq.sequence",
     "Skin": "mixseq.rigging",
     "Topology": "mixseq.topology",
@@ -58,15 +60,15 @@ _HOME = {
     "compress": "mixseq.coding.encoder.compress",
     "convert_units": "mixseq.unit_conversion",
     "correspond": "mixseq.correspondence.correspond",
-    "fit": "mixseq.signals",
+    "fit": "mixseq.signals.fitting",
     "fit_morph": "mixseq.rigging",
     "fit_skin": "mixseq.rigging",
     "interpolate": "mixseq.operations.interpolation",
-    "load": "mixseq_io.hdf5.model_files",
+    "load": "mixseq_io.hdf5.loading",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "read_markers": "mixseq_io.correspondence.markers",
-    "save": "mixseq_io.hdf5.model_files",
+    "save": "mixseq_io.hdf5.saving",
     "segment": "mixseq.operations.segmenting",
     "transfer": "mixseq.retargeting.transfer",
     "verify": "mixseq_io.verification",
@@ -113,14 +115,11 @@ __all__ = [
 ]
 
 
+_home = forwarded(__name__, _HOME)
+
+
 def __getattr__(name: str) -> Any:
-    if name == "operations":
-        return import_module("mixseq.operations")
-    if name not in _HOME:
-        raise AttributeError(f"module 'mixseq' has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
-    globals()[name] = value
-    return value
+    return import_module("mixseq.operations") if name == "operations" else _home(name)
 
 
 def __dir__() -> list[str]:

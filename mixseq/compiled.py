@@ -20,6 +20,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 from mixseq.errors import MixseqWarning
 
@@ -59,9 +60,14 @@ class _Cache(FunctionCache):
     """numba's folder of compiled functions, which cannot make a run fail."""
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a compiled function, None if it must be compiled."""
+        """Return a compiled function, None if it must be compiled.
+
+        Without what numba's own does first, `refresh`: to load all that functions may be compiled from takes a
+        quarter of a second, and what is compiled needs only the memory of arrays.
+        """
         try:
-            return super().load_overload(signature, target)  # type: ignore[no-untyped-call]
+            rtsys.initialize(target)
+            return self._load_overload(signature, target)  # type: ignore[no-untyped-call]
         except OSError as error:
             self._give_up(error)
         except _DAMAGE:

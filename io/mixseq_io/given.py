@@ -32,7 +32,7 @@ def _sequence(path: str, _: Given) -> Any:
 
 
 def _model(path: str, _: Given) -> Any:
-    from mixseq_io.hdf5.model_files import load
+    from mixseq_io.hdf5.loading import load
 
     return load(path)
 

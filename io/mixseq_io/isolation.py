@@ -57,7 +57,9 @@ def open_isolated(reader: str, path: Path, options: dict[str, Any]) -> SequenceR
         return _IsolatedReader(path, _frozen(header), file, resources.pop_all(), moving)
 
 
-def call_isolated(function: str, path: Path, *arguments: Any) -> Any:
+def call_isolated(
+    function: str, path: Path, *arguments: Any, meanwhile: Callable[[], object] | None = None
+) -> Any:
     """Call a function of a file in a worker and return its value; parameters and errors are those of `open_isolated`.
 
     Parameters
@@ -68,12 +70,15 @@ def call_isolated(function: str, path: Path, *arguments: Any) -> Any:
         The file.
     *arguments
         What else it takes.
+    meanwhile : callable, optional
+        What this process does until the answer is there: imports, for example.
     """
     if not can_isolate():
         return loaded(function)(path, *arguments)
     worker = hire()
     try:
-        return worker.ask(path, "call", function, str(path), arguments, str(Path.cwd()), max_memory())
+        question = "call", function, str(path), arguments, str(Path.cwd()), max_memory()
+        return worker.ask(path, *question, meanwhile=meanwhile)
     finally:
         dismiss(worker)
 

@@ -29,8 +29,7 @@ from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
-from mixseq_io.hdf5.compressed_reader import read_container, sequence_of
-from mixseq_io.hdf5.model_files import decoded
+from mixseq_io.hdf5.compressed_reader import decoded, read_container, sequence_of
 from mixseq_io.hdf5.salvage import explain_damage
 from mixseq_io.registry import PathLike
 

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -137,15 +137,23 @@ class Worker:
         finalize(self, _end, self._process).atexit = False
         self._lock = threading.Lock()
 
-    def ask(self, path: Path, *question: Any, again: bool = False) -> Any:
+    def ask(
+        self,
+        path: Path,
+        *question: Any,
+        again: bool = False,
+        meanwhile: Callable[[], object] | None = None,
+    ) -> Any:
         """Return the answer to a question about a file; raise the error, and repeat the warnings, that it made.
 
-        Those of a question that is asked `again` are known.
+        Those of a question that is asked `again` are known. `meanwhile` is called before the answer is waited for.
         """
         try:
             with self._lock:
                 pickle.dump(question, self._stdin)
                 self._stdin.flush()
+                if meanwhile is not None:
+                    meanwhile()
                 answer, error, warnings = pickle.load(self._stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
             raise FormatError(self._obituary(path)) from None

@@ -13,7 +13,6 @@ body that turns twice has a vector of length :math:`4 \pi` and linear operations
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mixseq.arrays import Float, FloatArray
 
@@ -26,6 +25,8 @@ def quaternions(rotations: FloatArray) -> Float:
     >>> quaternions(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])).round(3).tolist()
     [0.707, 0.0, 0.0, 0.707]
     """
+    from scipy.spatial.transform import Rotation
+
     flat = Rotation.from_matrix(np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)).as_quat()
     signed = np.roll(flat, 1, axis=1) * np.where(flat[:, 3:] < 0, -1.0, 1.0)
     return np.asarray(signed.reshape(*rotations.shape[:-2], 4))
@@ -135,12 +136,16 @@ _TURN = 2.0 * np.pi
 
 def matrices(vectors: FloatArray) -> Float:
     """Return the rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` (exponential map)."""
+    from scipy.spatial.transform import Rotation
+
     flat = Rotation.from_rotvec(np.array(vectors, dtype=np.float64).reshape(-1, 3)).as_matrix()
     return np.asarray(flat.reshape(*vectors.shape[:-1], 3, 3), dtype=np.float64)
 
 
 def vectors(rotations: FloatArray) -> Float:
     """Return the shortest rotation vectors ``(..., 3)`` of matrices ``(..., 3, 3)`` (logarithm)."""
+    from scipy.spatial.transform import Rotation
+
     flat = Rotation.from_matrix(np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(flat.reshape(*rotations.shape[:-2], 3), dtype=np.float64)
 

@@ -25,7 +25,7 @@ from mixseq.renamed import renamed
 from mixseq.sequence import Frames, MeshSequence, collect
 from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
 from mixseq.signals.decoding import FRAMES
-from mixseq.signals.fit import fit
+from mixseq.signals.fitting import fit
 from mixseq.signals.model import Model
 
 SLACK = 1e-3

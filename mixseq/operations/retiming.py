@@ -34,7 +34,8 @@ from mixseq.operations.splines import (
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.public import public
 from mixseq.sequence_header import frame_times
-from mixseq.signals.curve import CLOSEST, Curve, Measure
+from mixseq.signals.curve import CLOSEST, Curve
+from mixseq.signals.curve_fitting import Measure
 from mixseq.signals.decoding import ResidualLayer
 from mixseq.signals.model import Model
 

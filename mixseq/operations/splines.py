@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.signals.curve import Curve, Measure
+from mixseq.signals.curve import Curve
+from mixseq.signals.curve_fitting import Measure
 from mixseq.signals.model import Model
 
 ACCURACY = 1e-5

@@ -23,15 +23,11 @@ A frame that is far away has next to no weight, so that only the nearest `WINDOW
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.interpolate import CubicSpline
 
 from mixseq.arrays import Float, Index, evenly
-
-Ends = Literal["natural", "not-a-knot"]
+from mixseq.prediction.spline_weights import spline_weights
 
 LENGTHS = (np.inf, 8.0, 5.6, 4.0, 2.8, 2.0, 1.4, 1.0)
 """Lengths to choose from, in mean steps between frames."""
@@ -63,12 +59,11 @@ class Rows:
 
     def of(self, values: Float) -> Float:
         """Return values ``(N, ...)`` of a quantity that is ``(T, ...)`` at the frames."""
-        starts = np.arange(0, self.frames.size + 1, self.frames.shape[1])
-        size = (len(self.frames), self.count)
-        matrix = sparse.csr_array((self.weights.reshape(-1), self.frames.reshape(-1), starts), shape=size)
-        return np.asarray(matrix @ values.reshape(self.count, -1)).reshape(
-            len(self.frames), *values.shape[1:]
-        )
+        flat = values.reshape(self.count, -1)
+        found = np.empty((len(self.frames), flat.shape[1]))
+        for row, weights, frames in zip(found, self.weights, self.frames, strict=True):
+            np.einsum("m,mc->c", weights, flat[frames], out=row)  # in order, whatever the number of threads
+        return found.reshape(len(self.frames), *values.shape[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +133,7 @@ class Operator:
                 knots = self.times[frames[some[0]]]
                 at, wanted = (knots - knots[0]) / step, (times[some] - knots[0]) / step
                 if cubic or np.isinf(self.length):
-                    weights[some] = _spline(at, wanted, "not-a-knot" if cubic else "natural")
+                    weights[some] = spline_weights(at, wanted, "not-a-knot" if cubic else "natural")
                 else:
                     weights[some] = _kriging(at, wanted, self.length)
         return weights
@@ -176,10 +171,6 @@ def with_middles(times: Float) -> Float:
     both = np.empty(2 * len(times) - 1)
     both[::2], both[1::2] = times, (times[:-1] + times[1:]) / 2
     return both
-
-
-def _spline(knots: Float, times: Float, ends: Ends) -> Float:
-    return np.asarray(CubicSpline(knots, np.eye(len(knots)), bc_type=ends)(times))
 
 
 def _kriging(knots: Float, times: Float, length: float) -> Float:

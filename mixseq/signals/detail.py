@@ -20,10 +20,11 @@ from mixseq.prediction.operator import Rows, chosen, with_middles
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader
-from mixseq.signals.curve import Curve, Measure, fit_curve, least_squares_curve
+from mixseq.signals.curve import Curve
+from mixseq.signals.curve_fitting import Measure, fit_curve, least_squares_curve
+from mixseq.signals.key_shapes import choose_keys, key_map
 from mixseq.signals.model import Model
 from mixseq.signals.modes import Modes, principal_modes
-from mixseq.signals.pose import choose_keys, key_map
 from mixseq.spaces.base import ShapeSpace
 
 SAMPLED = 256

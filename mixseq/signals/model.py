@@ -14,6 +14,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,14 +24,17 @@ from mixseq.errors import SettingsError
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.polygons import frozen
 from mixseq.renamed import renamed_attributes
-from mixseq.segmentation.joints import Decomposition
 from mixseq.sequence_header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable, ResidualLayer
 from mixseq.signals.mds_embedding import Plane, plane_of
 from mixseq.signals.pose import PoseMap
-from mixseq.spaces import MixedSpace, ShapeSpace
+from mixseq.spaces.base import ShapeSpace
 from mixseq.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from mixseq.segmentation.joints import Decomposition
+    from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
 @renamed_attributes(corrections="residual_layer")

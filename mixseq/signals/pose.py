@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.polygons import frozen
 
@@ -102,41 +101,3 @@ def straight_modes(scores: Float, mean: Float, directions: Float) -> tuple[PoseM
     steps = np.diag(1 / sizes)
     pose = PoseMap(np.eye(len(sizes) + 1)[0], np.hstack([-steps.sum(axis=1, keepdims=True), steps]))
     return pose, np.concatenate([mean[None], mean + sizes[:, None] * directions])
-
-
-def choose_keys(scores: Float) -> Index:
-    """Choose frames as key shapes for points of pose space.
-
-    Parameters
-    ----------
-    scores : (T, r) float64
-        The sequence in pose space.
-
-    Returns
-    -------
-    (r + 1,) int64
-        Frames, ascending, spread as widely as a pivoted QR decomposition finds: the others are blends of them
-        with small weights.
-    """
-    size = np.abs(scores).max(initial=0.0) or 1.0
-    corners = np.concatenate([np.full((1, len(scores)), size), scores.T])
-    pivots = linalg.qr(corners, mode="r", pivoting=True)[1]
-    return np.sort(pivots[: scores.shape[1] + 1]).astype(np.int64)
-
-
-def key_map(keys: Float) -> PoseMap:
-    """Make the pose map of key shapes that lie at points of pose space.
-
-    Parameters
-    ----------
-    keys : (K, r) float64
-        Where the key shapes are. Of all weights that reproduce a point (barycentric coordinates where K = r + 1)
-        the map gives those with the smallest sum of squares.
-    """
-    corners = np.concatenate(
-        [np.ones((1, len(keys))), keys.T]
-    )  # weights w of a point c: corners @ w = (1, c)
-    inverse = np.linalg.pinv(corners)
-    offset, matrix = inverse[:, 0], inverse[:, 1:].T
-    # Rounding, and points that the keys do not span, must not make the sums drift.
-    return PoseMap(offset + (1 - offset.sum()) / len(keys), matrix - matrix.mean(axis=1, keepdims=True))

@@ -1,13 +1,18 @@
 """Shape spaces: encode vertex positions as vectors that combine linearly, decode vectors to positions."""
 
+from typing import TYPE_CHECKING
+
 from mixseq.choices import SPACES, SpaceName
-from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
-from mixseq.spaces.gradient import GradientSpace
-from mixseq.spaces.lri import LRISpace
-from mixseq.spaces.making import MixedSettings, NoSettings, SpaceSettings, make_space, space_settings
-from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
-from mixseq.spaces.vertex import VertexSpace
+from mixseq.forwarding import forwarded
+
+if TYPE_CHECKING:
+    from mixseq.spaces.base import ShapeSpace
+    from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
+    from mixseq.spaces.gradient import GradientSpace
+    from mixseq.spaces.lri import LRISpace
+    from mixseq.spaces.making import MixedSettings, NoSettings, SpaceSettings, make_space, space_settings
+    from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
+    from mixseq.spaces.vertex import VertexSpace
 
 __all__ = [
     "SPACES",
@@ -28,3 +33,24 @@ __all__ = [
     "mixed_space",
     "space_settings",
 ]
+
+__getattr__ = forwarded(
+    __name__,
+    {
+        "AnchoredSpace": "mixseq.spaces.mixed",
+        "EdgeSettings": "mixseq.spaces.edge.edge_space",
+        "EdgeSpace": "mixseq.spaces.edge.edge_space",
+        "FreeSpace": "mixseq.spaces.mixed",
+        "GradientSpace": "mixseq.spaces.gradient",
+        "LRISpace": "mixseq.spaces.lri",
+        "MixedSettings": "mixseq.spaces.making",
+        "MixedSpace": "mixseq.spaces.mixed",
+        "NoSettings": "mixseq.spaces.making",
+        "ShapeSpace": "mixseq.spaces.base",
+        "SpaceSettings": "mixseq.spaces.making",
+        "VertexSpace": "mixseq.spaces.vertex",
+        "make_space": "mixseq.spaces.making",
+        "mixed_space": "mixseq.spaces.mixed",
+        "space_settings": "mixseq.spaces.making",
+    },
+)

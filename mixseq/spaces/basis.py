@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
 from mixseq.renamed import renamed_attributes
@@ -63,22 +62,19 @@ class BasisSpace(ShapeSpace):
     @cached_property
     def _blocks(self) -> list[tuple[Index | slice, Index | slice, Float]]:
         """Vertices and vectors that have nothing to do with others, and the basis ``(n, k)`` of these at those."""
-        count, vertices = self.basis.shape
         whole: list[tuple[Index | slice, Index | slice, Float]] = [(slice(None), slice(None), self.basis.T)]
         if self.basis.all(axis=1).any():
             return whole
-        rows, columns = np.nonzero(self.basis)
-        links = sparse.coo_array(
-            (np.ones(len(rows), np.int8), (rows, count + columns)), (count + vertices,) * 2
-        )
-        number, labels = sparse.csgraph.connected_components(links, directed=False)
-        if number > MOST_BLOCKS:
+        pieces = _pieces(self.basis != 0)
+        if pieces.max(initial=0) >= MOST_BLOCKS:
             return whole
         blocks: list[tuple[Index | slice, Index | slice, Float]] = []
-        for block in range(number):
-            some, beside = np.flatnonzero(labels[:count] == block), np.flatnonzero(labels[count:] == block)
-            if len(some):  # vertices without vectors are at the origin
-                blocks.append((beside, some, self.basis[np.ix_(some, beside)].T))
+        for piece in range(pieces.max(initial=-1) + 1):
+            some = np.flatnonzero(pieces == piece)
+            beside = np.flatnonzero(
+                self.basis[some].any(axis=0)
+            )  # vertices without vectors are at the origin
+            blocks.append((beside, some, self.basis[np.ix_(some, beside)].T))
         return blocks
 
     @cached_property
@@ -102,6 +98,8 @@ class BasisSpace(ShapeSpace):
             return other, None, unchanged
         if self.scale == other.scale and np.array_equal(self.basis, other.basis):
             return self, unchanged, unchanged
+        from scipy import linalg  # heavy, and not needed to decode
+
         normalised = [
             each.basis / np.linalg.norm(each.basis, axis=1, keepdims=True) for each in (self, other)
         ]
@@ -142,3 +140,15 @@ class BasisSpace(ShapeSpace):
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
         """Implement `ShapeSpace.decode_moving`."""
         return self.decode(vectors), self.decode(rates)
+
+
+def _pieces(used: Mask) -> Index:
+    """Number the pieces ``(K,)`` of basis vectors, of which `used` ``(K, V)`` tells the vertices they share."""
+    none = np.int32(len(used))
+    lowest = np.arange(len(used), dtype=np.int32)
+    while True:
+        of_vertices = np.where(used, lowest[:, None], none).min(axis=0, initial=none)
+        joined = np.where(used, of_vertices, none).min(axis=1)
+        if np.array_equal(joined, lowest):
+            return np.unique(lowest, return_inverse=True)[1].astype(np.int64)
+        lowest = joined[joined]

@@ -1,4 +1,4 @@
-"""Modes, key frames, and the affine maps that blend them."""
+"""Modes, and the affine maps that blend them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.signals.mds_embedding import plane_of
 from mixseq.signals.modes import principal_modes
-from mixseq.signals.pose import PoseMap, choose_keys, key_map
+from mixseq.signals.pose import PoseMap
 
 
 def vectors(count: int = 6, rank: int = 3, dim: int = 40, seed: int = 0) -> Float:
@@ -28,21 +28,6 @@ def test_weights_add_up_to_one(count: int, rank: int, seed: int) -> None:
     modes = principal_modes(vectors(count, rank, seed=seed), METRIC)
     points = modes.sizes * np.random.default_rng(seed).standard_normal((5, len(modes.sizes)))
     np.testing.assert_allclose(modes.pose_map().weights(points).sum(axis=1), 1, atol=1e-12)
-    frames = choose_keys(modes.scores)
-    weights = key_map(modes.scores[frames]).weights(points)
-    assert weights.shape[1] == len(frames) <= min(count, len(modes.sizes) + 1)
-    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-9)
-
-
-def test_key_frames_stand_for_all_others() -> None:
-    given_ = vectors(count=8, rank=3)
-    modes = principal_modes(given_, METRIC).first(3)
-    frames = choose_keys(modes.scores)
-    assert len(frames) == 4
-    weights = key_map(modes.scores[frames]).weights(modes.scores)
-    np.testing.assert_allclose(weights @ given_[frames], given_, atol=1e-10)
-    np.testing.assert_allclose(weights[frames], np.eye(4), atol=1e-9)
-    assert np.abs(weights).max() < 4, "key frames are spread widely"
 
 
 def test_coordinates_can_be_the_weights() -> None:

@@ -26,11 +26,17 @@ from typing import Any
 import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
-from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence
+from mixseq.coding.bitstream.compressed_sequence import (
+    Chunk,
+    CodingParameters,
+    CompressedSequence,
+    to_model,
+)
 from mixseq.coding.bitstream.connectivity import decode_polygons
 from mixseq.coding.bitstream.texture_coordinates import decode_uvs
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
+from mixseq.signals.model import Model
 from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
@@ -39,6 +45,9 @@ from mixseq_io.memory import check_memory
 
 _OF_ELEMENT, _OF_CORNER = 64, 256
 """Bytes that decoding takes for each vertex, corner and frame, and more for each corner with texture coordinates."""
+
+_DECODED = 16
+"""Bytes that decoding takes for each number of a basis and its coefficients."""
 
 _CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
 
@@ -192,3 +201,20 @@ def read_header(
         raise FormatError(f"{path}: {error}; it is damaged") from error
     except MemoryError as error:
         raise FormatError(f"{path}: {error}; it is damaged, or there is too little memory") from error
+
+
+def decoded(path: Path, coded: CompressedSequence) -> Model:
+    """Return the model of a compressed sequence that was read from a file.
+
+    Raises
+    ------
+    FormatError
+        If its streams contradict each other, or what is in them takes too much memory.
+    """
+    width, frames = 3 if coded.parameters.factors == "shapes" else 1, coded.header.frame_count
+    numbers = coded.parameters.rank * (width * coded.header.vertex_count + 3 * frames)
+    check_memory(path, _DECODED * numbers, "its basis and coefficients")
+    try:
+        return to_model(coded)
+    except (FormatError, MemoryError) as error:
+        raise FormatError(f"{path}: {error}") from error

@@ -20,7 +20,7 @@ from mixseq.frame_store import LARGEST, SMALLEST
 from mixseq.shells.fitting import ShellSettings
 from mixseq.shells.shell import Relaxation
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.hdf5.h5_files import CHECKED, put_array, put_text
+from mixseq_io.hdf5.h5_writing import CHECKED, put_array, put_text
 
 _CHUNK_ELEMENTS = 1 << 17
 _LARGEST = 1e20

@@ -1,34 +1,20 @@
-"""What our HDF5 files have in common: checksums, safe writing, the header of a sequence.
-
-Every dataset has Fletcher-32 checksums, and the file's own structure has checksums too (the HDF5 1.10
-layout), so that damage is noticed where it happened.
-
-Specification: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html
-"""
+"""What our HDF5 files have in common: versions, and the header of a sequence. `h5_writing` writes them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq.interrupts import unbroken
 from mixseq.sequence import Polygons, SequenceHeader
-from mixseq_io.atomic import replacing
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_arrays, surface_of_arrays
+from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
 """The root attribute `format` of a model."""
-
-CHECKED: dict[str, Any] = {"fletcher32": True, "shuffle": True, "compression": "gzip", "compression_opts": 4}
-"""How every dataset is stored."""
 
 
 def check_version(path: Path, file: Contents, known: int) -> None:
@@ -45,41 +31,8 @@ def refuse_newer(path: Path, version: int, known: int) -> None:
         )
 
 
-def put_text(holder: h5py.Group, name: str, text: str) -> None:
-    """Store a text as an attribute, of fixed length: strings of any length lie outside the structure's checksums."""
-    data = text.encode("utf-8", "surrogateescape")
-    holder.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
-
-
-def put_array(file: h5py.File, name: str, array: NDArray[Any], **storage: Any) -> None:
-    """Store an array as a dataset, and write it at once, so that equal contents are equal files.
-
-    Left to itself HDF5 finds a place for the numbers when the dataset is closed, that is, when Python drops the last
-    reference to it. Whoever looks at our frames meanwhile holds another: a debugger, or the profiler that every worker
-    of a dask cluster has.
-    """
-    file.create_dataset(name, data=array, **storage)
-    file.flush()
-
-
-def write_header(file: h5py.File, header: SequenceHeader) -> None:
-    """Store everything about a sequence but its times and points."""
-    put_text(file, "name", header.name)
-    file.attrs["fps"] = header.fps
-    put_text(file, "up_axis", header.up_axis)
-    file.attrs["metres_per_unit"] = header.metres_per_unit
-    put_array(file, "polygons/counts", header.polygons.counts, chunks=True, **CHECKED)
-    put_array(file, "polygons/indices", header.polygons.indices, chunks=True, **CHECKED)
-    for name, array in surface_arrays(header.surface).items():
-        if array.dtype.kind == "U":
-            # Fixed length: strings of any length lie outside the dataset and its checksum.
-            array = np.char.encode(array, "utf-8")
-        storage = CHECKED | {"chunks": True} if array.size else {}
-        put_array(file, f"surface/{name}", array, **storage)
-
-
 def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:
-    """Read what `write_header` stored."""
+    """Read what `mixseq_io.hdf5.h5_writing.write_header` stored."""
     return SequenceHeader(
         polygons=Polygons(file.arrays["polygons/counts"], file.arrays["polygons/indices"]),
         vertex_count=vertex_count,
@@ -99,71 +52,3 @@ def _surface_arrays(file: Contents) -> dict[str, NDArray[Any]]:
         name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
         for name, array in arrays.items()
     }
-
-
-@contextmanager
-def creating_h5(path: Path) -> Iterator[tuple[h5py.File, Store]]:
-    """Yield a new HDF5 file that replaces `path` when it is complete, and the store that tells of failures."""
-    with replacing(path) as temporary, temporary.open("w+b", buffering=0) as raw:
-        store = Store(raw)
-        with h5py.File(store, "w", libver=("v110", "v110")) as file:
-            yield file, store
-        store.check()
-
-
-class Store:
-    """A file that takes what HDF5 gives it even if the disk does not, and tells afterwards.
-
-    HDF5 cannot close a file that it cannot write: it keeps it half open, and the process dies of a
-    segmentation fault later. Nor can it pass on what is raised while it calls Python. So the first failure is kept for
-    `check`, nothing is written from there on, and signals wait.
-    """
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._failure: BaseException | None = None
-
-    def check(self) -> None:
-        """Raise the failure, if there was one."""
-        if self._failure is not None:
-            raise self._failure
-
-    @unbroken
-    def write(self, data: memoryview) -> int:
-        """Write all of the data."""
-        try:
-            rest = memoryview(data)
-            while rest and self._failure is None:
-                rest = rest[self._file.write(rest) :]
-        except BaseException as error:
-            self._failure = error
-        return len(data)
-
-    @unbroken
-    def truncate(self, size: int) -> int:
-        """Set the file's size."""
-        try:
-            if self._failure is None:
-                return self._file.truncate(size)
-        except BaseException as error:
-            self._failure = error
-        return size
-
-    @unbroken
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a byte."""
-        return self._file.seek(offset, whence)
-
-    @unbroken
-    def tell(self) -> int:
-        """Return the current byte."""
-        return self._file.tell()
-
-    @unbroken
-    def read(self, size: int = -1) -> bytes:
-        """Read bytes."""
-        return self._file.read(size)
-
-    @unbroken
-    def flush(self) -> None:
-        """Do nothing: the file has no buffer, and is flushed to the disk before it gets its name."""

@@ -27,18 +27,10 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import checked
-from mixseq_io.hdf5.contents import contents_of, opened_h5, read_attributes, reading_h5
-from mixseq_io.hdf5.h5_files import (
-    CHECKED,
-    MODEL_FORMAT,
-    Store,
-    check_version,
-    creating_h5,
-    put_array,
-    put_text,
-    read_header,
-    write_header,
-)
+from mixseq_io.hdf5.contents import read_attributes, reading_h5
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT, check_version, read_header
+from mixseq_io.hdf5.h5_writing import CHECKED, Store, creating_h5, put_array, put_text, write_header
+from mixseq_io.hdf5.unpacking import contents_of, opened_h5
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader, brief, naming
 
@@ -101,7 +93,7 @@ class _ModelReader(SequenceReader):
 
     def __init__(self, path: Path) -> None:
         from mixseq.signals.decoding import FRAMES
-        from mixseq_io.hdf5.model_files import load  # models build on formats, not formats on models
+        from mixseq_io.hdf5.loading import load  # models build on formats, not formats on models
 
         self._model = load(path)
         self._most = FRAMES

@@ -28,7 +28,7 @@ from mixseq_io.hdf5.datasets import (
     read_relaxation,
     read_scale,
 )
-from mixseq_io.hdf5.h5_files import put_text
+from mixseq_io.hdf5.h5_writing import put_text
 
 _SUM = 1e-9  # how far the shares of a vertex may be from one
 

@@ -34,7 +34,7 @@ from mixseq_io.hdf5.datasets import (
     read_shell,
     write_settings,
 )
-from mixseq_io.hdf5.h5_files import put_text
+from mixseq_io.hdf5.h5_writing import put_text
 from mixseq_io.hdf5.stored_mixed import mixed_blocks, read_mixed_space, write_mixed_space
 
 StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | BasisSpace

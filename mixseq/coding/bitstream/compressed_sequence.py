@@ -11,7 +11,6 @@ from math import inf
 from typing import get_args
 
 import numpy as np
-from scipy import linalg
 
 from mixseq.arrays import Float
 from mixseq.choices import OrderName
@@ -33,8 +32,9 @@ from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.modes import NEGLIGIBLE
 from mixseq.signals.pose import straight_modes
-from mixseq.spaces import ShapeSpace, VertexSpace
+from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.basis import BasisSpace
+from mixseq.spaces.vertex import VertexSpace
 from mixseq.threads import one_blas_thread
 
 
@@ -250,6 +250,6 @@ def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[Shap
     rows = coefficients.reshape(len(coefficients), -1) / unit
     mean = rows.mean(axis=0)
     # PCA: pose space shall have the coordinates in which most of the motion is.
-    left, sizes, right = linalg.svd((rows - mean) * space.weights, full_matrices=False)
+    left, sizes, right = np.linalg.svd((rows - mean) * space.weights, full_matrices=False)
     kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
     return space, left[:, kept] * sizes[kept], mean, right[kept] / space.weights

@@ -71,6 +71,11 @@ class SignalGraph:
     ring: Index
     ring_starts: Index
 
+    def __post_init__(self) -> None:
+        for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
+            # Always: to numba, arrays that may be written are of another type, for which it would compile again.
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
     @property
     def size(self) -> int:
         """Number N of nodes."""
@@ -205,9 +210,7 @@ def _graph(
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)
-    arrays = (frozen(array) for array in (order, neighbours, counts, weights[order], ring, starts))
-    order, neighbours, counts, weights, ring, starts = arrays
-    return SignalGraph(order, batches, neighbours, counts, weights, ring, starts)
+    return SignalGraph(order, batches, neighbours, counts, weights[order], ring, starts)
 
 
 def _unique(ends: Index, others: Index, count: int) -> Index:

@@ -83,10 +83,17 @@ def collapse(gone: Index, starts: Index, beside: Index, neighbours: Index, count
             shared = 0
             degree = starts[other + 1] - starts[other]
             if degree > _HUB * (last - first):
-                around = beside[starts[other] : starts[other + 1]]
                 for at in range(first, last):
-                    found = np.searchsorted(around, beside[at])
-                    if found < degree and around[found] == beside[at]:
+                    low, high = starts[other], starts[other + 1]
+                    while (
+                        low < high
+                    ):  # the first that is not less; NumPy's search would import SciPy when it is loaded
+                        middle = (low + high) // 2
+                        if beside[middle] < beside[at]:
+                            low = middle + 1
+                        else:
+                            high = middle
+                    if low < starts[other + 1] and beside[low] == beside[at]:
                         shared += 1
             else:
                 for at in range(starts[other], starts[other + 1]):

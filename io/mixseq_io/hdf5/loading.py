@@ -1,0 +1,98 @@
+"""Load models, whatever they were stored as, at once: only what a file needs is imported, and while it is read.
+
+`mixseq_io.hdf5.compressed_reader` decodes compressed models; `mixseq_io.hdf5.model_files` makes those with signals,
+which may be in any shape space.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mixseq.errors import FormatError
+from mixseq.public import public
+from mixseq_io.hdf5.contents import read_contents, reading_h5
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+from mixseq_io.memory import check_memory, memory_limit
+from mixseq_io.registry import PathLike
+
+if TYPE_CHECKING:
+    from mixseq.signals.model import Model
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""What HDF5 files begin with."""
+
+
+@public
+def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = None) -> Model:
+    """Load a model from an HDF5 file.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `save` wrote, of this version or an older one; its signals may have been edited.
+    salvage : bool
+        Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
+        accuracy. Other files are loaded as usual.
+    max_memory : float, optional
+        Bytes that the file's arrays may take, as in `mixseq_io.open_sequence`.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, not a model, or written by a newer mixseq, if its signals contradict
+        each other, or if it takes more than `max_memory`.
+    """
+    with memory_limit(max_memory):
+        return _load(Path(path), salvage)
+
+
+def _load(source: Path, salvage: bool) -> Model:
+    if salvage and (rest := _salvaged(source)) is not None:
+        return rest
+    if source.is_file() and source.stat().st_size and not _is_hdf5(source):
+        raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
+    if source.is_file():
+        check_memory(source, source.stat().st_size, "the file itself")
+    try:
+        file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
+    except FormatError as error:
+        from mixseq_io.hdf5.salvage import explain_damage
+
+        explain_damage(source, error)
+        raise
+    if file.kind != MODEL_FORMAT:
+        raise FormatError(
+            f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
+        )
+    with reading_h5(source):
+        if "coding" in file.attrs:
+            from mixseq_io.hdf5.compressed_reader import container_of, decoded, sequence_of
+
+            return decoded(source, sequence_of(source, container_of(source, file)))
+        from mixseq_io.hdf5.model_files import read_model
+
+        return read_model(source, file)
+
+
+def _salvaged(source: Path) -> Model | None:
+    from mixseq_io.hdf5.compressed_reader import decoded
+    from mixseq_io.hdf5.salvage import salvage_compressed
+
+    rest = salvage_compressed(source)
+    return None if rest is None else decoded(source, rest)
+
+
+def _is_hdf5(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(_SIGNATURE)) == _SIGNATURE
+
+
+def _import_decoder() -> None:
+    """Import what decodes compressed models: that takes as long as the other process takes to read one."""
+    import_module("mixseq_io.hdf5.compressed_reader")
