@@ -12,8 +12,10 @@ the signal is (mean square difference of neighbours, in squared steps), lets lar
 the second term stands for rounding errors of the signals, and :math:`w^0` are weights from the graph alone. Where the
 signals that are known are affine functions, so is the prediction: the parallelogram rule is a case of it.
 
-Nodes resemble each other, too: after the first signals every node is joined to the nodes before it that have been most
-like it, wherever they are. So vertices of one rigid part that are far apart, or of several components, predict each
+The first signals over a mesh are most of its bytes: these are predicted from many nodes around a vertex, and
+:math:`w^0` bends the mesh least (`mixseq.coding.bitstream.stencils`). Then there is something better to go by, as nodes
+resemble each other, too: besides its neighbours every node is joined to the nodes before it that have been most like
+it, wherever they are. So vertices of one rigid part that are far apart, or of several components, predict each
 other, and so do frames of one pose in a motion that comes back to it.
 
 **The same everywhere.** Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
@@ -32,15 +34,13 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream import predictor_kernels as kernels
 from mixseq.coding.bitstream.predictor_kernels import UNIT
-from mixseq.coding.bitstream.signal_graph import MOST, SignalGraph
+from mixseq.coding.bitstream.signal_graph import SignalGraph
+from mixseq.coding.bitstream.stencils import stencils
 
-SIMILAR = 8
-"""So many nodes that are most like a node are joined to it. Frozen: breaks files."""
+SIMILAR, SIMILAR_FRAMES = 8, 16
+"""So many nodes that are most like a node are joined to it: vertices, or frames. Frozen: breaks files."""
 
-WIDTH = MOST + SIMILAR
-"""Nodes are predicted from so many others at most."""
-
-SEARCHES = (4, 16)
+SEARCHED = 5
 """When so many signals are known, times their coordinates, these nodes are looked for. Frozen: breaks files."""
 
 EXHAUSTIVE = 1024
@@ -52,6 +52,12 @@ RIDGE = 0.5
 
 ROUGH = 10.0
 """Signals whose squared differences are above this teach less, in proportion. Frozen: breaks files."""
+
+DOUBLED = 16
+"""Every so many signals trust is doubled, as newer signals resemble the next one most. Frozen: breaks files."""
+
+_AGES = 512
+"""Trust is doubled so many times at most: no file has more signals, but damaged ones might. Frozen: breaks files."""
 
 SELDOM = 3
 """Weights are new after every signal, after 16 signals after every other, after 24 after every third, and so on.
@@ -73,33 +79,32 @@ class Predictor:
 
     Attributes
     ----------
-    neighbours : (N, WIDTH) int32
-        Nodes before every node that it is predicted from: those of the graph, then those most like it.
+    neighbours : (N, n) int32
+        Nodes before every node that it is predicted from: those of its stencil, and later those of the graph and those
+        most like it.
     counts : (N,) int32
         How many of them there are.
-    weights : (N, WIDTH) float64
+    weights : (N, n) float64
         Their weights, multiples of 2^-24.
     values : (N,) int64
         The signal in work, in nodes' order, in steps / UNIT.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
-        self._searches = tuple(coordinates * known for known in SEARCHES)
         self._plain = graph
-        self.neighbours = np.zeros((graph.size, WIDTH), dtype=np.int32)
-        self.neighbours[:, : graph.neighbours.shape[1]] = graph.neighbours
-        self.counts = graph.counts.astype(np.int32)
-        self._start = np.zeros((graph.size, WIDTH))
-        self._start[:, : graph.weights.shape[1]] = kernels.rounded(graph.weights)
-        self.weights = self._start.copy()
-        self.values = np.zeros(graph.size, dtype=np.int64)
-        self._signals: list[Float] = []  # as long as nodes that are like each other are looked for
-        self._pending: list[Float] = []  # those that the weights do not know yet
+        self._searched = SEARCHED * coordinates
         self._known = 0
-        self._forget()
+        self._signals: list[Float] = []  # all, until similar nodes are looked for
+        self._pending: list[Float] = []  # those that the weights do not know yet
+        self.values = np.zeros(graph.size, dtype=np.int64)
+        self._join(*stencils(graph))
 
-    def _forget(self) -> None:
-        """Make room for what is to be learned about the neighbours that there are."""
+    def _join(self, neighbours: Index, counts: Index, weights: Float) -> None:
+        """Predict nodes from these, with these weights as long as nothing is known about them."""
+        self.neighbours = neighbours.astype(np.int32)
+        self.counts = counts.astype(np.int32)
+        self._start = kernels.rounded(weights)
+        self.weights = self._start.copy()
         self._blocks, self._sizes = blocks(self.counts)
         entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1
         self._places = np.cumsum(entries) - entries
@@ -111,44 +116,36 @@ class Predictor:
         signal = self.values.astype(np.float64)
         self._known += 1
         known = self._known
-        if known <= self._searches[-1]:
-            self._signals.append(signal)
         self._pending.append(signal)
-        if known in self._searches:
+        if known <= self._searched:
+            self._signals.append(signal)
+        if known == self._searched:
             self._join_similar()
         # Weights are renewed ever more rarely, as they change less.
-        if known in self._searches or known % max(1, known >> SELDOM) == 0:
+        if known == self._searched or known % max(1, known >> SELDOM) == 0:
             self._renew()
-        if known == self._searches[-1]:
-            self._signals.clear()
 
     def _renew(self) -> None:
         """Learn from the signals that are waiting, and find weights."""
-        signals = np.array(self._pending)
-        trusts = np.array(
-            [kernels.trust(one, ROUGH * UNIT**2, self.neighbours, self.counts) for one in signals]
-        )
-        self._ridge += RIDGE * UNIT**2 * float(trusts.sum())
         of_blocks = self._blocks, self._sizes, self._places
-        for signal, trust in zip(signals, trusts, strict=True):
-            kernels.learn(signal, float(trust), *of_blocks, self.neighbours, self._gram)
+        for number, signal in enumerate(self._pending, self._known - len(self._pending)):
+            trust = kernels.trust(signal, ROUGH * UNIT**2, self.neighbours, self.counts)
+            trust *= 2.0 ** min(number // DOUBLED, _AGES)
+            self._ridge += RIDGE * UNIT**2 * trust
+            kernels.learn(signal, trust, *of_blocks, self.neighbours, self._gram)
         kernels.solve(self._ridge, *of_blocks, self._gram, self._start, self.weights)
-        self._pending.clear()
+        self._pending = []
 
     def _join_similar(self) -> None:
         """Join every node to those before it that are most like it in all signals that are known."""
         plain = self._plain
-        similar = np.zeros((plain.size, SIMILAR), dtype=np.int32)
+        similar = np.zeros((plain.size, SIMILAR_FRAMES if plain.over_time else SIMILAR), dtype=np.int32)
         found = np.zeros(plain.size, dtype=np.int32)
-        counts = plain.counts.astype(np.int32)
-        kernels.nearest(np.array(self._signals), self.neighbours, counts, EXHAUSTIVE, similar, found)
-        columns = np.arange(WIDTH)
-        behind = (columns >= counts[:, None]) & (columns < (counts + found)[:, None])
-        self.neighbours[behind] = similar[np.arange(SIMILAR) < found[:, None]]
-        self.counts = counts + found
-        self.weights = self._start.copy()
-        self._pending = self._signals.copy()
-        self._forget()
+        beside = plain.neighbours.astype(np.int32), plain.counts.astype(np.int32)
+        kernels.nearest(np.array(self._signals), *beside, EXHAUSTIVE, similar, found)
+        joined = plain.with_more(similar, found)
+        self._join(joined.neighbours, joined.counts, joined.weights)
+        self._pending, self._signals = self._signals, []
 
 
 def blocks(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -13,9 +13,11 @@ Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,8 @@ class SignalGraph:
     ring : (R,) int64
     ring_starts : (N + 1,) int64
         All nodes beside node i, before or after it: ``ring[ring_starts[i] : ring_starts[i + 1]]``.
+    over_time : bool
+        Whether nodes are frames, not vertices.
     """
 
     order: Index
@@ -70,6 +74,7 @@ class SignalGraph:
     weights: Float
     ring: Index
     ring_starts: Index
+    over_time: bool = False
 
     def __post_init__(self) -> None:
         for name in ("order", "neighbours", "counts", "weights", "ring", "ring_starts"):
@@ -81,7 +86,7 @@ class SignalGraph:
         """Number N of nodes."""
         return len(self.order)
 
-    def with_more(self, nodes: Index, sizes: Index) -> SignalGraph:
+    def with_more(self, nodes: NDArray[np.integer], sizes: NDArray[np.integer]) -> SignalGraph:
         """Return the graph with further neighbours ``(N, k)``: node i has ``sizes[i]``, at first without weight."""
         neighbours = np.concatenate([self.neighbours, np.zeros_like(nodes)], axis=1)
         rows = np.arange(self.size)
@@ -108,19 +113,9 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     counts = np.zeros(vertex_count, dtype=np.int64)
     left = np.ones(vertex_count, dtype=bool)
     levels: list[Index] = []
-    starts, beside = ring_starts, ring
-    while len(edges):
-        degrees = np.diff(starts)
-        nodes = np.flatnonzero(left & (degrees > 0))
-        nodes = nodes[np.argsort(degrees[nodes], kind="stable")]
-        gone = independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
-        new = collapse(gone, starts, beside, neighbours, counts)
-        left[gone] = False
-        kept = left[edges[:, 0]] & left[edges[:, 1]]
-        both = np.concatenate([edges[kept], new])
-        edges = _unique(both[:, 0], both[:, 1], vertex_count)
-        starts, beside = adjacency(edges, vertex_count)
-        levels.append(gone)
+    for level in coarser_levels(edges, vertex_count, neighbours, counts):
+        left[level.gone] = False
+        levels.append(level.gone)
     roots = np.flatnonzero(left)
     for place in range(1, len(roots)):
         before = roots[max(0, place - ROOTS) : place]
@@ -130,6 +125,52 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     weights = known / np.maximum(counts, 1)[:, None]
     # Every root needs those before it, and is a level of its own: few, and all in the first batch.
     return _graph([roots, *levels[::-1]], neighbours, counts, weights, ring, ring_starts)
+
+
+class Level(NamedTuple):
+    """Nodes that go at once, and the graphs before and after; of N nodes, but those that are gone have no edges.
+
+    Attributes
+    ----------
+    gone : (n,) int64
+        Nodes that go.
+    starts, beside : (N + 1,), (2 E,) int64
+        Neighbours of all nodes before, as `signal_graph_kernels.adjacency` lists them.
+    new : (n', 2) int64
+        Edges that close the holes; some twice, or there already.
+    new_starts, new_beside : (N + 1,), (2 E',) int64
+        Neighbours of all nodes after.
+    """
+
+    gone: Index
+    starts: Index
+    beside: Index
+    new: Index
+    new_starts: Index
+    new_beside: Index
+
+
+def coarser_levels(edges: Index, count: int, neighbours: Index, counts: Index) -> Iterator[Level]:
+    """Take nodes away until no edge is left, and yield the levels; fine to coarse.
+
+    Edges ``(E, 2)`` are sorted, each once, from the lower node to the higher. Neighbours ``(N, MOST)`` and counts
+    ``(N,)`` of the nodes that go are written.
+    """
+    left = np.ones(count, dtype=bool)
+    starts, beside = adjacency(edges, count)
+    while len(edges):
+        degrees = np.diff(starts)
+        nodes = np.flatnonzero(left & (degrees > 0))
+        nodes = nodes[np.argsort(degrees[nodes], kind="stable")]
+        gone = independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
+        new = collapse(gone, starts, beside, neighbours, counts)
+        left[gone] = False
+        kept = left[edges[:, 0]] & left[edges[:, 1]]
+        both = np.concatenate([edges[kept], new])
+        edges = _unique(both[:, 0], both[:, 1], count)
+        before = starts, beside
+        starts, beside = adjacency(edges, count)
+        yield Level(gone, *before, new, starts, beside)
 
 
 @lru_cache(maxsize=64)
@@ -168,7 +209,9 @@ def path_graph(count: int) -> SignalGraph:
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
     ring_starts, ring = adjacency(pairs, count)
-    return _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES)
+    return replace(
+        _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES), over_time=True
+    )
 
 
 def _lagrange(nodes: Index, at: int) -> Float:
