@@ -17,7 +17,7 @@ the largest thousandth of all values.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import chain, islice
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float
-from mixseq.coding.renumbering import numbered_as
+from mixseq.coding.renumbering import Renumbering, as_it_is, numbering_of, object_sizes
 from mixseq.diagonal import Diagonal
 from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
@@ -136,9 +136,8 @@ def compare(a: Frames, b: Frames) -> Comparison:
     >>> round(error.edge_strain.max, 9), round(error.volume.max, 9), round(error.dihedral_degrees.max, 9)
     (0.1, 0.331, 0.0)
     """
-    a, _ = numbered_as(a, b.header)
+    a, _ = comparable(a, b.header)
     header = a.header
-    check_comparable(header, b.header)
     topology = Topology(header.faces, header.vertex_count)
     strains = RunningStatistics(header.frame_count * len(topology.edges))
     angles = RunningStatistics(header.frame_count * len(topology.hinges))
@@ -202,31 +201,46 @@ def shared_frames(a: SequenceHeader, b: SequenceHeader) -> NDArray[np.int64] | N
     return frames if same.all() else None
 
 
-def check_comparable(a: SequenceHeader, b: SequenceHeader) -> None:
-    """Check that two sequences have the same vertices, polygons, in whatever order, and times.
+def comparable(a: Frames, b: SequenceHeader) -> tuple[Frames, Renumbering]:
+    """Return a sequence with vertices in the order of another one of the same mesh, and how they were numbered.
+
+    Polygons may be in any order; vertices in the same one, or one of both in that of a compressed file.
 
     Raises
     ------
     InvalidSequenceError
         If they do not; the message says what differs.
     """
+    header = a.header
     for what, one, other in (
-        ("vertices", a.vertex_count, b.vertex_count),
-        ("frames", a.frame_count, b.frame_count),
+        ("vertices", header.vertex_count, b.vertex_count),
+        ("frames", header.frame_count, b.frame_count),
     ):
         if one != other:
             raise InvalidSequenceError(f"the reference has {one} {what}, the other sequence {other}")
-    try:
-        match_triangles(a.polygons, b.polygons, ("the reference", "the other sequence"))
-    except InvalidSequenceError as error:
-        raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
-    apart = np.abs(a.times - b.times) > SAME_TIME / a.fps
+    found = _numbering(header, b)
+    if found is None:
+        found = as_it_is(header.polygons, header.vertex_count)
+        try:
+            match_triangles(header.polygons, b.polygons, ("the reference", "the other sequence"))
+        except InvalidSequenceError as error:
+            raise InvalidSequenceError(f"{error}; vertices must be in the same order") from None
+    apart = np.abs(header.times - b.times) > SAME_TIME / header.fps
     if apart.any():
         frame = int(apart.argmax())
         raise InvalidSequenceError(
-            f"{a.frame_name(frame)} is at {a.times[frame]:.9g} s in the reference, at {b.times[frame]:.9g} s in the "
-            "other sequence; sequences are compared at the same times"
+            f"{header.frame_name(frame)} is at {header.times[frame]:.9g} s in the reference, at "
+            f"{b.times[frame]:.9g} s in the other sequence; sequences are compared at the same times"
         )
+    return (a if found.order != "free" else found.of_frames(a)), found
+
+
+def _numbering(a: SequenceHeader, b: SequenceHeader) -> Renumbering | None:
+    """Return how the vertices of a mesh are numbered in another one, None if it is another mesh."""
+    found = numbering_of(b.polygons, a.polygons, object_sizes(a))
+    if found is None and (back := numbering_of(a.polygons, b.polygons, object_sizes(b))) is not None:
+        found = replace(as_it_is(a.polygons, a.vertex_count), vertices=back.inverse.vertices)
+    return found
 
 
 def paired_blocks(a: Frames, b: Frames, size: int) -> Iterator[tuple[Float, Float]]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import IntArray
+from mixseq.arrays import Index, IntArray
+from mixseq.coding.renumbering import numbering_of
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -27,7 +28,7 @@ class SceneMesh:
     ----------
     name, path : str
         See `MeshObject`.
-    vertices : slice
+    vertices : slice or (V,) int64
         Its vertices among those of the sequence.
     polygons : Polygons
         Its faces; indices count from its own first vertex.
@@ -37,7 +38,7 @@ class SceneMesh:
 
     name: str
     path: str
-    vertices: slice
+    vertices: slice | Index
     polygons: Polygons
     uvs: CornerValues | None = None
     hard_edges: IntArray | None = None
@@ -47,7 +48,34 @@ class SceneMesh:
     @property
     def vertex_count(self) -> int:
         """Number of its vertices."""
-        return int(self.vertices.stop - self.vertices.start)
+        if isinstance(self.vertices, slice):
+            return int(self.vertices.stop - self.vertices.start)
+        return len(self.vertices)
+
+    def as_numbered(self, original: Polygons) -> SceneMesh | None:
+        """Return the mesh with vertices in the order of a file, None if the file has another mesh.
+
+        Only compressed models give vertices other numbers.
+
+        Parameters
+        ----------
+        original : Polygons
+            The polygons of the file as they are read, in whatever order.
+        """
+        found = numbering_of(self.polygons, original, [self.vertex_count])
+        if found is None or found.order != "free":
+            return None if found is None else self
+        order = found.inverse.vertices
+        vertices = (
+            np.arange(self.vertices.start, self.vertices.stop)
+            if isinstance(self.vertices, slice)
+            else self.vertices
+        )
+        return replace(
+            self,
+            vertices=vertices[order],
+            polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
+        )
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:
@@ -60,9 +88,12 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
     origin : Origin or None
         What the surface shall tell about the file.
     """
+    first_vertex = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
     polygons = Polygons(
         np.concatenate([mesh.polygons.counts for mesh in meshes]),
-        np.concatenate([mesh.polygons.indices + mesh.vertices.start for mesh in meshes]),
+        np.concatenate(
+            [mesh.polygons.indices + first for mesh, first in zip(meshes, first_vertex, strict=False)]
+        ),
     )
     first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
     usual = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import FloatArray
-from mixseq.coding.renumbering import numbered_as
+from mixseq.coding.renumbering import Renumbering
 from mixseq.diagonal import Diagonal
 from mixseq.errors import FormatError
-from mixseq.metrics import check_comparable, paired_blocks
+from mixseq.metrics import comparable, paired_blocks
 from mixseq.polygon_matching import matched
 from mixseq.progress import Progress, silent
 from mixseq.public import public
@@ -127,13 +127,9 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
         uv_bound=parameters.uv_error,
     )
     if original is not None:
-        original, renumbering = numbered_as(original, header)
-        check_comparable(original.header, header)
+        original, renumbering = comparable(original, header)
         uv_error = None if parameters.uv_error is None else _uv_error(original.header, header)
-        found = replace(found, **_errors(original, frames), uv_error=uv_error)
-        if renumbering is None or found.worst_vertex is None:
-            return found
-        return replace(found, worst_vertex=int(renumbering.vertices[found.worst_vertex]))
+        return replace(found, **_errors(original, frames, renumbering), uv_error=uv_error)
     for _ in frames.blocks():
         pass
     return found
@@ -164,8 +160,8 @@ class _Checked:
             first += len(block)
 
 
-def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
-    """Compare every vertex of every frame."""
+def _errors(original: Frames, frames: _Checked, renumbering: Renumbering) -> dict[str, Any]:
+    """Compare every vertex of every frame; tell the worst one by the number that it had."""
     squares = variation = worst = 0.0
     first, where = 0, (0, 0)
     unit = Diagonal(0.0, 0)
@@ -185,7 +181,7 @@ def _errors(original: Frames, frames: _Checked) -> dict[str, Any]:
         "max_error": _ratio(np.sqrt(worst), unit.fraction or 1.0),
         "kg_percent": 100 * _ratio(np.sqrt(squares), np.sqrt(variation)),
         "worst_frame": where[0],
-        "worst_vertex": where[1],
+        "worst_vertex": int(renumbering.vertices[where[1]]),
     }
 
 

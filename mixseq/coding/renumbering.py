@@ -11,7 +11,7 @@ which corners share a normal, so normals are numbered as they come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,65 +93,63 @@ class Renumbering:
         )
 
 
-def as_it_is(header: SequenceHeader) -> Renumbering:
+def as_it_is(polygons: Polygons, vertex_count: int) -> Renumbering:
     """Return the numbering that a mesh has."""
-    polygons = header.polygons
-    counts = header.vertex_count, len(polygons.counts), polygons.indices.size
-    return Renumbering(*map(np.arange, counts))
+    return Renumbering(*map(np.arange, (vertex_count, len(polygons.counts), polygons.indices.size)))
 
 
-def by_walk(header: SequenceHeader, *, vertices: bool) -> Renumbering:
+def by_walk(polygons: Polygons, sizes: Sequence[int], *, vertices: bool) -> Renumbering:
     """Return the numbering in which connectivity takes few bits.
-
-    Objects stay runs of vertices and polygons, in their order.
 
     Parameters
     ----------
-    header : SequenceHeader
+    polygons : Polygons
         The mesh.
+    sizes : sequence of int
+        Numbers of vertices of the objects that it consists of, which stay runs of vertices and polygons, in their
+        order.
     vertices : bool
         Whether vertices are numbered as the walk meets them, those of no polygon last; else they keep their numbers.
     """
     from mixseq.coding.bitstream.polygon_walk import walk_polygons
 
-    polygons, count = header.polygons, header.vertex_count
-    order, entered = walk_polygons(polygons, count)
-    sizes, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
-    sizes, starts = sizes[order], starts[order]
+    order, entered = walk_polygons(polygons, sum(sizes))
+    counts, starts = polygons.counts.astype(np.int64), np.cumsum(polygons.counts) - polygons.counts
+    counts, starts = counts[order], starts[order]
     place = entered - starts
-    begin = np.where(sizes == 3, place, np.where(sizes == 4, (place + place % 2) % 4, 0))
-    numbers = np.arange(count)
+    begin = np.where(counts == 3, place, np.where(counts == 4, (place + place % 2) % 4, 0))
+    numbers = np.arange(sum(sizes))
     if vertices:
-        met, first = np.unique(polygons.indices[_corners(starts, sizes, place)], return_index=True)
-        when = np.full(count, polygons.indices.size)
+        met, first = np.unique(polygons.indices[_corners(starts, counts, place)], return_index=True)
+        when = np.full(len(numbers), polygons.indices.size)
         when[met] = first
-        owner = np.repeat(np.arange(len(header.objects)), [each.vertex_count for each in header.objects])
-        numbers = np.lexsort((when, owner))
-    return Renumbering(numbers, order, _corners(starts, sizes, begin))
+        numbers = np.lexsort((when, np.repeat(np.arange(len(sizes)), sizes)))
+    return Renumbering(numbers, order, _corners(starts, counts, begin))
 
 
-def numbered_as(frames: Frames, header: SequenceHeader) -> tuple[Frames, Renumbering | None]:
-    """Return frames of a mesh with the numbers of vertices that a compressed file has, and how it was numbered.
-
-    Frames whose vertices have these numbers, and those of any other mesh, are returned as they are.
+def numbering_of(other: Polygons, polygons: Polygons, sizes: Sequence[int]) -> Renumbering | None:
+    """Return how the vertices of a mesh are numbered in a file of it, None if the file has another mesh.
 
     Parameters
     ----------
-    frames : Frames
-        The original.
-    header : SequenceHeader
-        The mesh in the file.
+    other : Polygons
+        The polygons in the file.
+    polygons : Polygons
+        The polygons of the mesh.
+    sizes : sequence of int
+        As of `by_walk`.
     """
-    ours = frames.header
-    same_size = ours.vertex_count == header.vertex_count and np.array_equal(
-        np.sort(ours.polygons.counts), np.sort(header.polygons.counts)
-    )
-    if not same_size or matched(ours.polygons, header.polygons) is not None:
-        return frames, None
-    found = by_walk(ours, vertices=True)
-    if matched(found.of_polygons(ours.polygons), header.polygons) is None:
-        return frames, None
-    return found.of_frames(frames), found
+    if not np.array_equal(np.sort(polygons.counts), np.sort(other.counts)):
+        return None
+    if matched(polygons, other) is not None:
+        return as_it_is(polygons, sum(sizes))
+    found = by_walk(polygons, sizes, vertices=True)
+    return None if matched(found.of_polygons(polygons), other) is None else found
+
+
+def object_sizes(header: SequenceHeader) -> list[int]:
+    """Return how many vertices each of the objects has that a sequence joins."""
+    return [each.vertex_count for each in header.objects]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixseq.arrays import FloatArray
-from mixseq.coding.renumbering import Renumbering, as_it_is, by_walk, numbered_as
+from mixseq.coding import renumbering
+from mixseq.coding.renumbering import Renumbering, as_it_is, numbering_of, object_sizes
 from mixseq.polygon_matching import matched
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader
@@ -20,6 +21,10 @@ from tests.coding.bitstream.test_polygon_walk import MESHES, quads, shuffled
 from tests.meshes import bar
 
 pytestmark = pytest.mark.slow
+
+
+def by_walk(mesh: SequenceHeader, vertices: bool) -> Renumbering:
+    return renumbering.by_walk(mesh.polygons, object_sizes(mesh), vertices=vertices)
 
 
 def dressed(polygons: Polygons, vertex_count: int, seed: int = 0) -> MeshSequence:
@@ -167,7 +172,7 @@ def test_objects_keep_their_vertices_and_polygons() -> None:
 
 def test_hard_edges_are_numbered_as_they_come() -> None:
     grid = scrambled()
-    hard_edges = as_it_is(grid).of_header(grid.header).surface.hard_edges
+    hard_edges = as_it_is(grid.polygons, grid.vertex_count).of_header(grid.header).surface.hard_edges
     assert hard_edges is not None and hard_edges[0] == 0
     highest = np.maximum.accumulate(hard_edges)
     assert (hard_edges[1:] <= highest[:-1] + 1).all()
@@ -196,15 +201,16 @@ def test_frames_stream() -> None:
     assert streamed.header.polygons.same_as(found.of_polygons(walk.polygons))
 
 
-def test_originals_are_numbered_as_files_are() -> None:
+def test_the_numbering_of_a_file_is_found() -> None:
     grid = scrambled()
-    found = by_walk(grid, vertices=True)
-    free, kept = found.of_header(grid.header), by_walk(grid, vertices=False).of_header(grid.header)
-    frames, renumbering = numbered_as(grid, free)
-    assert isinstance(frames, MeshSequence) and isinstance(renumbering, Renumbering)
-    np.testing.assert_array_equal(frames.points, grid.points[:, found.vertices])
-    assert numbered_as(grid, grid.header) == (grid, None)
-    assert numbered_as(grid, kept) == (grid, None)
-    other = Polygons(grid.polygons.counts, np.roll(grid.polygons.indices, 1))
-    assert numbered_as(grid, replace(grid.header, polygons=other)) == (grid, None)
-    assert numbered_as(grid, bar().header)[1] is None
+    polygons, sizes = grid.polygons, object_sizes(grid)
+    walked = by_walk(grid, vertices=True)
+    for seed in range(3):
+        free, _ = shuffled(walked.of_polygons(polygons), seed)
+        found = numbering_of(free, polygons, sizes)
+        assert found is not None and found.order == "free"
+        np.testing.assert_array_equal(found.vertices, walked.vertices)
+        kept = numbering_of(shuffled(polygons, seed)[0], polygons, sizes)
+        assert kept is not None and kept.order == "keep"
+    assert numbering_of(Polygons(polygons.counts, np.roll(polygons.indices, 1)), polygons, sizes) is None
+    assert numbering_of(bar().polygons, polygons, sizes) is None

@@ -121,16 +121,19 @@ def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mes
     placing = Placing.at(mesh.above, header.times, header.fps)
     mirrored = determinant(placing.matrices[0]) < 0
     theirs, order = _polygons(path, scene_mesh, mesh, mirrored)
-    match = matched(Polygons(theirs.counts, theirs.indices[order]), scene_mesh.polygons)
-    if match is None:
+    read = Polygons(theirs.counts, theirs.indices[order])
+    ours = scene_mesh.as_numbered(read)
+    match = None if ours is None else matched(read, ours.polygons)
+    if ours is None or match is None:
         return None
     # Turning corners around twice changes nothing.
-    return Fit(scene_mesh, mesh, match.corners[order], placing, mirrored)
+    return Fit(ours, mesh, match.corners[order], placing, mirrored)
 
 
 def _polygons(path: Path, scene_mesh: SceneMesh, mesh: Mesh, mirrored: bool) -> tuple[Polygons, Index]:
     room = path.stat().st_size
-    return stored_polygons(Source(path, room, mesh, scene_mesh.vertices, mirrored, np.zeros(1)))
+    vertices = slice(0, scene_mesh.vertex_count)
+    return stored_polygons(Source(path, room, mesh, vertices, mirrored, np.zeros(1)))
 
 
 def _difference(path: Path, scene_mesh: SceneMesh, mesh: Mesh) -> str:

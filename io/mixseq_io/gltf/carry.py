@@ -130,9 +130,11 @@ def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
         return None
     theirs = _triangles(welded)
     for mirrored in (False, True):
-        match = matched(Polygons.from_triangles(_turned(theirs, mirrored)), scene_mesh.polygons)
-        if match is not None:
-            return Place(scene_mesh, node, welded, mirrored, match.corners)
+        read = Polygons.from_triangles(_turned(theirs, mirrored))
+        ours = scene_mesh.as_numbered(read)
+        match = None if ours is None else matched(read, ours.polygons)
+        if ours is not None and match is not None:
+            return Place(ours, node, welded, mirrored, match.corners)
     return None
 
 

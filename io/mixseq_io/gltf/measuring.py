@@ -52,7 +52,7 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
     """
     kept = np.concatenate(
         [
-            np.arange(mesh.vertices.start, mesh.vertices.stop)
+            np.arange(sequence.vertex_count)[mesh.vertices]
             for mesh in split(sequence.header)
             if mesh.polygons.counts.size
         ]

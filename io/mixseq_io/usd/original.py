@@ -138,10 +138,10 @@ def _difference(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> str:
 def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
     """Lay a mesh of the sequence over one of the file; None if it has other faces."""
     stored, places = _stored(mesh)
-    polygons = scene_mesh.polygons
     if stored is None:
         return None
     points = stored.indices
+    reverse = reversed_corners(stored.counts, keep_first=True)
     # The sequence may have come from elsewhere, with a vertex for every point.
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count != scene_mesh.vertex_count:
@@ -149,11 +149,13 @@ def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
         theirs = Polygons(stored.counts, seams.of_point[points])
         # Readers reverse left-handed faces.
         for turned in (False, True):
-            order = reversed_corners(polygons.counts, keep_first=True) if turned else slice(None)
-            match = matched(theirs, Polygons(polygons.counts, polygons.indices[order]))
-            if match is not None:
-                corners = np.arange(points.size)[order][match.corners]
-                return Fit(scene_mesh, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
+            read = Polygons(theirs.counts, theirs.indices[reverse]) if turned else theirs
+            ours = scene_mesh.as_numbered(read)
+            match = None if ours is None else matched(read, ours.polygons)
+            if ours is not None and match is not None:
+                # Turning corners around twice changes nothing.
+                corners = match.corners[reverse] if turned else match.corners
+                return Fit(ours, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)
     return None
 
 

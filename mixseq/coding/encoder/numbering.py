@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.coding.bitstream.connectivity import encode_polygons
-from mixseq.coding.renumbering import Renumbering, as_it_is, by_walk
+from mixseq.coding.renumbering import Renumbering, as_it_is, by_walk, object_sizes
 from mixseq.errors import SettingsError
 from mixseq.sequence_header import SequenceHeader
 
@@ -27,11 +27,12 @@ def cheapest_numbering(header: SequenceHeader, order: OrderName) -> Renumbering:
     """
     if order not in ORDERS:
         raise SettingsError(f"order is {order!r}; one of {', '.join(ORDERS)} is expected")
-    tried = [as_it_is(header)]
-    if order != "keep":
-        tried += [by_walk(header, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
-    if len(tried) == 1:
-        return tried[0]
+    polygons, sizes = header.polygons, object_sizes(header)
+    kept = as_it_is(polygons, header.vertex_count)
+    if order == "keep":
+        return kept
+    walks = [by_walk(polygons, sizes, vertices=each) for each in (False, True)[: ORDERS.index(order)]]
     return min(
-        tried, key=lambda each: len(encode_polygons(each.of_polygons(header.polygons), header.vertex_count))
+        [kept, *walks],
+        key=lambda each: len(encode_polygons(each.of_polygons(polygons), header.vertex_count)),
     )
