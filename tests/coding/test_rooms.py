@@ -9,7 +9,7 @@ import pytest
 
 import mixseq
 
-BITSTREAM = sorted((Path(mixseq.__file__).parent / "coding" / "bitstream").glob("*.py"))
+BITSTREAM = sorted((Path(mixseq.__file__).parent / "coding" / "bitstream").rglob("*.py"))
 
 
 @pytest.mark.parametrize("file", BITSTREAM, ids=lambda file: file.stem)

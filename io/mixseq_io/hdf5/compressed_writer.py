@@ -29,6 +29,7 @@ from mixseq_io.hdf5.compressed_reader import read_container
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.lossless import pack_surface, pack_times
 from mixseq_io.hdf5.stream_index import (
+    CHECKED_VERSION,
     COMPRESSED_VERSION,
     HEAD,
     MAGIC,
@@ -51,7 +52,8 @@ def write_compressed(file: h5py.File, coded: CompressedSequence) -> None:
         ("coding", container.text),
     ):
         file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
-    file.attrs["version"] = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
+    older = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
+    file.attrs["version"] = older if coded.parameters.revision == 1 else CHECKED_VERSION
     file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
 
 

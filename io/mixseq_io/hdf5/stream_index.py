@@ -39,6 +39,9 @@ COMPRESSED_VERSION = 4
 TEXTURED_VERSION = 7
 """The same with texture coordinates in a stream of their own. Frozen: breaks old files."""
 
+CHECKED_VERSION = 8
+"""The same with checksums of what is decoded: revision 2 of the coding. Frozen: breaks old files."""
+
 MAGIC = b"msq4"
 """What the index begins with. Frozen: breaks old files."""
 
@@ -101,7 +104,7 @@ def read_index(path: Path, container: Container) -> StreamIndex:
     FormatError
         If a newer mixseq wrote it; or if the index, or the attribute, is damaged: then nothing can be found.
     """
-    refuse_newer(path, container.version, TEXTURED_VERSION)
+    refuse_newer(path, container.version, CHECKED_VERSION)
     damaged = FormatError(f"{path}: its index is damaged, so nothing can be read; restore the file")
     if len(container.streams) < HEAD.size:
         raise damaged

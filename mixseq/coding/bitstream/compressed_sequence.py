@@ -21,6 +21,7 @@ from mixseq.coding.bitstream.spatial_basis import (
     BasisKind,
     SpatialBasis,
     assemble_basis,
+    groups_of_parts,
     read_basis,
     read_coefficients,
 )
@@ -88,6 +89,8 @@ class CodingParameters:
         Texture coordinates are multiples of one by this number. None if there are none, or they are as they were.
     uv_error : float, optional
         Largest difference of u and of v from the original; a promise. None as `uv_steps`.
+    revision : int
+        How signals, labels and residuals are coded: 1 in model versions 4 and 7, 2 in version 8.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class CodingParameters:
     ranks: tuple[int, ...] = ()
     uv_steps: int | None = None
     uv_error: float | None = None
+    revision: int = 1
 
     def __post_init__(self) -> None:
         if self.factors not in get_args(BasisKind):
@@ -141,6 +145,8 @@ class CodingParameters:
             raise SettingsError(f"uv_steps is {steps!r}; a whole number from 1 to {LARGEST} is expected")
         if error is not None and not (isinstance(error, int | float) and 0 <= error < inf):
             raise SettingsError(f"uv_error is {error!r}; a non-negative number is expected")
+        if self.revision not in (1, 2) or isinstance(self.revision, bool):
+            raise SettingsError(f"revision is {self.revision!r}; 1 or 2 is expected")
         if not isinstance(self.promised, bool):
             raise SettingsError(f"promised is {self.promised!r}; true or false is expected")
 
@@ -208,6 +214,7 @@ def to_model(coded: CompressedSequence) -> Model:
             header.faces,
             header.vertex_count,
             parameters.correction,
+            parameters.revision,
             graph,
         )
     times = with_middles(header.times)
@@ -227,7 +234,9 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
             "the file is damaged"
         )
     coordinates = 1 if parameters.factors == "trajectories" else 3
-    vectors, parts = read_basis(coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph)
+    vectors, parts = read_basis(
+        coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph, parameters.revision
+    )
     if parameters.factors == "shapes" and not len(vectors[0]):
         raise FormatError(
             "the first group of the basis is missing, without which there is no shape; the file is damaged"
@@ -237,7 +246,11 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Return the coefficients ``(n, K, d)`` of a chunk's frames, as many as the basis has varying vectors."""
-    return read_coefficients(basis, chunk.coefficients, chunk.count, coded.parameters.step)
+    parameters = coded.parameters
+    complete = len(coded.basis) == len(groups_of_parts(parameters.ranks or (parameters.rank,)))
+    return read_coefficients(
+        basis, chunk.coefficients, chunk.count, parameters.step, parameters.revision, complete
+    )
 
 
 def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:

@@ -20,9 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.coding.bitstream.entropy import Reader, Tables, Writer
+from mixseq.coding.bitstream import residual_kernels as kernels
+from mixseq.coding.bitstream.arithmetic import Coded
+from mixseq.coding.bitstream.bit_models import bit_models
+from mixseq.coding.bitstream.revision_1 import residuals as older_residuals
+from mixseq.coding.bitstream.signal_coder import Reader, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
-from mixseq.coding.bitstream.signal_kernels import smooth, surroundings
 from mixseq.errors import FormatError
 from mixseq.pickling import PickledWithoutCaches
 
@@ -31,18 +34,6 @@ Residuals = tuple[Index, Index]
 
 RUN = 16
 """So many frames are coded together. Frozen: another number breaks old files."""
-
-_LEVELS = (0.0, 0.08, 0.2, 0.4, 0.7)
-"""Bounds between contexts: shares of displaced vertices that are expected. Frozen: other bounds break old files."""
-
-_BEFORE = 3
-"""Contexts by the frame before: the vertex had a residual, some around it had, none had. Frozen: breaks old files."""
-
-_FLAG_MAGNITUDES = (0.02, 0.08, 0.2, 0.4, 0.7, 0.9)
-"""What is expected of flags in the contexts, to begin with. Frozen: other magnitudes break old files."""
-
-_NUMBER_MAGNITUDES = (0.6, 0.6, 1.0, 2.0)
-"""The same of displacements, by their magnitude in the frame before. Frozen: other magnitudes break old files."""
 
 _KEPT = 8
 """Decoded runs that are kept. Free: files know nothing of it."""
@@ -66,6 +57,8 @@ class CodedResidualLayer(PickledWithoutCaches):
         Number V of vertices.
     unit : float
         Length of the unit w, in the units of the sequence.
+    revision : int
+        How the streams are coded: see `CodingParameters`.
     known : SignalGraph, optional
         The graph of the mesh, where it has been found already.
     """
@@ -75,6 +68,7 @@ class CodedResidualLayer(PickledWithoutCaches):
     faces: NDArray[np.int32]
     vertex_count: int
     unit: float
+    revision: int = 2
     known: InitVar[SignalGraph | None] = None
 
     def __post_init__(self, known: SignalGraph | None) -> None:
@@ -125,7 +119,7 @@ class CodedResidualLayer(PickledWithoutCaches):
             decoded = self._cache.get((chunk, run))
             if decoded is None:
                 count, stream = self.chunks[chunk]
-                decoded = read_residuals(stream, count, run, self._graph)
+                decoded = read_residuals(stream, count, run, self._graph, self.revision)
                 self._cache[chunk, run] = decoded
                 while len(self._cache) > _KEPT:
                     self._cache.pop(next(iter(self._cache)))
@@ -160,7 +154,9 @@ def write_residuals(frames: Iterable[Index], graph: SignalGraph) -> bytes:
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)
 
 
-def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> list[Residuals]:
+def read_residuals(
+    stream: bytes, count: int, run: int, graph: SignalGraph, revision: int = 2
+) -> list[Residuals]:
     """Return the residuals of one run of frames.
 
     Parameters
@@ -173,6 +169,8 @@ def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> l
         Which run: frames from ``run * RUN`` on.
     graph : SignalGraph
         Of the mesh.
+    revision : int
+        How the stream is coded: see `CodingParameters`.
 
     Returns
     -------
@@ -193,7 +191,11 @@ def read_residuals(stream: bytes, count: int, run: int, graph: SignalGraph) -> l
     if rest < 0 or lengths.sum() != rest:
         raise FormatError("a coded residual layer has another length than it says; the file is damaged")
     start = 4 * number + int(lengths[:run].sum())
-    return _read_run(stream[start : start + int(lengths[run])], frames, graph)
+    data = stream[start : start + int(lengths[run])]
+    if not data:
+        return [_NOTHING] * frames
+    read_run = older_residuals.read_run if revision == 1 else _read_run
+    return read_run(data, frames, graph)
 
 
 def _runs(frames: Iterable[Index]) -> Iterator[list[Index]]:
@@ -203,72 +205,39 @@ def _runs(frames: Iterable[Index]) -> Iterator[list[Index]]:
 
 
 def _write_run(frames: Iterable[Index], graph: SignalGraph) -> bytes:
-    writer, contexts, something = Writer(), _Contexts(graph), False
+    writer, coder, something = Writer(), _FrameCoder(graph), False
     for vertices in frames:
-        frame = vertices[graph.order]
-        displaced: NDArray[np.bool_] = np.any(frame, axis=1)
-        something |= bool(displaced.any())
-        writer.put_flat(np.array([int(displaced.any())]), 2)
-        contexts.begin()
-        if displaced.any():
-            for batch in graph.batches:
-                flags = displaced[batch]
-                writer.put(flags.astype(np.int64), contexts.of(batch), contexts.tables)
-                contexts.displaced[batch] = flags
-            nodes = np.flatnonzero(displaced)
-            writer.put(frame[nodes].reshape(-1), contexts.of_numbers(nodes), contexts.number_tables)
-        contexts.finish(frame)
+        numbers = vertices[graph.order]
+        something |= bool(numbers.any())
+        coder.code(writer.room(3 * graph.size), numbers)
+        writer.checked(numbers)
     return writer.finish() if something else b""
 
 
 def _read_run(stream: bytes, count: int, graph: SignalGraph) -> list[Residuals]:
-    if not stream:
-        return [_NOTHING] * count
-    reader, contexts = Reader(stream), _Contexts(graph)
+    reader, coder = Reader(stream), _FrameCoder(graph)
     frames = []
     for _ in range(count):
-        nodes, numbers = _NOTHING
-        contexts.begin()
-        if reader.get_flat(1, 2)[0]:
-            for batch in graph.batches:
-                contexts.displaced[batch] = reader.get(contexts.of(batch), contexts.tables)
-            nodes = np.flatnonzero(contexts.displaced)
-            numbers = reader.get(contexts.of_numbers(nodes), contexts.number_tables).reshape(-1, 3)
-        frame = np.zeros((graph.size, 3), dtype=np.int64)
-        frame[nodes] = numbers
-        contexts.finish(frame)
-        frames.append((graph.order[nodes], numbers))
+        numbers = np.zeros((graph.size, 3), dtype=np.int64)
+        coder.code(reader.bits(), numbers)
+        reader.checked(numbers)
+        nodes = np.flatnonzero(numbers.any(axis=1))
+        frames.append((graph.order[nodes], numbers[nodes]))
+    reader.finish()
     return frames
 
 
-class _Contexts:
-    """What is known around a node when it is coded whether it has a residual."""
+class _FrameCoder:
+    """What is known of a run's residuals, frame after frame."""
 
     def __init__(self, graph: SignalGraph) -> None:
         self._graph = graph
-        self.tables = Tables(np.tile(_FLAG_MAGNITUDES, _BEFORE), 1)
-        self.number_tables = Tables(list(_NUMBER_MAGNITUDES), 15)
+        self._models = bit_models(kernels.INPUTS, kernels.CONTEXTS, kernels.POSITIONS)
         self._last = np.zeros((graph.size, 3), dtype=np.int64)
-        self._before = np.zeros(graph.size, dtype=np.int64)
-        self.displaced = np.zeros(graph.size)
 
-    def begin(self) -> None:
-        self.displaced = np.zeros(self._graph.size)
-
-    def of(self, batch: slice) -> Index:
-        """Contexts ``(n,)``: by the neighbours that are known, and by the frame before."""
-        graph, flags = self._graph, self.displaced
-        beside = surroundings(batch.start, batch.stop, flags, flags, graph.neighbours, graph.counts)
-        levels = np.searchsorted(_LEVELS, beside).astype(np.int64)
-        return levels + len(_FLAG_MAGNITUDES) * self._before[batch]
-
-    def of_numbers(self, nodes: Index) -> Index:
-        """Contexts ``(3 n,)`` of the coordinates: by their size in the frame before."""
-        return np.asarray(np.abs(self._last[nodes].clip(-3, 3)).reshape(-1))
-
-    def finish(self, frame: Index) -> None:
+    def code(self, coded: Coded, numbers: Index) -> None:
+        """Write the numbers ``(N, 3)`` of a frame in nodes' order, or read them."""
         graph = self._graph
-        own: NDArray[np.bool_] = np.any(frame, axis=1)
-        around = smooth(np.asarray(own, dtype=np.float64), graph.ring, graph.ring_starts) > 0
-        self._before = np.where(own, 2, around.astype(np.int64))
-        self._last = frame
+        around = graph.neighbours, graph.counts, graph.ring, graph.ring_starts
+        kernels.code_residuals(coded, self._models, *around, self._last, numbers)
+        self._last = numbers

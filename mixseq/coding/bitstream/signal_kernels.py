@@ -1,260 +1,172 @@
-"""Compiled loops of `mixseq.coding.bitstream.signal_coder`: weights, prediction, contexts, and nodes that are alike.
+"""The compiled loop of `mixseq.coding.bitstream.signal_coder`: one signal, node by node, written or read alike.
 
-Arguments that they share, of a graph with N nodes of up to n neighbours each, all of them before the node:
-
-============  ====================================================================================================
-values        (N,) float64: the signal, in steps
-neighbours    (N, n) int64: nodes that each is predicted from; the first ``counts[node]`` of a row count
-counts        (N,) int64
-weights       (N, n) float64: of the neighbours, rows add up to one
-gram          (sum of counts (counts + 1) / 2,) float64, in squared steps: of every node's matrix the lower triangle,
-              row by row; one node's after the other's
-first, last   int: nodes ``first`` to ``last - 1``, a batch of n nodes; those before it are known
-sizes         (N,) float64: magnitudes of the numbers of this signal, in steps, as far as they are known
-activity      (N,) float64: the same of earlier signals, newer ones counting more
-============  ====================================================================================================
-
-Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). Sums are in a fixed order, of + - * /
-and roots only: decoders get the same bits on every machine.
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All that decides is whole numbers, but
+for the sums of `predictor_kernels.predict`, which are rounded.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mixseq.arrays import Float, Index
-from mixseq.compiled import compiled, inlined
+from mixseq.coding.bitstream.arithmetic import Coded, code_number
+from mixseq.coding.bitstream.bit_models import BitModels, code
+from mixseq.coding.bitstream.predictor_kernels import UNIT, Small, predict
+from mixseq.compiled import compiled
+
+LEVELS = 32
+"""Expected sizes are told apart at so many levels, two of them in an octave. Frozen: breaks old files."""
+
+DEPTHS = 18
+"""Nodes are told apart by the bits of their number: about their level in the graph. Frozen: breaks old files."""
+
+AGES = 8
+"""Signals are told apart by how many were before them. Frozen: breaks old files."""
+
+INPUTS = 5
+"""Contexts of a number. Frozen: breaks old files."""
+
+CONTEXTS = LEVELS * LEVELS
+"""As many contexts as an input may have. Frozen: breaks old files."""
+
+_LONGEST = 24
+"""Numbers of up to so many bits have models for all questions about them. Frozen: breaks old files."""
+
+_MOST = 55
+"""Numbers have so many bits at most. Frozen: breaks old files."""
+
+POSITIONS = 2 * _LONGEST
+"""Questions about a number that have models. Frozen: breaks old files."""
+
+_FARTHEST = 2.0**54
+"""Numbers are not beyond this: steps may be tried that are too fine for doubles. Free: only encoders round."""
+
+_LARGEST = 1 << 40
+"""Larger sizes count as this. Frozen: breaks old files."""
 
 
 @compiled
-def roughness(values: Float, neighbours: Index, counts: Index) -> float:
-    """Return the mean square of the differences of nodes and their first neighbours, in squared steps."""
-    total, pairs = 0.0, 0
-    for node in range(len(values)):
-        if counts[node]:
-            apart = values[node] - values[neighbours[node, 0]]
-            total += apart * apart
-            pairs += 1
-    return total / max(pairs, 1)
-
-
-@compiled
-def learn(values: Float, weight: float, neighbours: Index, counts: Index, gram: Float) -> None:
-    """Add weight times the products of the differences of nodes and neighbours to the Gram matrices."""
-    apart = np.zeros(neighbours.shape[1])
-    place = 0
-    for node in range(len(values)):
-        for i in range(counts[node]):
-            apart[i] = values[neighbours[node, i]] - values[node]
-            one = weight * apart[i]
-            for j in range(i + 1):
-                gram[place] += one * apart[j]
-                place += 1
-
-
-@compiled
-def solve(gram: Float, ridge: float, start: Float, counts: Index, weights: Float) -> None:
-    """Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one; start is ``(N, n)``.
-
-    1e-12 of the trace of G is added to the ridge: matrices of signals of very many steps are singular but for rounding.
-    """
-    most = start.shape[1]
-    lower = np.zeros((most, most))
-    inverse = np.zeros(most)  # of the diagonal: divisions are slow
-    ones = np.zeros(most)
-    free = np.zeros(most)
-    place = 0
-    for node in range(len(counts)):
-        count = counts[node]
-        if count == 0:
-            continue
-        pull = ridge
-        for i in range(count):
-            pull += 1e-12 * gram[place + i * (i + 3) // 2]
-        # G + pull = L L^T with pivots that are not below pull, and L (ones, free) = (1, pull start)
-        for i in range(count):
-            one, other = 1.0, pull * start[node, i]
-            for j in range(i):
-                entry = gram[place]
-                place += 1
-                for k in range(j):
-                    entry -= lower[i, k] * lower[j, k]
-                entry *= inverse[j]
-                lower[i, j] = entry
-                one -= entry * ones[j]
-                other -= entry * free[j]
-            entry = gram[place] + pull
-            place += 1
-            for k in range(i):
-                entry -= lower[i, k] * lower[i, k]
-            inverse[i] = 1.0 / math.sqrt(max(entry, pull))
-            ones[i], free[i] = one * inverse[i], other * inverse[i]
-        sum_ones, sum_free = 0.0, 0.0
-        for i in range(count - 1, -1, -1):
-            one, other = ones[i], free[i]
-            for k in range(i + 1, count):
-                one -= lower[k, i] * ones[k]
-                other -= lower[k, i] * free[k]
-            ones[i], free[i] = one * inverse[i], other * inverse[i]
-            sum_ones += ones[i]
-            sum_free += free[i]
-        multiplier = (1.0 - sum_free) / sum_ones
-        for i in range(count):
-            weights[node, i] = free[i] + multiplier * ones[i]
-
-
-@compiled
-def quantise(
-    first: int,
-    last: int,
+def code_signal(
+    coded: Coded,
+    models: BitModels,
+    age: int,
     targets: Float,
-    margin: float,
-    neighbours: Index,
-    counts: Index,
+    margins: Float,
+    neighbours: Small,
+    counts: Small,
     weights: Float,
-    values: Float,
-) -> Index:
-    """Round what predictions leave of targets ``(N,)`` in steps, write the values that a decoder will have.
-
-    Returns the numbers ``(last - first,)``, rounded up from ``1 - margin``.
-    """
-    numbers = np.empty(last - first, dtype=np.int64)
-    for node in range(first, last):
-        predicted = 0.0
-        for i in range(counts[node]):
-            predicted += weights[node, i] * values[neighbours[node, i]]
-        off = targets[node] - predicted
-        number = math.floor(abs(off) + margin)
-        if off < 0.0:
-            number = -number
-        numbers[node - first] = int(number)
-        values[node] = predicted + number
-    return numbers
-
-
-@compiled
-def restore(
-    first: int, last: int, numbers: Index, neighbours: Index, counts: Index, weights: Float, values: Float
+    values: Index,
+    numbers: Index,
+    activity: Index,
+    around: Index,
 ) -> None:
-    """Write the values of nodes from the numbers ``(last - first,)`` that `quantise` returned."""
-    for node in range(first, last):
-        predicted = 0.0
-        for i in range(counts[node]):
-            predicted += weights[node, i] * values[neighbours[node, i]]
-        values[node] = predicted + numbers[node - first]
+    """Write or read a signal: a number for every node, and the value that it makes.
 
-
-@compiled
-def smooth(activity: Float, ring: Index, starts: Index) -> Float:
-    """Return the means ``(N,)`` of the activity beside nodes, at ``ring[starts[node] : starts[node + 1]]``."""
-    means = np.zeros(len(activity))
-    for node in range(len(activity)):
-        total = 0.0
-        for place in range(starts[node], starts[node + 1]):
-            total += activity[ring[place]]
-        if starts[node + 1] > starts[node]:
-            means[node] = total / (starts[node + 1] - starts[node])
-    return means
-
-
-@compiled
-def surroundings(
-    first: int, last: int, sizes: Float, activity: Float, neighbours: Index, counts: Index
-) -> Float:
-    """Return the mean sizes ``(last - first,)`` at neighbours before `first`, or the activity if there are none."""
-    means = np.empty(last - first)
-    for node in range(first, last):
-        total, known = 0.0, 0
-        for i in range(counts[node]):
-            if neighbours[node, i] < first:
-                total += sizes[neighbours[node, i]]
-                known += 1
-        means[node - first] = total / known if known else activity[node]
-    return means
-
-
-@compiled
-def contexts(
-    first: int,
-    last: int,
-    sizes: Float,
-    activity: Float,
-    around: Float,
-    shares: Float,
-    bounds: Float,
-    neighbours: Index,
-    counts: Index,
-) -> Index:
-    """Return in which interval between bounds ``(C - 1,)`` the expected size of every node's number is.
-
-    The expected size is the sum of ``shares`` (3,) times the mean size at neighbours, the activity, and that of the
-    ring, ``around`` (N,).
+    Parameters
+    ----------
+    coded, models
+        Bytes, and what is known of bits.
+    age : int
+        How many signals were before.
+    targets : (N,) float64
+        The signal in 1 / `UNIT` steps, if it is written.
+    margins : (LEVELS,) float64
+        Numbers are rounded up from one minus this, by the level of their expected size, if they are written.
+    neighbours, counts, weights
+        Of the predictor.
+    values : (N,) int64
+        Where the signal goes, in 1 / `UNIT` steps.
+    numbers : (N,) int64
+        Numbers of the signal before, which those of this one replace.
+    activity, around : (N,) int64
+        Sizes of the numbers of earlier signals, newer ones counting more, here and beside, in 1 / `UNIT` steps.
     """
-    means = surroundings(first, last, sizes, activity, neighbours, counts)
-    places = np.empty(last - first, dtype=np.int64)
-    for node in range(first, last):
-        expected = shares[0] * means[node - first] + shares[1] * activity[node] + shares[2] * around[node]
-        low, high = 0, len(bounds)
-        while low < high:
-            middle = (low + high) // 2
-            if bounds[middle] < expected:
-                low = middle + 1
-            else:
-                high = middle
-        places[node - first] = low
-    return places
-
-
-@compiled
-def nearest(
-    values: Float, neighbours: Index, counts: Index, exhaustive: int, most: int, found: Index, sizes: Index
-) -> None:
-    """Write the nodes before every node that are nearest to it in values ``(N, D)``, but for its neighbours.
-
-    The first `exhaustive` nodes look at all nodes before them; later ones at neighbours of their neighbours, and at
-    what was found for these. Of every node up to `most` are found, ``found`` (N, most), nearest first: ``sizes`` (N,).
-    """
-    apart = np.empty(most)
-    seen = np.full(len(values), -1, dtype=np.int64)  # the last node that looked at a node
+    contexts = models.contexts
+    age = min(level(age), AGES - 1)
+    bits = 0
     for node in range(len(values)):
-        sizes[node] = 0
-        for i in range(counts[node]):
-            seen[neighbours[node, i]] = node
-        if node < exhaustive:
-            for other in range(node):
-                _consider(node, other, values, seen, most, found, sizes, apart)
-            continue
-        for i in range(counts[node]):
-            beside = neighbours[node, i]
-            for j in range(counts[beside]):
-                _consider(node, neighbours[beside, j], values, seen, most, found, sizes, apart)
-            for j in range(sizes[beside]):
-                _consider(node, found[beside, j], values, seen, most, found, sizes, apart)
+        while node >> bits:
+            bits += 1
+        count = counts[node]
+        size = activity[node]
+        if count:
+            total = 0
+            for i in range(count):
+                total += min(abs(numbers[neighbours[node, i]]), _LARGEST)
+            size = UNIT * total // count
+        expected = (205 * size + 102 * activity[node] + 38 * around[node]) >> 8
+        here, beside, ring = level(size), level(activity[node]), level(around[node])
+        depth, wanted = min(bits, DEPTHS - 1), level(expected)
+        contexts[0] = here * LEVELS + beside
+        contexts[1] = beside * LEVELS + ring
+        contexts[2] = min(fine_level(expected), CONTEXTS // DEPTHS - 1) * DEPTHS + depth
+        contexts[3] = here * LEVELS + level(UNIT * min(abs(numbers[node]), _LARGEST))
+        contexts[4] = wanted * AGES + age
+        predicted = predict(node, neighbours, counts, weights, values)
+        number = 0
+        if not coded.decoding:
+            off = targets[node] - predicted
+            number = math.floor(min(abs(off) / UNIT + margins[wanted], _FARTHEST))
+            if off < 0.0:
+                number = -number
+        number = code_signed(coded, models, number)
+        numbers[node] = number
+        values[node] = predicted + UNIT * number
 
 
-@inlined
-def _consider(
-    node: int, other: int, values: Float, seen: Index, most: int, found: Index, sizes: Index, apart: Float
-) -> None:
-    """Insert a node into the nearest ones at squared distances `apart` (most,), if it is one, and not seen before."""
-    if seen[other] != node:
-        seen[other] = node
-        distance = 0.0
-        limit = apart[most - 1] if sizes[node] == most else np.inf
-        for dimension in range(values.shape[1]):
-            one = values[node, dimension] - values[other, dimension]
-            distance += one * one
-            if distance >= limit:
-                break
-        if distance < limit:
-            place = sizes[node] if sizes[node] < most else most - 1
-            while place > 0 and apart[place - 1] > distance:
-                apart[place] = apart[place - 1]
-                found[node, place] = found[node, place - 1]
-                place -= 1
-            apart[place] = distance
-            found[node, place] = other
-            if sizes[node] < most:
-                sizes[node] += 1
+@compiled
+def code_signed(coded: Coded, models: BitModels, number: int) -> int:
+    """Write or read a number: how many bits it has, the highest of those after the first, the others, and the sign."""
+    size, magnitude = 0, abs(number)
+    while magnitude >> size:
+        size += 1
+    found = 0
+    while found < _LONGEST and code(coded, models, found, 1 if size > found else 0):
+        found += 1
+    if found == _LONGEST:
+        while found < _MOST and code_number(coded, 1, 1 if size > found else 0):
+            found += 1
+    if found == 0:
+        return 0
+    value = 1
+    if found > 1:
+        top = code(coded, models, _LONGEST + min(found, _LONGEST) - 2, (magnitude >> (found - 2)) & 1)
+        value = ((2 + top) << (found - 2)) | code_number(
+            coded, found - 2, magnitude & ((1 << (found - 2)) - 1)
+        )
+    return -value if code_number(coded, 1, 1 if number < 0 else 0) else value
+
+
+@compiled
+def level(size: int) -> int:
+    """Return the level of a size in 1 / `UNIT` steps, two in an octave."""
+    if size < 2:
+        return size
+    bits = 2
+    while size >> bits:
+        bits += 1
+    return min(2 * (bits - 1) + ((size >> (bits - 2)) & 1), LEVELS - 1)
+
+
+@compiled
+def fine_level(size: int) -> int:
+    """Return the level of a size in 1 / `UNIT` steps, four in an octave."""
+    if size < 4:
+        return size
+    bits = 3
+    while size >> bits:
+        bits += 1
+    return 4 * (bits - 2) + ((size >> (bits - 3)) & 3)
+
+
+@compiled
+def learn_sizes(numbers: Index, ring: Index, starts: Index, activity: Index, around: Index) -> None:
+    """Add the sizes of a signal's numbers to the activity ``(N,)``, and write its means over rings, ``around`` (N,)."""
+    for node in range(len(numbers)):
+        size = UNIT * min(abs(numbers[node]), _LARGEST)
+        activity[node] = (102 * activity[node] + 154 * size) >> 8
+    for node in range(len(numbers)):
+        total, first, last = 0, starts[node], starts[node + 1]
+        for place in range(first, last):
+            total += activity[ring[place]]
+        around[node] = total // (last - first) if last > first else 0

@@ -13,8 +13,9 @@ shapes
 
 Basis vectors go to several streams (groups), each with twice as many as the one before, so that a damaged file still
 has the most important ones; every stream has vectors of all parts. Coefficients go to one stream for every chunk of
-frames, and every chunk is coded by itself. The part of every vertex is coded in the order of the mesh's graph: whether
-a vertex has the label that most known neighbours have, in the context of how many do, and its label, if not.
+frames, and every chunk is coded by itself. The first group begins with the part of every vertex (`part_labels`).
+
+What model versions 4 and 7 have is read by modules with the same names in `revision_1`.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``; ``parts.npz`` has several parts,
 ``shapes.npz`` several groups, ``long.npz`` several chunks). `mixseq.coding.encoder.trial` writes these streams.
@@ -31,7 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.coding.bitstream.entropy import Reader, Tables, Writer
+from mixseq.coding.bitstream import part_labels, signal_coder
+from mixseq.coding.bitstream.revision_1 import labels as older_labels
+from mixseq.coding.bitstream.revision_1 import signals as older_signals
 from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
@@ -43,9 +46,6 @@ MOST_PARTS = 128
 
 GROUP = 12
 """Basis vectors in the first group. Frozen: another number breaks old files."""
-
-LABEL_CONTEXTS = 8
-"""Contexts of labels: shares of the known neighbours with the expected one, in eighths. Frozen: breaks old files."""
 
 
 class Part(NamedTuple):
@@ -168,6 +168,7 @@ def read_basis(
     step: float,
     faces: NDArray[np.integer],
     graph: SignalGraph,
+    revision: int = 2,
 ) -> tuple[list[Float], tuple[Part, ...]]:
     """Return the basis vectors ``(K, c, n)`` of every part, and the parts; groups may be missing at the end.
 
@@ -176,20 +177,22 @@ def read_basis(
     FormatError
         If the streams are damaged.
     """
-    models, parts = NumberModels(), whole(graph)
-    readers = [Reader(stream) for stream in streams]
+    signals, labels = (older_signals, older_labels) if revision == 1 else (signal_coder, part_labels)
+    models, parts = signals.NumberModels(), whole(graph)
+    readers = [signals.Reader(stream) for stream in streams]
     if len(ranks) > 1:
         if not readers:
             raise FormatError(
                 "the first group of the basis is missing, with the parts of the mesh; the file is damaged"
             )
-        parts = parts_of(read_labels(readers[0], len(ranks), graph), faces)
-    coders = [SignalCoder(part.graph, coordinates, models) for part in parts]
+        parts = parts_of(labels.read_labels(readers[0], len(ranks), graph), faces)
+    coders = [signals.SignalCoder(part.graph, coordinates, models) for part in parts]
     vectors: list[list[Float]] = [[] for _ in parts]
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=False):
         for place, group in of_parts:
             for _ in range(group.start, group.stop):
                 vectors[place].append(np.stack([coders[place].read(reader) for _ in range(coordinates)]))
+        reader.finish()
     decoded = [
         step * np.array(some).reshape(-1, coordinates, part.graph.size)
         for some, part in zip(vectors, parts, strict=True)
@@ -218,14 +221,24 @@ def assemble_basis(
     return SpatialBasis(kind, tuple(blocks), np.concatenate(owners), frame_count)
 
 
-def read_coefficients(basis: SpatialBasis, stream: bytes, count: int, step: float) -> Float:
-    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames."""
+def read_coefficients(
+    basis: SpatialBasis, stream: bytes, count: int, step: float, revision: int = 2, complete: bool = True
+) -> Float:
+    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames.
+
+    Those of vectors in groups that are missing are left unread; then a stream is not `complete`, nor checked.
+    """
+    signals = older_signals if revision == 1 else signal_coder
     scales = basis.norms[basis.varying] / step
-    coders, reader = coefficient_coders(basis, count), Reader(stream)
+    models, graph = signals.NumberModels(), path_graph(count)
     coefficients = np.empty((count, len(scales), 3 if basis.kind == "trajectories" else 1))
+    coders = [signals.SignalCoder(graph, coefficients.shape[2], models) for _ in basis.blocks]
+    reader = signals.Reader(stream)
     for place, coordinate in np.ndindex(coefficients.shape[1:]):
         coder = coders[basis.parts[basis.varying][place]]
         coefficients[:, place, coordinate] = coder.read(reader) / scales[place]
+    if complete:
+        reader.finish()
     return coefficients
 
 
@@ -233,54 +246,3 @@ def coefficient_coders(basis: SpatialBasis, count: int) -> list[SignalCoder]:
     """Return the coders of all parts' coefficients in a chunk of so many frames; they share their models."""
     models, dim = NumberModels(), 3 if basis.kind == "trajectories" else 1
     return [SignalCoder(path_graph(count), dim, models) for _ in basis.blocks]
-
-
-def write_labels(writer: Writer, labels: Index, graph: SignalGraph) -> None:
-    """Code the part ``(V,)`` of every vertex; `graph` is that of the whole mesh."""
-    tables, number = _label_tables(), int(labels.max(initial=0)) + 1
-    nodes = labels[graph.order]
-    for batch in graph.batches:
-        likely, contexts = _expected(nodes, batch, graph, number)
-        other = nodes[batch] != likely
-        writer.put(other.astype(np.int64), contexts, tables)
-        writer.put_flat(nodes[batch][other], number)
-
-
-def read_labels(reader: Reader, number: int, graph: SignalGraph) -> Index:
-    """Return the labels ``(V,)`` of so many parts that `write_labels` wrote.
-
-    Raises
-    ------
-    FormatError
-        If they are damaged.
-    """
-    tables = _label_tables()
-    nodes = np.zeros(graph.size, dtype=np.int64)
-    for batch in graph.batches:
-        likely, contexts = _expected(nodes, batch, graph, number)
-        flags = reader.get(contexts, tables)
-        if ((flags < 0) | (flags > 1)).any():
-            raise FormatError("labels of parts are damaged")
-        likely[flags == 1] = reader.get_flat(int(flags.sum()), number)
-        nodes[batch] = likely
-    labels = np.empty_like(nodes)
-    labels[graph.order] = nodes
-    if len(np.unique(labels)) < number:
-        raise FormatError("a part has no vertices; the file is damaged")
-    return labels
-
-
-def _label_tables() -> Tables:
-    return Tables([0.5] * (LABEL_CONTEXTS + 1), 1)
-
-
-def _expected(nodes: Index, batch: slice, graph: SignalGraph, number: int) -> tuple[Index, Index]:
-    """Return the label ``(n,)`` that most known neighbours have, and contexts ``(n,)``: how many have it."""
-    neighbours = graph.neighbours[batch]
-    known = (np.arange(neighbours.shape[1]) < graph.counts[batch, None]) & (neighbours < batch.start)
-    votes = np.zeros((len(neighbours), number), dtype=np.int64)
-    rows, _ = np.nonzero(known)
-    np.add.at(votes, (rows, nodes[neighbours[known]]), 1)
-    likely = votes.argmax(axis=1)
-    most = votes[np.arange(len(votes)), likely]
-    return likely, LABEL_CONTEXTS * most // np.maximum(known.sum(axis=1), 1)

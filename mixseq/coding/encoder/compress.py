@@ -154,6 +154,7 @@ def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None
             promised=bound is not None,
             correction=0.0 if best.bound is None else width(best.bound),
             ranks=best.ranks if len(best.ranks) > 1 else (),
+            revision=2,
         ),
         best.basis_streams,
         best.chunks,

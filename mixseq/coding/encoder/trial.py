@@ -15,8 +15,8 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.compressed_sequence import Chunk
-from mixseq.coding.bitstream.entropy import Writer
-from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
+from mixseq.coding.bitstream.part_labels import write_labels
+from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import (
     BasisKind,
@@ -25,7 +25,6 @@ from mixseq.coding.bitstream.spatial_basis import (
     assemble_basis,
     coefficient_coders,
     groups_of_parts,
-    write_labels,
 )
 from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents

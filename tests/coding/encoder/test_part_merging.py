@@ -10,9 +10,10 @@ import pytest
 import mixseq
 import mixseq.errors
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
-from mixseq.coding.bitstream.entropy import Reader, Writer
+from mixseq.coding.bitstream.part_labels import read_labels, write_labels
+from mixseq.coding.bitstream.signal_coder import Reader, Writer
 from mixseq.coding.bitstream.signal_graph import mesh_graph
-from mixseq.coding.bitstream.spatial_basis import parts_of, read_labels, whole, write_labels
+from mixseq.coding.bitstream.spatial_basis import parts_of, whole
 from mixseq.coding.encoder.compress import compress
 from mixseq.coding.encoder.part_merging import merged, vertex_parts
 from mixseq.coding.encoder.trial import labels_of
@@ -74,7 +75,7 @@ def test_missing_parts_are_refused() -> None:
     graph = mesh_graph(faces, len(points))
     writer = Writer()
     write_labels(writer, np.zeros(len(points), dtype=np.int64), graph)
-    with pytest.raises(FormatError, match="no vertices"):
+    with pytest.raises(FormatError, match="not those of 2 parts"):
         read_labels(Reader(writer.finish()), 2, graph)
 
 

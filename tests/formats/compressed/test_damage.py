@@ -17,7 +17,7 @@ from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError
 from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
-from mixseq_io.hdf5.stream_index import TEXTURED_VERSION, Stream, StreamIndex
+from mixseq_io.hdf5.stream_index import CHECKED_VERSION, Stream, StreamIndex
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 pytestmark = pytest.mark.slow
@@ -140,9 +140,9 @@ def test_contradictions_are_refused(
 
 def test_newer_versions_are_refused(path: Path) -> None:
     with h5py.File(path, "r+") as file:
-        file.attrs["version"] = TEXTURED_VERSION + 1
+        file.attrs["version"] = CHECKED_VERSION + 1
     for salvage in (False, True):
-        with pytest.raises(FormatError, match=r"has version 8, this mixseq reads up to 7.*upgrade with pip"):
+        with pytest.raises(FormatError, match=r"has version 9, this mixseq reads up to 8.*upgrade with pip"):
             mixseq.load(path, salvage=salvage)
 
 

@@ -18,7 +18,7 @@ from mixseq.surface import CornerValues, FaceSet, Surface
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes, room_for_signals
 from mixseq_io.hdf5.salvage import salvage_compressed
-from mixseq_io.hdf5.stream_index import COMPRESSED_VERSION, TEXTURED_VERSION
+from mixseq_io.hdf5.stream_index import CHECKED_VERSION
 from tests.formats.compressed.stream_cases import GOLDEN, damage, index_of
 from tests.meshes import bar
 
@@ -92,14 +92,14 @@ def test_saving_what_was_loaded_changes_nothing(path: Path, tmp_path: Path) -> N
     assert compressed_sizes(again) == compressed_sizes(path)
 
 
-def test_only_files_with_a_stream_of_them_have_the_new_version(path: Path, sequence: MeshSequence) -> None:
+def test_only_grid_coordinates_have_a_stream_of_their_own(path: Path, sequence: MeshSequence) -> None:
     with h5py.File(path) as file:
-        assert file.attrs["version"] == TEXTURED_VERSION
+        assert file.attrs["version"] == CHECKED_VERSION
     sizes = compressed_sizes(path)
     for options in ({"uv_error": 0}, {"uvs": False}):
         mixseq.save(path, mixseq.compress(sequence, max_error=0.01, **options))
         with h5py.File(path) as file:
-            assert file.attrs["version"] == COMPRESSED_VERSION
+            assert file.attrs["version"] == CHECKED_VERSION
         assert compressed_sizes(path)["uvs"] == 0
         if "uvs" in options:
             assert mixseq.load(path).header.surface.uvs is None
@@ -111,7 +111,7 @@ def test_only_files_with_a_stream_of_them_have_the_new_version(path: Path, seque
 
 def test_newer_files_are_refused(path: Path) -> None:
     with h5py.File(path, "r+") as file:
-        file.attrs["version"] = TEXTURED_VERSION + 1
+        file.attrs["version"] = CHECKED_VERSION + 1
     with pytest.raises(FormatError, match="a newer mixseq wrote it"):
         mixseq.load(path)
 

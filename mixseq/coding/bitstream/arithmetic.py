@@ -1,0 +1,126 @@
+"""Bits that are predicted become bytes, and bytes these bits again (arithmetic coding).
+
+Whoever codes and whoever decodes knows, before each bit, how likely it is to be 1. An interval of 32-bit numbers is cut
+in two in that proportion, and the half of the bit is kept; bytes on which both of its ends agree are done. What is
+likely takes little of a bit, and the loss against the ideal is below a thousandth.
+
+The chance of a bit depends on the bits before it, so the cut is made inside compiled loops, which no library that is
+called with arrays can do.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All of it is whole numbers below 2^49.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Index
+from mixseq.compiled import compiled
+
+ONE = 1 << 16
+"""Chances are whole numbers from 1 to 65535, in units of 2^-16. Frozen: breaks old files."""
+
+_TOP = (1 << 32) - 1
+"""Ends of intervals are from 0 to this. Frozen: breaks old files."""
+
+_BITS_BEYOND = 4
+"""So many bytes may be asked for beyond the end; they are zero. Frozen: breaks old files."""
+
+
+class Coded(NamedTuple):
+    """Bytes, and how far they have been written or read.
+
+    Attributes
+    ----------
+    decoding : bool
+        Whether bits are read.
+    data : (n,) uint8
+        The bytes, or room for them.
+    place : (1,) int64
+        Where the next byte is, or goes.
+    interval : (3,) int64
+        Both ends of the interval, and if decoding the number in it.
+    """
+
+    decoding: bool
+    data: NDArray[np.uint8]
+    place: Index
+    interval: Index
+
+
+def to_write(room: int) -> Coded:
+    """Return room for so many bytes."""
+    return Coded(
+        False,
+        np.zeros(room, dtype=np.uint8),
+        np.zeros(1, dtype=np.int64),
+        np.array([0, _TOP, 0], dtype=np.int64),
+    )
+
+
+def with_room(coded: Coded, room: int) -> Coded:
+    """Return the same with room for at least so many bytes more."""
+    if len(coded.data) - int(coded.place[0]) >= room:
+        return coded
+    return coded._replace(data=np.concatenate([coded.data, np.zeros(len(coded.data) + room, np.uint8)]))
+
+
+def to_read(data: bytes) -> Coded:
+    """Return the state in which the first bit is read of what `written` returned."""
+    padded = np.frombuffer(data + bytes(_BITS_BEYOND), dtype=np.uint8).copy()
+    first = int.from_bytes(padded[:4].tobytes(), "big")
+    return Coded(True, padded, np.array([4], dtype=np.int64), np.array([0, _TOP, first], dtype=np.int64))
+
+
+def written(coded: Coded) -> bytes:
+    """Return the bytes of all bits: of the numbers in the interval that which needs the fewest."""
+    low, high = int(coded.interval[0]), int(coded.interval[1])
+    last = b""
+    for size in range(5):
+        unit = 1 << 8 * (4 - size)
+        number = -(-low // unit) * unit
+        if number <= high:
+            last = number.to_bytes(4, "big")[:size]
+            break
+    return coded.data[: coded.place[0]].tobytes() + last
+
+
+def is_beyond(coded: Coded) -> bool:
+    """Whether more bits were read than there are."""
+    return int(coded.place[0]) > len(coded.data) + _BITS_BEYOND
+
+
+@compiled
+def code_bit(coded: Coded, chance: int, bit: int) -> int:
+    """Write a bit, or read one, which is 1 with a chance of so many 65536ths; return it."""
+    low, high = coded.interval[0], coded.interval[1]
+    middle = low + (((high - low) * chance) >> 16)
+    if coded.decoding:
+        bit = 1 if coded.interval[2] <= middle else 0
+    if bit:
+        high = middle
+    else:
+        low = middle + 1
+    while (low ^ high) >> 24 == 0:
+        if coded.decoding:
+            place = coded.place[0]
+            byte = coded.data[place] if place < len(coded.data) else 0
+            coded.interval[2] = ((coded.interval[2] & 0xFFFFFF) << 8) | byte
+        else:
+            coded.data[coded.place[0]] = high >> 24
+        coded.place[0] += 1
+        low, high = (low & 0xFFFFFF) << 8, ((high & 0xFFFFFF) << 8) | 0xFF
+    coded.interval[0], coded.interval[1] = low, high
+    return bit
+
+
+@compiled
+def code_number(coded: Coded, size: int, number: int) -> int:
+    """Write or read the last `size` bits of a number of which nothing is known, and return them."""
+    found = 0
+    for place in range(size - 1, -1, -1):
+        found = (found << 1) | code_bit(coded, 32768, (number >> place) & 1)
+    return found

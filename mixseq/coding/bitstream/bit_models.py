@@ -1,0 +1,119 @@
+r"""How likely the next bit is, from several contexts at once (logistic mixing), learned from the bits before.
+
+A bit is at a *position* (first question about a number, second, ...) and in a *context* of every input: a small whole
+number that says what is known. In context :math:`c` of input :math:`i` bits at that position were 1 with the relative
+frequency :math:`p_{ic}`, counted :math:`n_{ic}` times. The inputs are mixed in the logistic domain (Mahoney 2005,
+*Adaptive weighing of context models for lossless data compression*),
+
+.. math:: x_i = \frac{n_{ic}}{n_{ic} + 1} \ln \frac{p_{ic}}{1 - p_{ic}}, \qquad x = \sum_i w_i x_i,
+          \qquad p = \frac{1}{1 + e^{-x}}
+
+so that a context that was never seen says nothing. After the bit :math:`b` is known the frequencies move towards it,
+and the weights of the position by :math:`w_i \leftarrow w_i + \eta (b - p) x_i`.
+
+All of it is done with whole numbers: :math:`p` in units of :math:`2^{-16}`, :math:`x` of :math:`2^{-8}`, :math:`w` of
+:math:`2^{-16}`.
+
+Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Index
+from mixseq.coding.bitstream.arithmetic import Coded, code_bit
+from mixseq.compiled import compiled
+
+_FAR = 2047
+"""Largest magnitude of x: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
+
+_PATIENCE = 255
+"""Frequencies follow their last so many bits. Frozen: breaks old files."""
+
+_RATE = 48
+"""The rate of weights, in 1 / 4096 of x's and p's units. Frozen: breaks old files."""
+
+_LEAST = 16
+"""No bit is likelier than all but so many 65536ths. Frozen: breaks old files."""
+
+
+class BitModels(NamedTuple):
+    """What is known about bits to come.
+
+    Attributes
+    ----------
+    shares : (inputs, contexts, positions) int32
+        Frequencies of 1 and from how many bits they are: ``256 p + n``.
+    weights : (positions, inputs) int64
+        Weights.
+    contexts : (inputs,) int64
+        To be set before a bit: what the inputs know.
+    inputs : (inputs,) int64
+        The inputs x of the current bit.
+    stretch, squash, steps, trust : int64
+        Tables of x of p, of p of x, of the rates of frequencies, and of n / (n + 1).
+    """
+
+    shares: NDArray[np.int32]
+    weights: Index
+    contexts: Index
+    inputs: Index
+    stretch: Index
+    squash: Index
+    steps: Index
+    trust: Index
+
+
+def bit_models(inputs: int, contexts: int, positions: int) -> BitModels:
+    """Return models that know nothing yet."""
+    return BitModels(
+        np.full((inputs, contexts, positions), 1 << 23, dtype=np.int32),
+        np.full((positions, inputs), ((1 << 16) + inputs // 2) // inputs, dtype=np.int64),
+        np.zeros(inputs, dtype=np.int64),
+        np.zeros(inputs, dtype=np.int64),
+        *_tables(),
+    )
+
+
+@lru_cache(maxsize=1)
+def _tables() -> tuple[Index, Index, Index, Index]:
+    squash = np.ones(2 * _FAR + 1)
+    factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
+    for x in range(_FAR):
+        squash[_FAR + x + 1] = squash[_FAR + x] * factor
+    squash[:_FAR] = 1 / squash[:_FAR:-1]
+    squash = np.floor(65536 * (squash / (1 + squash)))
+    stretch = np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR
+    counts = np.arange(_PATIENCE + 1, dtype=np.int64)
+    return (
+        stretch.astype(np.int64),
+        squash.astype(np.int64).clip(_LEAST, 65536 - _LEAST),
+        (1 << 17) // (2 * counts + 3),
+        256 * counts // (counts + 1),
+    )
+
+
+@compiled
+def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
+    """Write or read a bit at a position, in the contexts that were set, learn from it, and return it."""
+    shares, weights, inputs = models.shares, models.weights, models.inputs
+    x = 0
+    for i in range(len(inputs)):
+        share = shares[i, models.contexts[i], position]
+        inputs[i] = (models.stretch[share >> 12] * models.trust[share & 255]) >> 8
+        x += weights[position, i] * inputs[i]
+    chance = models.squash[min(max(x >> 16, -_FAR), _FAR) + _FAR]
+    bit = code_bit(coded, chance, bit)
+    error = ((bit << 16) - chance) >> 4
+    for i in range(len(inputs)):
+        weights[position, i] += (inputs[i] * error * _RATE + (1 << 15)) >> 16
+        share = shares[i, models.contexts[i], position]
+        p, seen = share >> 8, share & 255
+        p += (((bit << 16) - bit - p) * models.steps[seen]) >> 16
+        shares[i, models.contexts[i], position] = (p << 8) + min(seen + 1, _PATIENCE)
+    return bit
