@@ -59,9 +59,12 @@ DOUBLED = 16
 _AGES = 512
 """Trust is doubled so many times at most: no file has more signals, but damaged ones might. Frozen: breaks files."""
 
-SELDOM = 3
-"""Weights are new after every signal, after 16 signals after every other, after 24 after every third, and so on.
+SELDOM = 2
+"""Weights are new after every signal, after 8 signals after every other, after 12 after every third, and so on.
 Frozen: breaks files."""
+
+_MANY = 1024
+"""Graphs with more nodes are worked at in larger blocks. Free: a matter of time."""
 
 
 class Predictor:
@@ -93,7 +96,7 @@ class Predictor:
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
         self._plain = graph
         self._searched = SEARCHED * coordinates
-        self._known = 0
+        self._known, self._due = 0, 1
         self._signals: list[Float] = []  # all, until similar nodes are looked for
         self._pending: list[Float] = []  # those that the weights do not know yet
         self.values = np.zeros(graph.size, dtype=np.int64)
@@ -108,7 +111,7 @@ class Predictor:
         self._blocks, self._sizes = blocks(self.counts)
         entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1
         self._places = np.cumsum(entries) - entries
-        self._gram = np.zeros((int(entries.sum()), kernels.LANES))
+        self._gram = np.zeros((int(entries.sum()), self._blocks.shape[1]))
         self._ridge = 0.0
 
     def finish(self) -> None:
@@ -122,17 +125,19 @@ class Predictor:
         if known == self._searched:
             self._join_similar()
         # Weights are renewed ever more rarely, as they change less.
-        if known == self._searched or known % max(1, known >> SELDOM) == 0:
+        if known == self._searched or known >= self._due:
             self._renew()
+            self._due = known + max(1, known >> SELDOM)
 
     def _renew(self) -> None:
         """Learn from the signals that are waiting, and find weights."""
+        signals = np.array(self._pending)
+        ages = np.arange(self._known - len(signals), self._known) // DOUBLED
+        trusts = np.ldexp(1.0, np.minimum(ages, _AGES))
+        trusts *= [kernels.trust(one, ROUGH * UNIT**2, self.neighbours, self.counts) for one in signals]
+        self._ridge += RIDGE * UNIT**2 * float(trusts.sum())
         of_blocks = self._blocks, self._sizes, self._places
-        for number, signal in enumerate(self._pending, self._known - len(self._pending)):
-            trust = kernels.trust(signal, ROUGH * UNIT**2, self.neighbours, self.counts)
-            trust *= 2.0 ** min(number // DOUBLED, _AGES)
-            self._ridge += RIDGE * UNIT**2 * trust
-            kernels.learn(signal, trust, *of_blocks, self.neighbours, self._gram)
+        kernels.learn(signals, trusts, *of_blocks, self.neighbours, self._gram)
         kernels.solve(self._ridge, *of_blocks, self._gram, self._start, self.weights)
         self._pending = []
 
@@ -149,16 +154,17 @@ class Predictor:
 
 
 def blocks(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return blocks ``(B, LANES)`` of nodes with equally many neighbours, and how many ``(B,)`` these are.
+    """Return blocks ``(B, lanes)`` of nodes with equally many neighbours, and how many ``(B,)`` these are.
 
     Nodes with one neighbour or none are left out: there is nothing to learn of them. Blocks that are not full repeat
     their last node.
     """
-    found, sizes = [np.zeros((0, kernels.LANES), dtype=np.int32)], []
+    lanes = kernels.LANES if len(counts) > _MANY else kernels.FEW_LANES
+    found, sizes = [np.zeros((0, lanes), dtype=np.int32)], []
     for count in np.unique(counts[counts > 1]):
         nodes: Index = np.flatnonzero(counts == count)
-        rows = -(-len(nodes) // kernels.LANES)
-        filled = np.minimum(np.arange(rows * kernels.LANES), len(nodes) - 1)
-        found.append(nodes[filled].reshape(rows, kernels.LANES).astype(np.int32))
+        rows = -(-len(nodes) // lanes)
+        filled = np.minimum(np.arange(rows * lanes), len(nodes) - 1)
+        found.append(nodes[filled].reshape(rows, lanes).astype(np.int32))
         sizes += rows * [count]
     return np.concatenate(found), np.array(sizes, dtype=np.int32)

@@ -7,11 +7,11 @@ values        (N,) int64, in work, or float64, whole numbers: a signal, in units
 neighbours    (N, n) int32: nodes that each is predicted from; the first ``counts[node]`` of a row count
 counts        (N,) int32
 weights       (N, n) float64: of the neighbours, rows add up to one; multiples of 2^-24
-blocks        (B, LANES) int32: nodes with equally many neighbours, ``sizes[block]`` of them, which are worked at
+blocks        (B, lanes) int32: nodes with equally many neighbours, ``sizes[block]`` of them, which are worked at
               together, so that one instruction does it for several of them
 sizes         (B,) int32
 places        (B,) int64: where a block begins in `gram`
-gram          (entries, LANES) float64, in squared units: of every block's matrices, and of the right sides below
+gram          (entries, lanes) float64, in squared units: of every block's matrices, and of the right sides below
               them, the lower triangles row by row
 ============  ====================================================================================================
 
@@ -37,8 +37,8 @@ from mixseq.compiled import compiled, inlined
 UNIT = 64
 """Values are whole numbers of steps / UNIT. Frozen: breaks files."""
 
-LANES = 32
-"""Nodes in a block. Free: a matter of time."""
+LANES, FEW_LANES = 64, 8
+"""Nodes in a block: of graphs with many, or few nodes. Free: a matter of time."""
 
 _FARTHEST = 2.0**50
 """Predictions are not beyond this: those of damaged files might be any. Frozen: breaks files."""
@@ -93,24 +93,33 @@ def trust(values: Float, rough: float, neighbours: Small, counts: Small) -> floa
 
 @compiled
 def learn(
-    values: Float, weight: float, blocks: Small, sizes: Small, places: Index, neighbours: Small, gram: Float
+    signals: Float,
+    trusts: Float,
+    blocks: Small,
+    sizes: Small,
+    places: Index,
+    neighbours: Small,
+    gram: Float,
 ) -> None:
-    """Add weight times the products of the differences of a signal to the Gram matrices."""
-    apart = np.zeros((neighbours.shape[1], LANES))
+    """Add the products of the differences of signals ``(m, N)``, times trusts ``(m,)``, to the Gram matrices."""
+    lanes = blocks.shape[1]
+    apart = np.zeros((neighbours.shape[1], lanes))
     for block in range(len(blocks)):
         last = sizes[block] - 1  # the row of the node itself
-        for lane in range(LANES):
-            node = blocks[block, lane]
-            first = values[neighbours[node, 0]]
-            for i in range(last):
-                apart[i, lane] = values[neighbours[node, i + 1]] - first
-            apart[last, lane] = values[node] - first
-        place = places[block]
-        for i in range(last + 1):
-            for j in range(min(i + 1, last)):
-                for lane in range(LANES):
-                    gram[place, lane] += (weight * apart[i, lane]) * apart[j, lane]
-                place += 1
+        for number in range(len(signals)):
+            values, weight = signals[number], trusts[number]
+            for lane in range(lanes):
+                node = blocks[block, lane]
+                first = values[neighbours[node, 0]]
+                for i in range(last):
+                    apart[i, lane] = values[neighbours[node, i + 1]] - first
+                apart[last, lane] = values[node] - first
+            place = places[block]
+            for i in range(last + 1):
+                for j in range(min(i + 1, last)):
+                    for lane in range(lanes):
+                        gram[place, lane] += (weight * apart[i, lane]) * apart[j, lane]
+                    place += 1
 
 
 @compiled
@@ -121,52 +130,52 @@ def solve(
 
     By Cholesky's factors, with pivots that are not below the ridge.
     """
-    most = start.shape[1]
-    lower = np.zeros((most * (most + 1) // 2, LANES))  # and the right side, divided by it, as its last row
-    inverse = np.zeros((most, LANES))  # of the diagonal: divisions are slow
-    found = np.zeros((most, LANES))
-    pull, entry = np.zeros(LANES), np.zeros(LANES)
+    most, lanes = start.shape[1], blocks.shape[1]
+    lower = np.zeros((most * (most + 1) // 2, lanes))  # and the right side, divided by it, as its last row
+    inverse = np.zeros((most, lanes))  # of the diagonal: divisions are slow
+    found = np.zeros((most, lanes))
+    pull, entry = np.zeros(lanes), np.zeros(lanes)
     for block in range(len(blocks)):
         nodes, last, place = blocks[block], sizes[block] - 1, places[block]
         pull[:] = ridge
         for i in range(last):
-            for lane in range(LANES):
+            for lane in range(lanes):
                 pull[lane] += _LEAST * gram[place + i * (i + 3) // 2, lane]
         for i in range(last + 1):
             row = i * (i + 1) // 2
             for j in range(min(i + 1, last)):
                 column = j * (j + 1) // 2
                 # The ridge of the first weight, too, which is one minus the others.
-                for lane in range(LANES):
+                for lane in range(lanes):
                     entry[lane] = gram[place, lane] + pull[lane]
                 if i == last:
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         entry[lane] += pull[lane] * (start[nodes[lane], j + 1] - start[nodes[lane], 0])
                 elif i == j:
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         entry[lane] += pull[lane]
                 for k in range(j):
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         entry[lane] -= lower[row + k, lane] * lower[column + k, lane]
                 if i == j:
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         inverse[i, lane] = 1.0 / math.sqrt(max(entry[lane], pull[lane]))
                 else:
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         lower[row + j, lane] = entry[lane] * inverse[j, lane]
                 place += 1
         row = last * (last + 1) // 2
         pull[:] = 1.0  # what is left for the first
         for i in range(last - 1, -1, -1):
-            for lane in range(LANES):
+            for lane in range(lanes):
                 entry[lane] = lower[row + i, lane]
             for k in range(i + 1, last):
-                for lane in range(LANES):
+                for lane in range(lanes):
                     entry[lane] -= lower[k * (k + 1) // 2 + i, lane] * found[k, lane]
-            for lane in range(LANES):
+            for lane in range(lanes):
                 found[i, lane] = (entry[lane] * inverse[i, lane] + _ROUNDING) - _ROUNDING
                 pull[lane] -= found[i, lane]
-        for lane in range(LANES):
+        for lane in range(lanes):
             weights[nodes[lane], 0] = pull[lane]
             for i in range(last):
                 weights[nodes[lane], i + 1] = found[i, lane]

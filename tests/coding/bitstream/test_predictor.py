@@ -178,10 +178,11 @@ def test_gram_matrices_are_exact() -> None:
     places = np.cumsum(entries) - entries
     grams = []
     for order in (signals, signals[::-1]):
-        gram = np.zeros((int(entries.sum()), kernels.LANES))
+        gram = np.zeros((int(entries.sum()), kernels.FEW_LANES))
         for signal in order:
             trust = kernels.trust(signal, ROUGH * UNIT**2, neighbours, counts)
-            kernels.learn(signal, trust, nodes, sizes, places, neighbours, gram)
+            some = signal[None], np.array([trust])
+            kernels.learn(*some, nodes, sizes, places, neighbours, gram)
         grams.append(gram)
     np.testing.assert_array_equal(grams[0], grams[1])
     assert grams[0].any()
@@ -227,11 +228,12 @@ def test_weights_are_those_of_numpy(seed: int, nodes: int) -> None:
     members, sizes = blocks(counts)
     entries = sizes.astype(np.int64) * (sizes + 1) // 2 - 1
     places = np.cumsum(entries) - entries
-    gram = np.zeros((int(entries.sum()), kernels.LANES))
+    gram = np.zeros((int(entries.sum()), kernels.FEW_LANES))
     products = np.zeros((nodes, most, most))
-    for _ in range(int(rng.integers(1, 9))):
-        values, trust = rng.normal(size=nodes), float(rng.uniform(0.1, 1))
-        kernels.learn(values, trust, members, sizes, places, neighbours, gram)
+    signals = rng.normal(size=(int(rng.integers(1, 9)), nodes))
+    trusts = rng.uniform(0.1, 1, len(signals))
+    kernels.learn(signals, trusts, members, sizes, places, neighbours, gram)
+    for values, trust in zip(signals, trusts, strict=True):
         apart = values[neighbours] - values[:, None]
         products += trust * apart[:, :, None] * apart[:, None, :]
     weights = np.full((nodes, most), 9.0)
@@ -250,19 +252,20 @@ def test_the_parallelogram_rule_is_a_case_of_it() -> None:
     corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     neighbours = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1, 2]], dtype=np.int32)
     members, sizes = blocks(np.array([0, 0, 0, 3], dtype=np.int32))
-    places, gram, weights = np.zeros(1, dtype=np.int64), np.zeros((5, kernels.LANES)), np.zeros((4, 3))
-    for coordinate in corner.T:
-        kernels.learn(coordinate, 1.0, members, sizes, places, neighbours, gram)
+    places, gram, weights = np.zeros(1, dtype=np.int64), np.zeros((5, kernels.FEW_LANES)), np.zeros((4, 3))
+    kernels.learn(corner.T.copy(), np.ones(3), members, sizes, places, neighbours, gram)
     kernels.solve(1e-9, members, sizes, places, gram, np.full((4, 3), 1 / 3), weights)
     np.testing.assert_allclose(weights[3], [-1, 1, 1], atol=1e-7)
 
 
-def test_blocks_are_of_nodes_with_equally_many_neighbours() -> None:
-    counts = np.array([0, 1, *[3] * (kernels.LANES + 1), 2], dtype=np.int32)
+@pytest.mark.parametrize(("many", "lanes"), [(20, kernels.FEW_LANES), (2000, kernels.LANES)])
+def test_blocks_are_of_nodes_with_equally_many_neighbours(many: int, lanes: int) -> None:
+    counts = np.array([0, 1, *[3] * many, 2], dtype=np.int32)
     members, sizes = blocks(counts)
-    assert sizes.tolist() == [2, 3, 3]
-    assert set(members[0].tolist()) == {len(counts) - 1}
-    assert set(members[1:].reshape(-1).tolist()) == set(range(2, kernels.LANES + 3))
+    assert members.shape[1] == lanes
+    assert sizes.tolist() == [2] + [3] * -(-many // lanes)
+    assert set(members[0].tolist()) == {many + 2}
+    assert set(members[1:].reshape(-1).tolist()) == set(range(2, many + 2))
 
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
