@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import pickle
-import subprocess
-import sys
 import tempfile
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -119,32 +117,3 @@ def test_no_folder_at_all(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     assert double(kept)(3) == 6
-
-
-FIRST_USE = """
-import gc
-import mixseq
-from mixseq.creature import walk_cycle
-from numba.core.dispatcher import Dispatcher
-
-mixseq.save("walk.h5", mixseq.compress(walk_cycle(frames=6), max_error=0.01))
-model = mixseq.load("walk.h5")
-model(0.1)
-ours = [each for each in gc.get_objects() if isinstance(each, Dispatcher) and "mixseq" in each.py_func.__module__]
-print(sum(len(each.overloads) == 1 for each in ours))
-for each in ours:
-    if len(each.overloads) > 1:
-        print(each.py_func.__module__, each.py_func.__name__, *each.overloads, sep="\\n")
-"""
-
-
-@pytest.mark.slow
-def test_nothing_is_compiled_twice(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-    result = subprocess.run(
-        [sys.executable, "-c", FIRST_USE], capture_output=True, text=True, cwd=tmp_path, env=environment
-    )
-    assert result.returncode == 0, result.stderr
-    count, _, twice = result.stdout.partition("\n")
-    assert int(count) > 20
-    assert not twice  # arrays that may be written, or are of int32 once and int64 elsewhere

@@ -21,6 +21,7 @@ from mixseq.cli.options import examples
         "Share": ("convert", "encode", "batch", "decode"),
         "Change": ("resample", "edit", "interpolate", "transfer", "segment"),
         "Check": ("compare", "verify"),
+        "Prepare": ("warm-up",),
     },
     shared=(max_memory,),
     epilog=examples(

@@ -41,7 +41,7 @@ class LazyGroup(click.Group):
     package : str
         The package.
     sections : dict of tuple of str
-        Names of the commands and of their modules, under the titles that help gives them.
+        Names of the commands and of their modules (with _ for -), under the titles that help gives them.
     shared : sequence of click.Option
         Options that all commands have.
     **settings
@@ -68,7 +68,7 @@ class LazyGroup(click.Group):
         """Import a command."""
         if cmd_name not in self.list_commands(ctx):
             return None
-        command: click.Command = import_module(f"{self._package}.{cmd_name}").command
+        command: click.Command = import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
         command.params += [each for each in self.shared if each not in command.params]
         return command
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray, Index, Mask, evenly
 from mixseq.geometry.rigid import aligning_rotations, mean_shape
+from mixseq.polygons import frozen
 from mixseq.topology import Topology, vertices_of
 
 FLAT = 1e-5
@@ -84,7 +85,7 @@ def observe(watched: Watched, points: FloatArray) -> Observed:
     flat = np.zeros(len(watched.faces), dtype=bool)
     covariances = np.empty((len(points), len(watched.parts), 3, 3))
     for frame, into in zip(points, covariances, strict=True):
-        x = np.ascontiguousarray(frame, dtype=np.float64)
+        x = frozen(np.ascontiguousarray(frame, dtype=np.float64))  # as frames are: one type to numba
         mark_flat(x, watched.faces, FLAT, flat)
         for number, (part, shape) in enumerate(zip(watched.parts, watched.shapes, strict=True)):
             moved = x[part]

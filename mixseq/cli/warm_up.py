@@ -1,0 +1,71 @@
+"""``mixseq warm-up``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import click
+
+import mixseq
+from mixseq.cli.console import progress_bar, say
+from mixseq.cli.options import examples, quiet_option
+
+if TYPE_CHECKING:
+    from mixseq.choices import PlacementName
+    from mixseq.sequence import MeshSequence
+
+FRAMES = 6
+
+
+@click.command("warm-up", epilog=examples("mixseq warm-up"))
+@quiet_option
+def command(quiet: bool) -> None:
+    """Compile what later runs need, so that they start at once.
+
+    Inner loops are compiled when they are first used, and kept. Here a small walk is compressed, fitted and
+    decoded, in single and in double precision, and forgotten.
+    """
+    start = perf_counter()
+    with progress_bar(quiet) as progress, _work() as steps:
+        for done, (what, step) in enumerate(steps):
+            progress(done, len(steps), what)
+            step()
+    if not quiet:
+        say(f"ready after {perf_counter() - start:.1f} s")
+
+
+@contextmanager
+def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
+    """Yield what to do, and what it is called."""
+    import numpy as np
+
+    from mixseq.creature import walk_cycle
+
+    walk = walk_cycle(FRAMES)
+    coarse = walk.with_points(walk.points.astype(np.float32))
+    with TemporaryDirectory(prefix="mixseq-") as folder:
+        file = Path(folder) / "walk.h5"
+        yield [
+            ("compressing", partial(_compress, walk, file)),
+            ("decoding", partial(_decode, file)),
+            ("fitting, anchored", partial(_fit, coarse, "anchored")),
+            ("fitting, free", partial(_fit, walk, "free")),
+        ]
+
+
+def _compress(walk: MeshSequence, file: Path) -> None:
+    mixseq.save(file, mixseq.compress(walk, max_error=0.01))
+
+
+def _decode(file: Path) -> None:
+    mixseq.load(file).sample(fps=30, velocities=True)
+
+
+def _fit(walk: MeshSequence, placement: PlacementName) -> None:
+    mixseq.fit(walk, placement=placement).sample(fps=30, velocities=True)
