@@ -46,20 +46,23 @@ class Topology(PickledWithoutCaches):
     vertex_count: int
 
     @cached_property
-    def corners(self) -> NDArray[np.int64]:
-        """Directed half-edges ``(3F, 4)``: start, end, opposite vertex, face."""
-        f = self.faces.astype(np.int64)
-        face = np.arange(len(f))
-        sides = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
-        return np.concatenate([np.stack([f[:, i], f[:, j], f[:, k], face], axis=1) for i, j, k in sides])
-
-    @cached_property
     def _sorted_edges(self) -> tuple[Index, Index, Index]:
-        start, end = self.corners[:, 0], self.corners[:, 1]
-        keys = np.minimum(start, end) * self.vertex_count + np.maximum(start, end)
-        unique, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
-        edges = np.stack([unique // self.vertex_count, unique % self.vertex_count], axis=1)
-        return edges, inverse.reshape(-1), counts
+        """Edges ``(E, 2)``, the edge ``(3F,)`` of every side, face by face, and how many faces edges have ``(E,)``."""
+        start, end = self._sides
+        keys = np.minimum(start, end) * np.int64(self.vertex_count) + np.maximum(start, end)
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        first = np.diff(keys, prepend=-1) != 0
+        edge_of_side = np.empty_like(order)
+        edge_of_side[order] = np.cumsum(first) - 1
+        counts = np.diff(np.flatnonzero(first), append=len(keys))
+        return np.stack(np.divmod(keys[first], self.vertex_count), axis=1), edge_of_side, counts
+
+    @property
+    def _sides(self) -> tuple[Index, Index]:
+        """Starts and ends ``(3F,)`` of the sides 01, 12 and 20 of every face."""
+        faces = self.faces.astype(np.int64)
+        return faces.reshape(-1), faces[:, [1, 2, 0]].reshape(-1)
 
     @property
     def edges(self) -> Index:
@@ -71,40 +74,41 @@ class Topology(PickledWithoutCaches):
         """Number of faces ``(E,)`` at every edge."""
         return self._sorted_edges[2]
 
-    @cached_property
+    @property
     def face_edges(self) -> Index:
         """Edge index ``(F, 3)`` of the sides 01, 12 and 20 of every face."""
-        return self._sorted_edges[1].reshape(3, -1).T
+        return self._sorted_edges[1].reshape(-1, 3)
 
     @cached_property
-    def _hinge_table(self) -> tuple[Index, Index, Index]:
-        edge_of_corner = self._sorted_edges[1]
-        order = np.lexsort((self.corners[:, 3], edge_of_corner))
-        same = edge_of_corner[order[1:]] == edge_of_corner[order[:-1]]
-        first, second = order[:-1][same], order[1:][same]
-        distinct = self.corners[first, 3] != self.corners[second, 3]
-        first, second = first[distinct], second[distinct]
-        # The first face gives the direction a -> b, so the angle's sign follows that face's orientation.
-        a, b, c = self.corners[first, :3].T
-        d = self.corners[second, 2]
-        hinges = np.stack([a, b, c, d], axis=1)
-        faces = np.stack([self.corners[first, 3], self.corners[second, 3]], axis=1)
-        return hinges, faces, edge_of_corner[first]
+    def _hinge_sides(self) -> Index:
+        """The sides ``(H, 2)``, numbered face by face, that are the edge of every hinge in its two faces."""
+        edge_of_side = self._sorted_edges[1]
+        order = np.argsort(edge_of_side, kind="stable")
+        same, face = np.diff(edge_of_side[order]) == 0, order // 3
+        together = same & (face[1:] != face[:-1])
+        return np.stack([order[:-1][together], order[1:][together]], axis=1)
 
-    @property
+    @cached_property
     def hinges(self) -> Index:
         """Hinges ``(H, 4)`` as vertices a, b, c, d: edge ab, opposite vertices c (first face) and d."""
-        return self._hinge_table[0]
+        return self.hinges_at(slice(None))
 
-    @property
+    def hinges_at(self, some: Index | slice) -> Index:
+        """Return some of the `hinges`; of a large mesh all take much memory."""
+        # The first face gives the direction a -> b, so the angle's sign follows that face's orientation.
+        first, second = self._hinge_sides[some].T
+        corners = first, _next(first), _next(_next(first)), _next(_next(second))
+        return np.stack([self.faces.reshape(-1)[corner] for corner in corners], axis=1, dtype=np.int64)
+
+    @cached_property
     def hinge_faces(self) -> Index:
         """First and second face ``(H, 2)`` of every hinge."""
-        return self._hinge_table[1]
+        return self._hinge_sides // 3
 
-    @property
+    @cached_property
     def hinge_edges(self) -> Index:
         """Edge index ``(H,)`` of every hinge."""
-        return self._hinge_table[2]
+        return self._sorted_edges[1][self._hinge_sides[:, 0]]
 
     @cached_property
     def boundary_edges(self) -> Index:
@@ -119,7 +123,7 @@ class Topology(PickledWithoutCaches):
     @cached_property
     def inconsistent_edges(self) -> Index:
         """Indices of edges whose two faces have opposite orientations."""
-        start, end = self.corners[:, 0], self.corners[:, 1]
+        start, end = self._sides
         direction = np.where(start < end, 1, -1)
         balance = np.bincount(self._sorted_edges[1], weights=direction, minlength=len(self.edges))
         return np.flatnonzero((self.edge_face_counts == 2) & (balance != 0))
@@ -134,18 +138,12 @@ class Topology(PickledWithoutCaches):
     @cached_property
     def vertex_adjacency(self) -> sparse.csr_array:
         """Symmetric ``(V, V)`` matrix with a one for every edge."""
-        i, j = self.edges.T
-        size = (self.vertex_count, self.vertex_count)
-        half = sparse.coo_array((np.ones(len(i)), (i, j)), shape=size)
-        return (half + half.T).tocsr()
+        return _symmetric(self.edges, self.vertex_count)
 
     @cached_property
     def face_adjacency(self) -> sparse.csr_array:
         """Symmetric ``(F, F)`` matrix; its entries count the hinges between two faces."""
-        i, j = self.hinge_faces.T
-        size = (len(self.faces), len(self.faces))
-        half = sparse.coo_array((np.ones(len(i)), (i, j)), shape=size)
-        return (half + half.T).tocsr()
+        return _symmetric(self.hinge_faces, len(self.faces))
 
     @cached_property
     def component_of_vertex(self) -> NDArray[np.int32]:
@@ -178,11 +176,41 @@ class Topology(PickledWithoutCaches):
         }
 
 
+def _next(sides: Index) -> Index:
+    """Return the sides of the same faces that come next; the first corners of these are the second ones of those."""
+    return np.where(sides % 3 == 2, sides - 2, sides + 1)
+
+
+def _symmetric(pairs: Index, count: int) -> sparse.csr_array:
+    """Make the matrix ``(count, count)`` that has a one for every pair ``(n, 2)``, and one for its reverse."""
+    places = (
+        np.concatenate([pairs[:, ::-1], pairs]).astype(np.int32).T
+    )  # of sorted pairs: rows come out sorted
+    return sparse.coo_array((np.ones(2 * len(pairs)), tuple(places)), shape=(count, count)).tocsr()
+
+
 def vertices_of(topology: Topology, faces: Mask) -> Mask:
     """Mark the vertices ``(V,)`` of the marked faces ``(F,)``."""
     marked = np.zeros(topology.vertex_count, dtype=bool)
     marked[topology.faces[faces]] = True
     return marked
+
+
+def vertices_near(topology: Topology, vertices: Mask, rings: int) -> Mask:
+    """Mark the vertices ``(V,)`` that are at most so many edges from a marked one."""
+    near = vertices.copy()
+    ring = np.flatnonzero(near)
+    for _ in range(rings):
+        beside = topology.vertex_adjacency[ring].indices
+        ring = np.unique(beside[~near[beside]])
+        near[ring] = True
+    return near
+
+
+def hinges_inside(topology: Topology, faces: Mask) -> Index:
+    """Return the numbers of the hinges between two of the marked faces ``(F,)``, ascending."""
+    first, second = topology.hinge_faces.T
+    return np.flatnonzero(faces[first] & faces[second])
 
 
 def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
@@ -192,10 +220,9 @@ def face_patches(topology: Topology, faces: Mask) -> NDArray[np.int64]:
     """
     patch = np.full(len(topology.faces), -1, dtype=np.int64)
     chosen = np.flatnonzero(faces)
-    if chosen.size:
-        patch[chosen] = csgraph.connected_components(
-            topology.face_adjacency[chosen][:, chosen], directed=False
-        )[1]
+    pairs = topology.hinge_faces[hinges_inside(topology, faces)]
+    graph = _symmetric(np.searchsorted(chosen, pairs), len(chosen))
+    patch[chosen] = csgraph.connected_components(graph, directed=False)[1]
     return patch
 
 
@@ -220,9 +247,10 @@ def spread(topology: Topology, depth: NDArray[np.int64]) -> NDArray[np.int64]:
     >>> spread(chain, np.array([2, 0, 0, 0, 0, 0])).tolist()
     [2, 1, 1, 0, 0, 0]
     """
-    i, j = topology.edges.T
     result = np.maximum(depth, 0)
     for _ in range(int(result.max(initial=0)) - 1):
+        first, second = (result > 1)[topology.edges.T]
+        i, j = topology.edges[first | second].T
         grown = result.copy()
         np.maximum.at(grown, i, result[j] - 1)
         np.maximum.at(grown, j, result[i] - 1)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csgraph
 
-from mixseq.topology import Topology, face_patches, spread, vertices_of
+from mixseq.topology import Topology, face_patches, hinges_inside, spread, vertices_near, vertices_of
 from tests.meshes import flipped, grid, joined, pages, seeds, tetrahedron, topology_of, torus, tube
 
 
@@ -154,6 +155,28 @@ def test_triangles_that_name_a_vertex_twice_have_no_hinge_with_themselves() -> N
     topology = Topology(np.array([[0, 0, 1], [1, 2, 3]]), 4)
     assert topology.hinges.shape == (0, 4)
     assert topology.edges.tolist() == [[0, 0], [0, 1], [1, 2], [1, 3], [2, 3]]
+
+
+def test_some_hinges_are_those_of_all() -> None:
+    for topology in (topology_of(torus(6, 4)), Topology(np.array([[0, 1, 2], [0, 1, 2], [3, 0, 1]]), 4)):
+        some = np.arange(len(topology.hinges))[::2]
+        np.testing.assert_array_equal(topology.hinges_at(some), topology.hinges[some])
+
+
+def test_hinges_inside_are_between_marked_faces() -> None:
+    topology = topology_of(torus(6, 4))
+    faces = np.arange(len(topology.faces)) % 3 > 0
+    expected = [h for h, pair in enumerate(topology.hinge_faces.tolist()) if faces[pair].all()]
+    assert 0 < len(expected) < len(topology.hinges)
+    assert hinges_inside(topology, faces).tolist() == expected
+
+
+def test_vertices_near_are_a_few_edges_away() -> None:
+    topology = topology_of(grid(9, 6))
+    marked = np.arange(topology.vertex_count) == 7
+    hops = csgraph.shortest_path(topology.vertex_adjacency, indices=7, unweighted=True)
+    for rings in range(5):
+        np.testing.assert_array_equal(vertices_near(topology, marked, rings), hops <= rings)
 
 
 def test_face_patches() -> None:

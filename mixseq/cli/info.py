@@ -116,7 +116,6 @@ def _coding(path: Path) -> dict[str, Any]:
 
 def _dimensions(model: Model) -> dict[str, Any]:
     """Count the signals; of S_m also its dimension, and that of S_e: a length and an angle per edge, and a pose."""
-    edges = 2 * len(mixseq.Topology(model.header.faces, model.header.vertex_count).edges) + 6
     signals = {
         "space": model.space.name,
         "key_shapes": len(model.shapes),
@@ -127,6 +126,7 @@ def _dimensions(model: Model) -> dict[str, Any]:
     if model.space.decomposed is None:
         return signals
     decomposition = model.decomposition
+    edges = 2 * len(model.mixed.topology.edges) + 6
     return signals | {
         "placement": model.mixed.placement,
         "part_vertices": [len(part) for part in decomposition.parts],

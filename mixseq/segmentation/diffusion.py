@@ -68,7 +68,7 @@ class Diffusion:
     @cached_property
     def laplacian(self) -> sparse.csc_array:
         """The positive semidefinite Laplacian ``(V, V)`` of cotangent weights."""
-        start, end, opposite = self.topology.corners[:, :3].T
+        start, end, opposite = (np.roll(self.topology.faces, -i, axis=1).T.reshape(-1) for i in range(3))
         u, v = self.points[start] - self.points[opposite], self.points[end] - self.points[opposite]
         height = np.linalg.norm(np.cross(u, v), axis=1)
         cotangents = np.einsum("ci,ci->c", u, v) / np.maximum(height, 1e-12)

@@ -6,11 +6,12 @@ Every element has a few vertices, which say how it moves, and neighbours, over w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.arrays import Float, FloatArray, Index, Single
+from mixseq.arrays import Float, Index, Single
 from mixseq.topology import Topology
 
 Table = NDArray[np.int32]
@@ -66,31 +67,26 @@ class Elements:
         One over the number of those.
     weights : (E,) float64
         Weight of each of its vertices: a share of its area.
-    around : (E, m) int32
-        Itself and its neighbours, m >= 4; E stands for none.
-    factors : (E,) float32
-        One over the number of those.
+    pairs : (n, 2) int64
+        Elements that are neighbours.
     """
 
     trajectories: Trajectories
     corners: Table
     corner_factors: Single
     weights: Float
-    around: Table
-    factors: Single
+    pairs: Index
 
     @classmethod
     def faces(cls, topology: Topology, x: Float) -> Elements:
         """Make the triangles of a mesh elements, for frames ``(T, V, 3)``; neighbours are across hinges."""
         count = len(topology.faces)
-        around, factors = _around(topology.hinge_faces, count)
         return cls(
             trajectories=Trajectories.of(x),
             corners=_filled(topology.faces, topology.vertex_count),
             corner_factors=np.full(count, 1.0 / 3.0, dtype=np.float32),
             weights=face_areas(x[0], topology) / 3.0,
-            around=around,
-            factors=factors,
+            pairs=topology.hinge_faces,
         )
 
     @classmethod
@@ -101,22 +97,38 @@ class Elements:
         graph = topology.vertex_adjacency
         owner = np.full(topology.vertex_count, -1, dtype=np.int32)
         owner[topology.unused_vertices] = topology.vertex_count  # no cell's
-        count = cells(graph.indptr, graph.indices, owner)
-        centres = np.unique(owner, return_index=True)[1][:count]
+        centres = cells(graph.indptr, graph.indices, owner)
+        count = len(centres)
         thirds = np.repeat(faces.weights, 3)
-        pairs = owner[topology.edges].astype(np.int64)
-        pairs.sort(axis=1)
-        first, second = np.divmod(np.unique(pairs[pairs[:, 0] != pairs[:, 1]] @ [count, 1]), count)
-        around, factors = _around(np.stack([first, second], axis=1), count)
+        i, j = owner[topology.edges].T.astype(np.int64)
+        pairs = np.sort((np.minimum(i, j) * count + np.maximum(i, j))[i != j])
+        pairs = pairs[np.diff(pairs, prepend=-1) > 0]
         elements = cls(
             trajectories=faces.trajectories.at(centres),
             corners=_filled(np.arange(count)[:, None], count),
             corner_factors=np.ones(count, dtype=np.float32),
             weights=np.bincount(owner[topology.faces].reshape(-1), thirds, count).astype(np.float64),
-            around=around,
-            factors=factors,
+            pairs=np.stack(np.divmod(pairs, count), axis=1),
         )
         return elements, owner[topology.faces[:, 0]].astype(np.int64)
+
+    @cached_property
+    def around(self) -> Table:
+        """Every element and its neighbours ``(E, m)``, m >= 4; E stands for none."""
+        from mixseq.segmentation.segmentation_kernels import list_neighbours
+
+        table = _filled(np.arange(len(self))[:, None], len(self), int(self._members.max(initial=1)))
+        list_neighbours(self.pairs, table)
+        return table
+
+    @cached_property
+    def factors(self) -> Single:
+        """One over the number ``(E,)`` of those."""
+        return (1.0 / self._members).astype(np.float32)
+
+    @cached_property
+    def _members(self) -> Index:
+        return 1 + np.bincount(self.pairs.reshape(-1), minlength=len(self))
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -132,22 +144,13 @@ class Elements:
             inside = grown
 
 
-def face_areas(x: FloatArray, topology: Topology) -> Float:
+def face_areas(x: Float, topology: Topology) -> Float:
     """Return the areas ``(F,)`` of faces in a frame ``(V, 3)`` of unit size; those without any get a tiny one."""
-    corners = x[topology.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(np.maximum(0.5 * np.linalg.norm(normal, axis=1), 1e-12))
+    from mixseq.segmentation.segmentation_kernels import measure_areas
 
-
-def _around(pairs: Index, count: int) -> tuple[Table, Single]:
-    """Make a table of every element and its neighbours from pairs ``(n, 2)``, and one over their numbers."""
-    element, neighbour = np.concatenate([pairs, pairs[:, ::-1]]).T
-    order = np.argsort(element, kind="stable")
-    numbers = np.bincount(element, minlength=count)
-    column = np.arange(len(order)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
-    table = _filled(np.arange(count)[:, None], count, 1 + int(numbers.max(initial=0)))
-    table[element[order], 1 + column] = neighbour[order]
-    return table, (1.0 / (1 + numbers)).astype(np.float32)
+    areas = np.empty(len(topology.faces))
+    measure_areas(x, topology.faces, areas)
+    return np.maximum(areas, 1e-12, out=areas)
 
 
 def _filled(members: NDArray[np.integer], none: int, width: int = 0) -> Table:

@@ -33,7 +33,7 @@ from mixseq.geometry.rigid import bend
 from mixseq.segmentation.boundaries import Boundaries
 from mixseq.segmentation.observed import Observed, Watched, frames_to_look_at, observe
 from mixseq.segmentation.stretch_tolerance import StretchTolerance
-from mixseq.topology import Topology, face_patches, spread, vertices_of
+from mixseq.topology import Topology, face_patches, hinges_inside, spread, vertices_of
 
 CORE = 1.0 / 3.0
 """Share of its vertices that a part keeps, whatever the width of its joints."""
@@ -248,18 +248,18 @@ def _at_corners(topology: Topology, marked: Mask) -> list[Mask]:
 
 def _points_of_contact(topology: Topology, patches: Index) -> Mask:
     """Mark the vertices whose joint faces do not form one fan across hinges."""
-    corner_count = 3 * len(topology.faces)
-    joined = (patches[topology.hinge_faces] >= 0).all(axis=1)
+    marked = patches >= 0
+    joined = hinges_inside(topology, marked)
     sides = topology.hinge_faces[joined]
     links = []
     for end in topology.edges[topology.hinge_edges[joined]].T:
         at_end = topology.faces[sides] == end[:, None, None]
         links.append(3 * sides + at_end.argmax(axis=2))  # the corners of both faces at this end of the hinge
-    i, j = np.concatenate(links).T
-    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(corner_count, corner_count))
+    inside = np.flatnonzero(np.repeat(marked, 3))
+    i, j = np.searchsorted(inside, np.concatenate(links)).T
+    graph = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(inside), len(inside)))
     fan = csgraph.connected_components(graph, directed=False)[1]
-    inside = np.repeat(patches >= 0, 3)
-    corners = np.stack([topology.faces.reshape(-1)[inside], fan[inside]], axis=1)
+    corners = np.stack([topology.faces.reshape(-1)[inside], fan], axis=1)
     vertex_of_fan = np.unique(corners, axis=0)[:, 0]
     return np.asarray(np.bincount(vertex_of_fan, minlength=topology.vertex_count) > 1)
 
@@ -273,6 +273,6 @@ def make_joint(topology: Topology, faces: Mask, held: Mask) -> Joint:
         faces=np.searchsorted(vertices, topology.faces[face_ids]),
         face_ids=face_ids,
         edge_ids=np.unique(topology.face_edges[face_ids]),
-        hinge_ids=np.flatnonzero(faces[topology.hinge_faces].all(axis=1)),
+        hinge_ids=hinges_inside(topology, faces),
         free=~held[vertices],
     )

@@ -145,8 +145,46 @@ def cheapest(fresh: Single, columns: Index, costs: Single, labels: Index, lowest
 
 
 @compiled
-def cells(starts: Table, neighbours: Table, owner: Table) -> int:
-    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return their number.
+def list_neighbours(pairs: Index, table: Table) -> None:
+    """Write the neighbours of elements behind the elements themselves: first those of pairs that they are first in.
+
+    Parameters
+    ----------
+    pairs : (n, 2) int64
+        Pairs of neighbours.
+    table : (E, m) int32
+        The elements, and places for all of their neighbours.
+    """
+    next_place = np.ones(len(table), dtype=np.int32)
+    for own in range(2):
+        for pair in range(len(pairs)):
+            e = pairs[pair, own]
+            table[e, next_place[e]] = pairs[pair, 1 - own]
+            next_place[e] += 1
+
+
+@compiled
+def measure_areas(points: Float, faces: NDArray[np.integer], areas: Float) -> None:
+    """Write the areas of faces.
+
+    Parameters
+    ----------
+    points, faces : (V, 3) float64, (F, 3) int
+        A mesh.
+    areas : (F,) float64
+        Written to.
+    """
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        areas[f] = 0.5 * math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+
+
+@compiled
+def cells(starts: Table, neighbours: Table, owner: Table) -> Index:
+    """Give every vertex to a cell: a centre and those of its neighbours that no cell had; return the centres.
 
     Parameters
     ----------
@@ -155,6 +193,7 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> int:
     owner : (V,) int32
         Cell of every vertex, changed in place where it is negative.
     """
+    centres = np.empty(len(owner), dtype=np.int64)
     count = 0
     for v in range(len(owner)):
         if owner[v] < 0:
@@ -162,8 +201,9 @@ def cells(starts: Table, neighbours: Table, owner: Table) -> int:
             for i in range(starts[v], starts[v + 1]):
                 if owner[neighbours[i]] < 0:
                     owner[neighbours[i]] = count
+            centres[count] = v
             count += 1
-    return count
+    return centres[:count].copy()
 
 
 @compiled

@@ -5,6 +5,8 @@ For a tolerance the coarsest signals are searched for that keep it. Where not ev
 
 from __future__ import annotations
 
+from hashlib import blake2b
+
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
@@ -65,10 +67,14 @@ def within(
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
+    errors: dict[bytes, float] = {}  # of what was tried: short sequences have few models
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
         model = build(encoded, Detail(slack=slack))
-        error = largest_error(model, sequence, 2 * tolerance, workers)
+        signals = _digest(model)
+        if signals not in errors:
+            errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
+        error = errors[signals]
         if error <= tolerance:
             low, best = slack, model
             if error > ENOUGH * tolerance or len(model.shapes) == 1 or number > ROUNDS // 2:
@@ -79,6 +85,15 @@ def within(
         slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
     progress(ROUNDS, ROUNDS, "choosing modes and knots")
     return made_sure(build(encoded, Detail()), sequence, tolerance, workers) if best is None else best
+
+
+def _digest(model: Model) -> bytes:
+    """Tell models of one sequence from each other, by their curves over time."""
+    digest = blake2b()
+    for curve in (model.time, model.placement):
+        digest.update(curve.times.data)
+        digest.update(np.ascontiguousarray(curve.values).data)
+    return digest.digest()
 
 
 def made_sure(

@@ -7,7 +7,7 @@ import pytest
 
 from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
-from mixseq.segmentation import MotionSettings, segment_by_motion
+from mixseq.segmentation import MotionSettings, motion, segment_by_motion
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology, face_patches
 from tests.meshes import SEQUENCES, bar, bending, grid, joined, rotation, tube
@@ -154,3 +154,14 @@ def test_a_mesh_without_size_is_one_part() -> None:
 def test_the_number_of_parts_is_checked(parts: int) -> None:
     with pytest.raises(SettingsError, match=rf"parts is {parts}; a whole number from 1 to 400 \(the faces\)"):
         segmented(bar(), parts)
+
+
+def test_large_meshes_have_the_parts_of_others_to_an_edge(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = tube(130, 130)
+    sequence = MeshSequence.from_arrays(bending(mesh, angle=1.2), mesh[1])
+    topology, expected = segmented(sequence)
+    monkeypatch.setattr(motion, "LARGE", 20_000)
+    found = segmented(sequence)[1]
+    assert_sound(topology, found)
+    assert expected.max() == found.max() == 1
+    assert np.mean(expected == found) > 0.98

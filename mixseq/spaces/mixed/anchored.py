@@ -100,15 +100,17 @@ class AnchoredSpace(MixedSpace):
     @cached_property
     def edge_ids(self) -> Index:
         """Edges with a free vertex, or of a face that is known; ascending."""
-        stored = np.asarray(self.free[self.topology.edges].any(axis=1))
+        first, second = self.topology.edges.T
+        stored = np.asarray(self.free[first] | self.free[second])
         stored[self.topology.face_edges[self.known]] = True
         return np.flatnonzero(stored)
 
     @cached_property
     def hinge_ids(self) -> Index:
         """Hinges with a free vertex, or of a face that is known; ascending."""
-        known = self.known[self.topology.hinge_faces].any(axis=1)
-        return np.flatnonzero(known | self.free[self.topology.hinges].any(axis=1))
+        stored = self.known | self.free[self.topology.faces].any(axis=1)
+        first, second = self.topology.hinge_faces.T
+        return np.flatnonzero(stored[first] | stored[second])
 
     @cached_property
     def frames(self) -> VertexFrames:

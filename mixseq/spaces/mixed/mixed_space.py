@@ -81,11 +81,11 @@ class MixedSpace(ShapeSpace):
     @cached_property
     def reference_angles(self) -> Float:
         """Hinge angles ``(H',)`` of the reference frame."""
-        return dihedral_angles(self.reference, self.topology.hinges[self.hinge_ids])
+        return dihedral_angles(self.reference, self.topology.hinges_at(self.hinge_ids))
 
     def lengths_and_angles(self, x: Float) -> tuple[Float, Float]:
         """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
-        edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges[self.hinge_ids]
+        edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
         return edge_lengths(x, edges), dihedral_angles(x, hinges)
 
     @cached_property

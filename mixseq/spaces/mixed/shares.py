@@ -14,18 +14,16 @@ edges, by two steps of implicit diffusion, :math:`(I + r^2 L / 4)\, u = v`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index, Mask
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.compiled import compiled
 from mixseq.geometry.rotations import turned
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.solvers import factorise
 from mixseq.spaces.registered import registered
-from mixseq.topology import Topology
+from mixseq.topology import Topology, vertices_near
 
 EXCHANGES = 4
 
@@ -170,8 +168,8 @@ SWEEPS = 20
 LARGE = 200_000
 """Of meshes with more vertices only those near boundaries of parts are looked at: elsewhere a part has all. Ours."""
 
-NEAR = 48
-"""So many rings of vertices about boundaries. Shares fall to a hundredth within a third of them."""
+NEAR = 32
+"""So many rings of vertices about boundaries. Shares fall to a hundredth within half of them."""
 
 _AT_ONCE = 16  # parts that are spread at once
 
@@ -194,7 +192,9 @@ def fitted_shares(
     reference : (V, 3) float64
         The reference frame.
     """
-    parts, shares = _spread(topology, decomposition)
+    near, far, part_of_far = _looked_at(topology, decomposition)
+    graph = topology.vertex_adjacency[near][:, near]
+    parts, shares = _spread(graph, _parts_of_faces(topology, decomposition, near))
     some = np.flatnonzero(parts[:, 1] >= 0)
     if len(some):
         _, rest, rest_centres = registered(shapes, decomposition.parts, reference)
@@ -204,73 +204,74 @@ def fitted_shares(
             _, rotations, centres = registered(shapes, decomposition.parts, x)
             turns = rotations @ np.swapaxes(rest, 1, 2)
             shifts = centres - turned(turns, rest_centres)
-            compare(some, parts, shares, turns, shifts, reference, x, products, apart)
-        adjacency = topology.vertex_adjacency
-        starts, others = adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64)
+            compare(some, parts, shares, turns, shifts, reference[near], x[near], products, apart)
+        starts, others = graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
         strengths = SMOOTH * apart + NOISE * len(frames)
         smooth_and_fit(some, parts, shares, products, strengths, starts, others, SWEEPS)
     shares[shares < LEAST] = 0.0
     rows, places = np.nonzero(shares)
+    vertices = np.concatenate([near[rows], far])
+    followed = np.concatenate([parts[rows, places], part_of_far])
+    values = np.concatenate([shares[rows, places], np.ones(len(far))])
     size = (topology.vertex_count, len(decomposition.parts))
-    return _normalised(
-        sparse.coo_array((shares[rows, places], (rows, parts[rows, places])), shape=size).tocsr()
-    )
+    return _normalised(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr())
 
 
-def _spread(topology: Topology, decomposition: Decomposition) -> tuple[Index, Float]:
-    """Parts ``(V, MOST)`` near every vertex, largest shares first and -1 where there are fewer, and their shares."""
-    count, vertices = len(decomposition.parts), topology.vertex_count
-    labels = np.repeat(decomposition.part_of_face, 3)
-    places = topology.faces.astype(np.int64).reshape(-1), labels
-    at_faces = _normalised(sparse.coo_array((np.ones(len(labels)), places), shape=(vertices, count)).tocsr())
-    adjacency = topology.vertex_adjacency
-    degrees = np.asarray(adjacency.sum(axis=1)).reshape(-1)
-    laplacian = sparse.diags_array(degrees) - adjacency
-    system = sparse.csr_array(sparse.eye_array(vertices) + RINGS**2 / 4.0 * laplacian)
-    near = _near_boundaries(at_faces, adjacency) if vertices > LARGE else np.ones(vertices, dtype=bool)
-    spread_out = _diffusion(system, near)
+def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
+    """Return the vertices ``(n,)`` that are looked at, the others ``(m,)``, and the part ``(m,)`` that each is of.
+
+    They are looked at within `NEAR` rings of one whose faces have several parts; in small meshes wherever faces are.
+    """
+    labels = decomposition.part_of_face[:, None]
+    part = np.full(topology.vertex_count, len(decomposition.parts) - 1)  # of no face: they are the last part
+    part[topology.faces] = labels
+    near = np.zeros(topology.vertex_count, dtype=bool)
+    if topology.vertex_count <= LARGE:
+        near[topology.faces] = True
+    else:
+        near[topology.faces[part[topology.faces] != labels]] = True
+        near = vertices_near(topology, near, NEAR)
+    far = np.flatnonzero(~near)
+    return np.flatnonzero(near), far, part[far]
+
+
+def _parts_of_faces(topology: Topology, decomposition: Decomposition, some: Index) -> sparse.csr_array:
+    """Shares ``(n, p)`` of parts in the faces of some vertices."""
+    row = np.full(topology.vertex_count, -1)
+    row[some] = np.arange(len(some))
+    rows = row[topology.faces].reshape(-1)
+    counted = rows >= 0
+    places = rows[counted], np.repeat(decomposition.part_of_face, 3)[counted]
+    size = (len(some), len(decomposition.parts))
+    return _normalised(sparse.coo_array((np.ones(len(places[0])), places), shape=size).tocsr())
+
+
+def _spread(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index, Float]:
+    """Parts ``(n, MOST)`` near every vertex, largest shares first and -1 where there are fewer, and their shares.
+
+    Parameters
+    ----------
+    graph : (n, n) sparse matrix
+        Which vertices are neighbours.
+    at_faces : (n, p) sparse matrix
+        Shares of parts in their faces.
+    """
+    vertices, count = at_faces.shape
+    degrees = np.asarray(graph.sum(axis=1)).reshape(-1)
+    laplacian = sparse.diags_array(degrees) - graph
+    factor = factorise(sparse.csr_array(sparse.eye_array(vertices) + RINGS**2 / 4.0 * laplacian))
     parts, shares = np.full((vertices, MOST), -1, dtype=np.int64), np.zeros((vertices, MOST))
     for start in range(0, count, _AT_ONCE):
         columns = at_faces[:, start : start + _AT_ONCE].toarray()
-        spread = spread_out(columns)
+        spread = factor.solve(factor.solve(columns))
         both = np.concatenate([shares, np.where(spread >= LEAST, spread, 0.0)], axis=1)
         which = np.concatenate(
             [parts, np.broadcast_to(start + np.arange(columns.shape[1]), columns.shape)], axis=1
         )
         order = np.argsort(-both, axis=1, kind="stable")[:, :MOST]
         shares, parts = np.take_along_axis(both, order, axis=1), np.take_along_axis(which, order, axis=1)
-    loose = topology.unused_vertices
-    shares[loose] = 0.0
-    shares[loose, 0], parts[loose, 0] = 1.0, count - 1  # which are a part of their own, the last one
     parts[shares == 0.0] = -1
     return parts, shares / shares.sum(axis=1, keepdims=True)
-
-
-def _diffusion(system: sparse.csr_array, near: Mask) -> Callable[[Float], Float]:
-    """Return what two steps of diffusion make of columns ``(V, n)``; where it is not `near`, they stay as they are."""
-    if near.all():
-        factor = factorise(system)
-        return lambda columns: factor.solve(factor.solve(columns))
-    if not near.any():
-        return lambda columns: columns
-    rows = system[near]
-    factor, border = factorise(sparse.csr_array(rows[:, near])), rows[:, ~near]
-
-    def spread_out(columns: Float) -> Float:
-        spread = columns.copy()
-        for _ in range(2):
-            spread[near] = factor.solve(spread[near] - border @ columns[~near])
-        return spread
-
-    return spread_out
-
-
-def _near_boundaries(at_faces: sparse.csr_array, adjacency: sparse.csr_array) -> Mask:
-    """Mark the vertices ``(V,)`` that are within `NEAR` rings of one whose faces have several parts."""
-    near: Mask = np.diff(at_faces.indptr) > 1
-    for _ in range(NEAR):
-        near = near | (adjacency @ near.astype(np.float32) > 0)
-    return near
 
 
 def _normalised(matrix: sparse.csr_array) -> sparse.csr_array:

@@ -65,9 +65,17 @@ class VertexFrames(PickledWithoutCaches):
 
     def bent(self, motions: Float) -> NDArray[np.bool_]:
         """Mark the faces ``(F,)`` whose corners' frames differ by more than `BEND` in motions ``(V, 7)``."""
-        corners = motions[self.topology.faces, :4]
+        corners = motions[self.topology.faces[self._blended], :4]
         cosines = np.abs(np.einsum("fki,fki->fk", corners, np.roll(corners, -1, axis=1)))
-        return np.asarray((cosines < np.cos(np.radians(BEND) / 2.0)).any(axis=1))
+        bent = np.zeros(len(self.topology.faces), dtype=bool)
+        bent[self._blended] = (cosines < np.cos(np.radians(BEND) / 2.0)).any(axis=1)
+        return bent
+
+    @cached_property
+    def _blended(self) -> Index:
+        """The faces whose corners do not all follow one and the same part alone."""
+        a, b, c = self.alone[self.topology.faces].T
+        return np.flatnonzero((a < 0) | (a != b) | (a != c))
 
     def motions(self, rotations: Float, centres: Float) -> Float:
         """Return the motions ``(V, 7)`` of all vertices from the reference frame: quaternions, then translations.
