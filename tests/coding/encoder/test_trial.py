@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Float
-from mixseq.coding.bitstream.signal_coder import MARGIN
+from mixseq.coding.bitstream.signal_coder import MARGINS
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.bitstream.spatial_basis import GROUP, BasisKind, SpatialBasis, groups, read_coefficients
 from mixseq.coding.encoder import trial as module
@@ -63,7 +63,7 @@ def test_basis_vectors_come_back(coordinates: int) -> None:
     assert rank > GROUP
     assert len(streams) == len(groups(rank))
     np.testing.assert_array_equal(read_basis(streams, rank, coordinates, STEP, GRAPH), vectors)
-    assert np.abs(vectors - in_all(components)[:rank]).max() <= (1 - MARGIN + 1e-9) * STEP
+    assert np.abs(vectors - in_all(components)[:rank]).max() <= (1 - MARGINS.min() + 1e-9) * STEP
 
 
 def test_components_of_zeros_are_not_coded() -> None:
@@ -119,5 +119,5 @@ def test_coefficients_are_rounded_by_what_they_move(kind: BasisKind) -> None:
     basis, coefficients = bars_basis(kind)
     decoded, _ = write_coefficients(basis, coefficients, STEP)
     errors = np.abs(decoded - coefficients) * basis.norms[basis.varying][:, None]
-    assert errors.max() <= (1 - MARGIN + 1e-9) * STEP
+    assert errors.max() <= (1 - MARGINS.min() + 1e-9) * STEP
     assert (errors.max(axis=(0, 2)) > 0.3 * STEP).all()
