@@ -43,7 +43,7 @@ SIMILAR, SIMILAR_FRAMES = 8, 16
 SEARCHED = 5
 """When so many signals are known, times their coordinates, these nodes are looked for. Frozen: breaks files."""
 
-EXHAUSTIVE = 1024
+EXHAUSTIVE = 2048
 """The first nodes look at all nodes before them, later ones only near those of their neighbours. Frozen: breaks
 files."""
 
