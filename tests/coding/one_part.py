@@ -11,7 +11,6 @@ from mixseq.coding.bitstream import spatial_basis
 from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis, whole
 from mixseq.coding.encoder import trial
-from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
 from mixseq.coding.encoder.trial import Candidate, in_order
 from mixseq.frame_store import FrameStore
@@ -26,8 +25,8 @@ def principal_components(sequence: FrameStore, kind: BasisKind, least: float) ->
 
 
 def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candidate:
-    [part] = whole(graph)
-    return Candidate(components, (PartComponents(components, part, 0.0),), graph)
+    no_faces, one_part = np.zeros((0, 3), dtype=np.int32), np.zeros(graph.size, dtype=np.int64)
+    return Candidate.of(components, one_part, no_faces, graph)
 
 
 def write_basis(

@@ -92,7 +92,7 @@ def compress(
         else:
             best = search.with_size(int(size or 0), _deviation(frames))
         stages.at(1 + ROUNDS)(0, 1, "checking")
-        coded = replace(_checked(frames, best, unit, max_error), order=numbering.order)
+        coded = replace(_checked(frames, best, unit, max_error, kg), order=numbering.order)
     if uv_steps is None:
         return replace(coded, header=replace(coded.header, surface=header.surface))
     parameters = replace(coded.parameters, uv_steps=uv_steps, uv_error=float(uv_error))
@@ -139,7 +139,9 @@ def _deviation(sequence: FrameStore) -> float:
     return float(np.sqrt(squares))
 
 
-def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None) -> CompressedSequence:
+def _checked(
+    sequence: FrameStore, best: Trial, unit: float, bound: float | None, kg: float | None
+) -> CompressedSequence:
     """Decode what was coded, and measure its errors: nothing is promised that was not observed."""
     coded = CompressedSequence(
         sequence.header,
@@ -175,5 +177,9 @@ def _checked(sequence: FrameStore, best: Trial, unit: float, bound: float | None
         )
     rounding = sequence.points.shape[1] * done * (1e-12 * unit) ** 2
     kg_percent = 100 * float(np.sqrt(squares / variation)) if variation > rounding else 0.0
+    if kg is not None and kg_percent > (1 + 1e-9) * kg:
+        raise ReconstructionError(
+            f"the KG error is {kg_percent:.6g} % after decoding, more than {kg:g}; please report this"
+        )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
     return replace(coded, parameters=parameters)

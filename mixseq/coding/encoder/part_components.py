@@ -6,12 +6,15 @@ its vertices. So parts cost little, however many frames there are; and so do err
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from mixseq.arrays import Float
+from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import Block, Part
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 
@@ -20,6 +23,9 @@ ZEROS = 3
 
 VANISHING = 0.55
 """Numbers below this share of a step are rounded to zero."""
+
+FEWEST = 64
+"""Parts with fewer vertices are looked at whole."""
 
 _AT_ONCE = 16
 """So many vectors are computed at once."""
@@ -59,49 +65,60 @@ class PartComponents:
         The part; shapes are of the whole mesh only.
     least : float
         Components with a norm below this are left out, in the units of the sequence.
+
+    Attributes
+    ----------
+    norms : (K,) float64
+        Norms of the vectors that are coded, in the units of the sequence.
+    weight : float
+        For how many vertices each of those that are looked at stands.
     """
 
     def __init__(self, components: PrincipalComponents, part: Part, least: float) -> None:
-        self.part = part
+        self.part, self.weight, self.norms = part, 1.0, components.norms
         self._components = components
-        self._shape = components.vectors.shape[1], len(part.vertices)
-        self._whole = self._shape[1] == components.vectors.shape[2]
-        vectors = components.vectors if self._whole else components.vectors[..., part.vertices]
-        self._loadings = vectors.reshape(len(vectors), -1)
-        self.norms = components.norms
-        self._ready: list[Float] = []
-        if components.kind == "shapes":
+        cubes = components.vectors
+        if len(part.vertices) < cubes.shape[2]:
+            cubes = cubes[..., part.vertices]
+            self._directions, self._offsets, self.norms = _turned(cubes[:, 0], least)
+            self._ready: list[Float] = []
+        elif components.kind == "trajectories":
+            self._ready = list(cubes)
+        else:
             root = np.sqrt(components.frame_count)
-            self._ready.append(root * components.mean)
+            self._ready = [root * components.mean, *cubes]
             self.norms = np.append(root * np.linalg.norm(components.mean), self.norms)
-        elif not self._whole:
-            means = self._loadings.mean(axis=1)
-            gram = self._loadings @ self._loadings.T - self._shape[1] * np.outer(means, means)
-            values, directions = linalg.eigh(gram, check_finite=False)
-            kept = max(1, min(int(np.count_nonzero(values > least**2)), self._shape[1]))
-            self._directions = np.ascontiguousarray(directions[:, ::-1][:, :kept].T)
-            self._offsets = self._directions @ means
-            self.norms = np.sqrt(np.maximum(values[::-1][:kept], 0.0))
+        self._loadings = cubes.reshape(len(cubes), -1)
+
+    def coarse(self, share: float) -> PartComponents:
+        """Return the same components, known only at a share of the vertices: those that are coded first."""
+        graph = self.part.graph
+        count = max(round(share * graph.size), min(graph.size, FEWEST))
+        nodes = graph.order[:count]
+        other = copy(self)
+        other.part = Part(self.part.vertices[nodes], first_nodes(graph, count))
+        other.weight = self.weight * graph.size / count
+        cubes = self._loadings.reshape(len(self._loadings), self.coordinates, -1)[..., nodes]
+        other._loadings = cubes.reshape(len(cubes), -1)
+        other._ready = [vector[:, nodes] for vector in self._ready]
+        return other
 
     @property
     def coordinates(self) -> int:
         """Numbers c that a vector has at a vertex."""
-        return int(self._shape[0])
+        return int(self._components.vectors.shape[1])
 
     @property
     def width(self) -> int:
         """Numbers that a vector has."""
-        return int(self._shape[0] * self._shape[1])
+        return int(self._loadings.shape[1])
 
     def vector(self, place: int) -> Float:
         """Return a basis vector ``(c, n)``, in the units of the sequence."""
-        if self._whole:
-            before = len(self._ready)
-            return self._ready[place] if place < before else self._components.vectors[place - before]
         while place >= len(self._ready):
             some = slice(len(self._ready), len(self._ready) + _AT_ONCE)
             vectors = self._directions[some] @ self._loadings - self._offsets[some, None]
-            self._ready.extend(vectors.reshape(-1, *self._shape))
+            self._ready.extend(vectors[:, None])
         return self._ready[place]
 
     def rank(self, step: float) -> int:
@@ -114,24 +131,61 @@ class PartComponents:
 
     def fitted(self, block: Block) -> Fit:
         """Return the coefficients of rounded vectors that are nearest to the motion of the part."""
-        components, count = self._components, self._components.frame_count
-        flat = block.vectors.reshape(len(block.vectors), -1)
-        loadings, curves = self._loadings, components.curves.reshape(len(components.curves), -1)
-        if components.kind == "shapes":  # what rounding the mean has changed is one more component
-            rest = np.sqrt(count) * components.mean.reshape(-1) - flat[0]
-            loadings, curves = (
-                np.append(loadings, rest[None], axis=0),
-                np.append(curves, np.full((1, count), count**-0.5), axis=0),
-            )
+        count, flat = self._components.frame_count, block.vectors.reshape(len(block.vectors), -1)
+        loadings, curves = self._loadings, self._components.curves.reshape(len(self._loadings), -1)
+        shapes = self._components.kind == "shapes"
+        if shapes:  # what rounding the mean has changed is one more component
+            loadings = np.append(loadings, self._ready[0].reshape(1, -1) - flat[:1], axis=0)
+            curves = np.append(curves, np.full((1, count), count**-0.5), axis=0)
             flat = flat[1:]
         unit = flat / np.linalg.norm(flat, axis=1, keepdims=True)
         gram, right = unit @ unit.T, unit @ loadings.T
         solved = _solved(gram, right)
-        squares = np.square(loadings).sum() + np.einsum("ij,ij->", solved, gram @ solved - 2 * right)
+        squares = np.square(loadings).sum() + np.vdot(solved, gram @ solved - 2 * right)
         coefficients = solved @ curves
-        if components.kind == "trajectories":  # the first vector is constant, and has all of the mean
-            coefficients[0] += np.sqrt(self._shape[1]) * components.mean.reshape(-1)
+        if not shapes:  # the first vector is constant, and has all of the mean
+            coefficients[0] += np.sqrt(self.width) * self._components.mean.reshape(-1)
         return Fit(coefficients.reshape(len(unit), count, 3 // self.coordinates), gram, float(squares))
+
+
+def _turned(loadings: Float, least: float) -> tuple[Float, Float, Float]:
+    """Find the principal components of a part from the vectors ``(R, n)`` of the whole mesh at its vertices.
+
+    Returns
+    -------
+    directions : (K, R) float64
+        Components as sums of the vectors.
+    offsets : (K,) float64
+        The means of these sums, which the constant vector has.
+    norms : (K,) float64
+        Norms of the components without them.
+    """
+    means = loadings.mean(axis=1)
+    gram = loadings @ loadings.T - loadings.shape[1] * np.outer(means, means)
+    values, vectors = linalg.eigh(gram, check_finite=False)
+    kept = max(1, min(int(np.count_nonzero(values > least**2)), loadings.shape[1]))
+    directions = np.ascontiguousarray(vectors[:, ::-1][:, :kept].T)
+    return directions, directions @ means, np.sqrt(np.maximum(values[::-1][:kept], 0.0))
+
+
+def first_nodes(graph: SignalGraph, count: int) -> SignalGraph:
+    """Return the graph of the nodes that are coded first, in the order of their coding."""
+    sizes = np.diff(graph.ring_starts)
+    inside = (np.repeat(np.arange(graph.size), sizes) < count) & (graph.ring < count)
+    starts = np.append(0, np.cumsum(inside))[graph.ring_starts[: count + 1]]
+    batches = tuple(
+        slice(batch.start, min(batch.stop, count)) for batch in graph.batches if batch.start < count
+    )
+    return replace(
+        graph,
+        order=np.arange(count),
+        batches=batches,
+        neighbours=graph.neighbours[:count],
+        counts=graph.counts[:count],
+        weights=graph.weights[:count],
+        ring=graph.ring[inside],
+        ring_starts=starts,
+    )
 
 
 def _solved(gram: Float, right: Float) -> Float:

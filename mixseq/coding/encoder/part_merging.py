@@ -29,7 +29,10 @@ from mixseq.topology import Topology
 FACES = 8
 """Meshes with fewer faces for every part are not cut."""
 
-FRAMES = 32
+FIRST = 24
+"""So many near-rigid parts are asked for to begin with."""
+
+FRAMES = 16
 """So many frames, evenly spread, are looked at."""
 
 
@@ -50,7 +53,7 @@ def vertex_parts(sequence: FrameStore, counts: tuple[int, ...]) -> dict[int, Ind
     points = sequence.points[frames].astype(np.float64)
     topology = Topology(header.faces, header.vertex_count)
     try:
-        of_faces = segment(points, topology, parts=counts[-1])
+        of_faces = segment(points, topology, parts=FIRST)
     except SegmentationError:
         return {}
     number = int(of_faces.max(initial=0)) + 1

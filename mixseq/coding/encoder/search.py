@@ -4,29 +4,30 @@ The error grows with the step, the number of bytes shrinks; the step is found by
 nearly powers of it. With a bound on every vertex there is a choice: few residuals of an accurate basis, or many of a
 coarse one; the cheapest of some steps is taken.
 
-At the first step both kinds of basis are tried, and all numbers of parts. Every trial says how wrong the first guess of
-the step was, and the next begins with a better one.
+At the first step several numbers of parts are tried, and both kinds of basis unless the norms of the components leave
+no doubt, on the coarse vertices of large meshes. Every trial says how wrong the guess of its step was, and the next
+begins with a better one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
 from mixseq.coding.bitstream.signal_graph import SignalGraph
-from mixseq.coding.bitstream.spatial_basis import BasisKind, parts_of, whole
-from mixseq.coding.encoder.part_components import PartComponents
+from mixseq.coding.bitstream.spatial_basis import BasisKind
 from mixseq.coding.encoder.part_merging import vertex_parts
-from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
+from mixseq.coding.encoder.part_refinement import refined
+from mixseq.coding.encoder.principal_components import shapes, trajectories
 from mixseq.coding.encoder.residuals import with_residuals
 from mixseq.coding.encoder.trial import Candidate, Trial, squared_error, try_step
 from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore
 from mixseq.progress import Stages
 
-ROUNDS = 8
+ROUNDS = 6
 """Steps that are tried at most."""
 
 CLOSE = 0.01
@@ -44,16 +45,22 @@ RATIO = 0.3
 FACTOR = 1.5
 """Ratio of the steps that are tried for a bound."""
 
-SHAPES = 2.0
+SHAPES = 1.65
 """Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
 
 NEARLY = 1.02
 """The best two are tried with several steps, if their sizes at the first step are so near."""
 
-PARTS = (3, 6, 12)
-"""So many parts are tried."""
+PARTS, START = (3, 6, 12), 6
+"""So many parts are tried, beginning in the middle, then more or fewer as long as bytes become fewer."""
+
+NODES, LARGE = 8000, 0.7
+"""Candidates are compared on so many vertices, if these are at most this share of all."""
 
 KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
+
+GUESS = 0.75
+"""Error of the first step, relative to what is expected of it."""
 
 TINY = 1e-9
 """Errors below this share of what is asked for are as good as none."""
@@ -68,6 +75,7 @@ class Search:
         self._stages = stages
         self._count = len(sequence.points) * sequence.points.shape[1]
         self._rounds = 0
+        self._wrong = GUESS
 
     def _try(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, ROUNDS - 1))(0, 1, "choosing the step")
@@ -75,36 +83,45 @@ class Search:
         return try_step(self._sequence, candidate, step)
 
     def _first_trials(self, error: float) -> list[Trial]:
-        """Try all candidates with steps that should make an error; return those that may be the best, best first."""
-        found: list[Trial] = []
-        share = 1.0
-        for candidate in self._candidates(error):
-            found.append(self._try(candidate, step_of(candidate, error / share)))
-            share *= max(found[-1].error, TINY * error) / error
-        found.sort(key=lambda one: _size_at(one, error))
-        return [one for one in found[:2] if _size_at(one, error) <= NEARLY * _size_at(found[0], error)]
-
-    def _candidates(self, error: float) -> Iterator[Candidate]:
+        """Try candidates with steps that should make an error; return those that may be the best, best first."""
+        header, graph = self._sequence.header, self._graph
         least = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
         components = trajectories(self._sequence, least)
-        one, bits = self._candidate(components), np.inf
+        labels = {1: np.zeros(graph.size, dtype=np.int64)}
         if "trajectories" in KINDS:
-            bits = _bits(one, step_of(one, error))
-            yield one
-        if "shapes" in KINDS:
-            other = self._candidate(shapes(components, 3**0.5 * least))
-            if _bits(other, step_of(other, error)) < SHAPES * bits:
-                yield other
-        for labels in vertex_parts(self._sequence, PARTS).values() if "trajectories" in KINDS else ():
-            several = (
-                PartComponents(components, part, least)
-                for part in parts_of(labels, self._sequence.header.faces)
-            )
-            yield Candidate(components, tuple(several), self._graph)
+            labels |= vertex_parts(self._sequence, PARTS)
+        one = Candidate.of(components, labels[1], header.faces, graph)
+        found: list[tuple[float, Candidate, Trial]] = []
 
-    def _candidate(self, components: PrincipalComponents) -> Candidate:
-        [part] = whole(self._graph)
-        return Candidate(components, (PartComponents(components, part, 0.0),), self._graph)
+        def tried(candidate: Candidate) -> float:
+            share = min(1.0, NODES / graph.size)
+            looked_at = candidate.coarse(share) if share < LARGE else candidate
+            trial = self._try(looked_at, step_of(candidate, error / self._wrong))
+            self._wrong *= float(np.clip(trial.error / error, 0.5, 2.0))
+            found.append((_size_at(trial, error), candidate, trial))
+            return found[-1][0]
+
+        @cache
+        def with_parts(number: int) -> float:
+            if number == 1:
+                return tried(one)
+            better = refined(components, labels[number], header.faces, step_of(one, error))
+            return tried(Candidate.of(components, better, header.faces, graph, least))
+
+        if "trajectories" in KINDS:
+            _lowest(with_parts, list(labels), START)
+        if "shapes" in KINDS:
+            other = Candidate.of(shapes(components, 3**0.5 * least), labels[1], header.faces, graph)
+            if not found or _bits(other, step_of(other, error)) < SHAPES * _bits(one, step_of(one, error)):
+                tried(other)
+        found.sort(key=lambda each: each[0])
+        return [
+            trial
+            if trial.candidate is candidate
+            else self._try(candidate, _next_step(trial, error / trial.error))
+            for size, candidate, trial in found[:2]
+            if size <= NEARLY * found[0][0]
+        ]
 
     def with_error(self, error: float) -> Trial:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
@@ -162,6 +179,24 @@ class Search:
         return best
 
 
+def _lowest(value: Callable[[int], float], numbers: list[int], start: int) -> None:
+    """Look at values of increasing numbers, from one on upwards or else downwards, as long as they fall."""
+    first = place = numbers.index(start) if start in numbers else len(numbers) - 1
+    value(numbers[place])
+    for direction in (1, -1):
+        while 0 <= place + direction < len(numbers) and value(numbers[place + direction]) < value(
+            numbers[place]
+        ):
+            place += direction
+        if place != first:
+            break
+
+
+def _next_step(trial: Trial, room: float) -> float:
+    """Return the step that should make an error that is larger by a factor."""
+    return trial.step * float(np.clip((room / (1 + CLOSE / 3)) ** (1 / _slope(trial)), 0.05, 20.0))
+
+
 def _closest(
     trial_with: Callable[[float], Trial], room: Callable[[Trial], float], first: Trial, slope: float
 ) -> Trial | None:
@@ -188,9 +223,15 @@ def _size_at(trial: Trial, error: float) -> float:
 
 
 def expected_error(candidate: Candidate, step: float) -> float:
-    """Return about which error a step makes: s^2 / 12 for every number above it, all of those below."""
-    squares = [np.minimum(np.square(one.norms), one.width * step**2 / 12).sum() for one in candidate.parts]
-    return float(np.sqrt(sum(squares) + candidate.components.left_out))
+    """Return about which error a step makes.
+
+    Squared, it is s^2 / 12 for every number of a vector and of its coefficients, or all of the vector, if that is less.
+    """
+    squares, rows = 0.0, candidate.components.curves[0].size
+    for part in candidate.parts:
+        numbers = part.weight * part.width + rows
+        squares += float(np.minimum(np.square(part.norms), numbers * step**2 / 12).sum())
+    return float(np.sqrt(squares))
 
 
 def step_of(candidate: Candidate, error: float) -> float:

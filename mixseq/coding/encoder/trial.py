@@ -7,11 +7,12 @@ has it*, which makes good for some of the error of rounding; then they are round
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.compressed_sequence import Chunk
@@ -19,12 +20,12 @@ from mixseq.coding.bitstream.part_labels import write_labels
 from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import (
-    BasisKind,
-    Part,
     SpatialBasis,
     assemble_basis,
     coefficient_coders,
     groups_of_parts,
+    parts_of,
+    whole,
 )
 from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents
@@ -32,6 +33,9 @@ from mixseq.frame_store import FrameStore, block_size, blocks_of
 
 CHUNK = 512
 """A chunk has about so many frames."""
+
+FINER = 0.6
+"""Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
 
 DIGITS = 1e-10
 """Squared errors below this share of the squared motion are measured of frames: others have lost too many digits."""
@@ -49,16 +53,35 @@ class Candidate:
         Of every part.
     graph : SignalGraph
         Of the whole mesh.
+    labels : (V,) int64
+        Part of every vertex.
+    share : float
+        Share of the vertices that are looked at.
     """
 
     components: PrincipalComponents
     parts: tuple[PartComponents, ...]
     graph: SignalGraph
+    labels: Index
+    share: float = 1.0
 
-    @property
-    def kind(self) -> BasisKind:
-        """What is compared: vertices or frames."""
-        return self.components.kind
+    @classmethod
+    def of(
+        cls,
+        components: PrincipalComponents,
+        labels: Index,
+        faces: NDArray[np.integer],
+        graph: SignalGraph,
+        least: float = 0.0,
+    ) -> Candidate:
+        """Make one with parts by labels ``(V,)``; components of parts with a norm below `least` left out."""
+        parts = parts_of(labels, faces) if labels.any() else whole(graph)
+        found = tuple(PartComponents(components, part, least) for part in parts)
+        return cls(components, found, graph, labels)
+
+    def coarse(self, share: float) -> Candidate:
+        """Return the candidate looked at on a share of the vertices only, which is quick."""
+        return replace(self, parts=tuple(part.coarse(share) for part in self.parts), share=share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +122,10 @@ class Trial:
 
     @cached_property
     def size(self) -> int:
-        """Number of bytes."""
+        """Number of bytes; about, if not all vertices were looked at."""
         of_chunks = sum(len(chunk.coefficients) + len(chunk.residuals) for chunk in self.chunks)
-        return sum(map(len, self.basis_streams)) + of_chunks
+        finer = FINER * (1 / self.candidate.share - 1)
+        return round((1 + finer) * sum(map(len, self.basis_streams))) + of_chunks
 
 
 def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
@@ -118,22 +142,27 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
     """
     vectors, basis_streams = write_basis(candidate, step)
     parts = [one.part for one in candidate.parts]
-    basis = assemble_basis(candidate.kind, vectors, parts, len(sequence.points))
+    basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
     fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
-    nearest, scales, owners = in_order(basis, [fit.coefficients for fit in fits]), *_varying(basis)
-    decoded, streams = write_coefficients(basis, nearest / scales[:, None], step)
+    scales, owners = _varying(basis)
+    weights = np.array([part.weight for part in candidate.parts])
+    # Vectors over more vertices would be longer: their coefficients are as accurate as they would be then.
+    longer = np.sqrt(weights)[owners, None]
+    nearest = in_order(basis, [fit.coefficients for fit in fits])
+    decoded, streams = write_coefficients(basis, nearest * (longer / scales[:, None]), step)
+    moved = decoded * (scales[:, None] / longer)
     squares = candidate.components.left_out
     for place, fit in enumerate(fits):
-        own = owners == place
-        squares += fit.squares_of((decoded[:, own] * scales[own, None]).transpose(1, 0, 2))
-    ranks = tuple(map(len, vectors))
+        squares += weights[place] * fit.squares_of(moved[:, owners == place].transpose(1, 0, 2))
+    if squares <= DIGITS * np.square(candidate.components.norms).sum() and candidate.share == 1:
+        squares = squared_error(sequence, basis, decoded)
     done = tuple(
         Chunk(frames.start, len(frames), stream)
         for frames, stream in zip(chunks(len(decoded)), streams, strict=True)
     )
-    if squares <= DIGITS * np.square(candidate.components.norms).sum():
-        squares = squared_error(sequence, basis, decoded)
-    return Trial(candidate, step, ranks, basis, decoded, basis_streams, done, float(np.sqrt(squares)))
+    ranks = tuple(map(len, vectors))
+    error = float(np.sqrt(max(squares, 0.0)))
+    return Trial(candidate, step, ranks, basis, decoded, basis_streams, done, error)
 
 
 def chunks(frame_count: int) -> list[range]:
@@ -159,21 +188,13 @@ def write_basis(candidate: Candidate, step: float) -> tuple[list[Float], tuple[b
     for number, of_parts in enumerate(groups_of_parts([one.rank(step) for one in parts])):
         writer = Writer()
         if number == 0 and len(parts) > 1:
-            write_labels(writer, labels_of([one.part for one in parts]), candidate.graph)
+            write_labels(writer, candidate.labels, candidate.graph)
         for place, group in of_parts:
             for row in range(group.start, group.stop):
                 numbers = parts[place].vector(row) / step
                 vectors[place].append(np.stack([coders[place].write(writer, one) for one in numbers]))
         streams.append(writer.finish())
     return [step * np.array(some) for some in vectors], tuple(streams)
-
-
-def labels_of(parts: Sequence[Part]) -> Index:
-    """Return the part ``(V,)`` of every vertex."""
-    labels = np.empty(sum(len(part.vertices) for part in parts), dtype=np.int64)
-    for number, part in enumerate(parts):
-        labels[part.vertices] = number
-    return labels
 
 
 def _varying(basis: SpatialBasis) -> tuple[Float, Index]:

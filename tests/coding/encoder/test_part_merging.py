@@ -16,7 +16,6 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.bitstream.spatial_basis import parts_of, whole
 from mixseq.coding.encoder.compress import compress
 from mixseq.coding.encoder.part_merging import merged, vertex_parts
-from mixseq.coding.encoder.trial import labels_of
 from mixseq.errors import FormatError
 from mixseq.frame_store import frame_store
 from mixseq.sequence import MeshSequence
@@ -83,10 +82,11 @@ def test_parts_are_all_vertices_once() -> None:
     sequence = bar(6, 12, 2)
     labels = (np.arange(sequence.vertex_count) % 3).astype(np.int64)
     parts = parts_of(labels, sequence.faces)
-    np.testing.assert_array_equal(labels_of(parts), labels)
-    assert [part.graph.size for part in parts] == np.bincount(labels).tolist()
-    graph = mesh_graph(sequence.faces, sequence.vertex_count)
-    np.testing.assert_array_equal(labels_of(whole(graph)), np.zeros(sequence.vertex_count))
+    for number, part in enumerate(parts):
+        np.testing.assert_array_equal(part.vertices, np.flatnonzero(labels == number))
+        assert part.graph.size == len(part.vertices)
+    [one] = whole(mesh_graph(sequence.faces, sequence.vertex_count))
+    np.testing.assert_array_equal(one.vertices, np.arange(sequence.vertex_count))
 
 
 # Joining ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,84 @@
+r"""Parts that take fewer bytes: vertices go to the part whose components tell their motion in the fewest bits.
+
+Near-rigid parts are only a beginning: a part is good if few components, of any motion, do for all of its vertices. The
+motion y of a vertex, in the coordinates of the principal components, is taken to be normal about the mean of the part.
+Rounded to steps :math:`\Delta` it takes about
+
+.. math:: L_p(y) = \tfrac12 \log \det \Bigl(1 + \frac{C_p}{\Delta^2}\Bigr)
+                   + \tfrac12 (y - m_p)^T (C_p + \Delta^2)^{-1} (y - m_p)
+
+natural bits, with the mean :math:`m_p` and the covariance :math:`C_p` of the part. Vertices go where that is least,
+after a mean with their neighbours, as borders cost bits, too. Then means and covariances are those of the new parts,
+and so on (Lloyd's iteration).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from mixseq.arrays import Float, Index
+from mixseq.coding.encoder.principal_components import PrincipalComponents
+
+ROUNDS = 5
+"""Vertices change their parts so often at most."""
+
+SMALLEST = 8
+"""Parts do not get fewer vertices."""
+
+MODES = 64
+"""So many components of the whole mesh are looked at, at most."""
+
+VISIBLE = 0.1
+"""Components that move vertices less than this share of a step, on average, are not looked at."""
+
+
+def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.integer], step: float) -> Index:
+    """Return better labels ``(V,)`` of the parts of a mesh, of which there are as many.
+
+    Parameters
+    ----------
+    components : PrincipalComponents
+        Of all trajectories.
+    labels : (V,) int64
+        Parts 0 ... P - 1 to begin with.
+    faces : (F, 3) int
+        Triangles.
+    step : float
+        The step that numbers are going to be rounded to, about, in the units of the sequence.
+    """
+    number, vertices = int(labels.max()) + 1, len(labels)
+    seen = np.count_nonzero(components.norms > VISIBLE * step * np.sqrt(vertices))
+    motion = components.vectors[: min(max(seen, 1), MODES), 0]
+    mean_of_neighbours = _mean_of_neighbours(faces, vertices)
+    for _ in range(ROUNDS):
+        lengths = np.stack([_lengths(motion, labels == part, step) for part in range(number)], axis=1)
+        lengths = (lengths + mean_of_neighbours @ lengths) / 2
+        changed = lengths.argmin(axis=1)
+        sizes = np.bincount(changed, minlength=number)
+        if sizes.min() < SMALLEST or np.array_equal(changed, labels):
+            break
+        labels = changed
+    return labels
+
+
+def _lengths(motion: Float, inside: NDArray[np.bool_], step: float) -> Float:
+    """Return about how many natural bits the motion ``(R, V)`` of every vertex takes in a part."""
+    own = motion[:, inside]
+    mean = own.mean(axis=1)
+    covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
+    values, directions = linalg.eigh(covariance, subset_by_value=(step**2, np.inf), check_finite=False)
+    # All other directions are as if nothing but rounding happened in them.
+    scores = directions.T @ motion - (directions.T @ mean)[:, None]
+    squares = np.einsum("rv,rv->v", motion, motion) - 2 * (mean @ motion) + mean @ mean
+    explained = (1 - step**2 / (values + step**2)) @ np.square(scores)
+    return np.asarray(((squares - explained) / step**2 + np.log1p(values / step**2).sum()) / 2)
+
+
+def _mean_of_neighbours(faces: NDArray[np.integer], vertices: int) -> sparse.csr_array:
+    corners = np.roll(faces, 1, axis=1)
+    rows, columns = np.append(faces, corners), np.append(corners, faces)
+    beside = sparse.coo_array((np.ones(len(rows)), (rows, columns)), (vertices, vertices)).tocsr()
+    sizes = np.maximum(beside.sum(axis=1), 1.0)
+    return sparse.csr_array(sparse.diags_array(1 / sizes) @ beside)
