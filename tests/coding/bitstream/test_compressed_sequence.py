@@ -62,6 +62,7 @@ def grouped() -> tuple[MeshSequence, CompressedSequence]:
     sequence = MeshSequence.from_arrays(frames, faces)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mixseq.coding.encoder.search.KINDS", ("trajectories",))
+        patch.setattr("mixseq.coding.encoder.search.PARTS", (10_000,))
         return sequence, compress(sequence, kg=0.2)
 
 
