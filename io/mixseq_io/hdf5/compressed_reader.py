@@ -33,10 +33,13 @@ from mixseq.coding.bitstream.compressed_sequence import (
     to_model,
 )
 from mixseq.coding.bitstream.connectivity import decode_polygons
-from mixseq.coding.bitstream.texture_coordinates import decode_uvs
+from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, without_check
+from mixseq.coding.bitstream.texture_coordinates import decode_uvs, grid_numbers
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
+from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.model import Model
+from mixseq.surface import CornerValues
 from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
@@ -175,7 +178,7 @@ def read_header(
     elements = sum(each for each in told if isinstance(each, int))
     corner = _OF_CORNER * told[1] if "uvs" in ground and isinstance(told[1], int) else 0
     check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
-    steps = read_parameters(path, container).uv_steps if "uvs" in ground else None
+    parameters = read_parameters(path, container)
     try:
         vertices, polygons, corners, frames = (
             int(facts[f"{what}_count"]) for what in ("vertex", "polygon", "corner", "frame")
@@ -183,10 +186,10 @@ def read_header(
         fps = float(facts["fps"])
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
-        mesh = decode_polygons(ground["connectivity"], polygons, corners, vertices)
+        mesh = _polygons(ground["connectivity"], (polygons, corners, vertices), parameters.revision)
         surface = unpack_surface(ground["surface"], path.parent)
-        if steps is not None:
-            surface = replace(surface, uvs=decode_uvs(ground["uvs"], mesh, vertices, steps))
+        if "uvs" in ground and parameters.uv_steps is not None:
+            surface = replace(surface, uvs=_uvs(ground["uvs"], mesh, vertices, parameters))
         return SequenceHeader(
             polygons=mesh,
             vertex_count=vertices,
@@ -218,3 +221,23 @@ def decoded(path: Path, coded: CompressedSequence) -> Model:
         return to_model(coded)
     except (FormatError, MemoryError) as error:
         raise FormatError(f"{path}: {error}") from error
+
+
+def _polygons(data: bytes, counts: tuple[int, int, int], revision: int) -> Polygons:
+    if revision == 1:
+        return decode_polygons(data, *counts)
+    data, expected = without_check(data)
+    mesh = decode_polygons(data, *counts)
+    refuse_others(check_of(mesh.indices, check_of(mesh.counts)), expected)
+    return mesh
+
+
+def _uvs(data: bytes, mesh: Polygons, vertex_count: int, parameters: CodingParameters) -> CornerValues:
+    steps = parameters.uv_steps or 1
+    if parameters.revision == 1:
+        return decode_uvs(data, mesh, vertex_count, steps)
+    data, expected = without_check(data)
+    uvs = decode_uvs(data, mesh, vertex_count, steps)
+    numbers = grid_numbers(uvs.at_corners, steps)
+    refuse_others(-1 if numbers is None else check_of(numbers), expected)
+    return uvs

@@ -17,6 +17,7 @@ import numpy as np
 from mixseq.choices import OrderName
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
+from mixseq.coding.bitstream.decoded_check import check_of, with_check
 from mixseq.coding.bitstream.entropy import pack_leb128
 from mixseq.coding.bitstream.texture_coordinates import grid_numbers
 from mixseq.coding.encoder.numbering import cheapest_numbering
@@ -44,8 +45,8 @@ _CONTAINER, _INDEX = 1200, 64
 
 def write_compressed(file: h5py.File, coded: CompressedSequence) -> None:
     """Store a compressed sequence in a new HDF5 file."""
-    steps = coded.parameters.uv_steps
-    container = pack_streams(_json(coded), _ground(coded.header, steps), coded.basis, coded.chunks)
+    steps, revision = coded.parameters.uv_steps, coded.parameters.revision
+    container = pack_streams(_json(coded), _ground(coded.header, steps, revision), coded.basis, coded.chunks)
     for name, text in (
         ("format", MODEL_FORMAT.encode()),
         ("created_by", f"mixseq {__version__}".encode()),
@@ -53,7 +54,7 @@ def write_compressed(file: h5py.File, coded: CompressedSequence) -> None:
     ):
         file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
     older = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
-    file.attrs["version"] = older if coded.parameters.revision == 1 else CHECKED_VERSION
+    file.attrs["version"] = older if revision == 1 else CHECKED_VERSION
     file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
 
 
@@ -142,9 +143,12 @@ def room_for_signals(
     return size - taken
 
 
-def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
+def _ground(header: SequenceHeader, uv_steps: int | None, revision: int = 2) -> list[bytes]:
     """Return connectivity, surface, times; and texture coordinates, if they are multiples of ``1 / uv_steps``."""
     polygons, uvs, surface = header.polygons, header.surface.uvs, header.surface
+    connectivity = encode_polygons(polygons, header.vertex_count)
+    if revision > 1:
+        connectivity = with_check(connectivity, check_of(polygons.indices, check_of(polygons.counts)))
     textures = []
     if uv_steps is not None:
         numbers = None if uvs is None else grid_numbers(uvs.at_corners, uv_steps)
@@ -152,9 +156,11 @@ def _ground(header: SequenceHeader, uv_steps: int | None) -> list[bytes]:
             raise InvalidSequenceError(
                 f"texture coordinates are no multiples of 1 / {uv_steps}; compress the sequence again"
             )
-        textures, surface = [encode_uvs(polygons, header.vertex_count, numbers)], replace(surface, uvs=None)
+        coordinates = encode_uvs(polygons, header.vertex_count, numbers)
+        textures = [coordinates if revision == 1 else with_check(coordinates, check_of(numbers))]
+        surface = replace(surface, uvs=None)
     return [
-        encode_polygons(polygons, header.vertex_count),
+        connectivity,
         pack_surface(surface),
         pack_times(header.times, header.fps),
         *textures,

@@ -28,7 +28,7 @@ from mixseq.coding.bitstream.spatial_basis import (
 from mixseq.coding.bitstream.uv_values import LARGEST
 from mixseq.errors import FormatError, SettingsError
 from mixseq.prediction.operator import chosen, with_middles
-from mixseq.sequence import SequenceHeader
+from mixseq.sequence import SequenceHeader, bounding_diagonal
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.modes import NEGLIGIBLE
@@ -204,6 +204,8 @@ def to_model(coded: CompressedSequence) -> Model:
         coefficients = np.concatenate([decode_coefficients(coded, chunk, basis) for chunk in coded.chunks])
         if not (np.isfinite(basis.norms).all() and np.isfinite(coefficients).all()):
             raise FormatError("coded signals are not finite; the file is damaged")
+        if parameters.revision == 1:
+            _refuse_far(basis.frames(coefficients[:1])[0], parameters)
         space, scores, mean, directions = _affine(basis, coefficients, parameters.diagonal)
         pose, shapes = straight_modes(scores, mean, directions)
     residual_layer = None
@@ -221,6 +223,15 @@ def to_model(coded: CompressedSequence) -> Model:
     time = Curve(times, chosen(header.times, scores).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))
     return Model(header, space, time, pose, shapes, placement, residual_layer)
+
+
+def _refuse_far(points: Float, parameters: CodingParameters) -> None:
+    """Refuse a first frame ``(V, 3)`` that is far larger than it was: older streams do not say what they decode to."""
+    if bounding_diagonal(points) > (2 + 4 * parameters.max_error) * parameters.diagonal:
+        raise FormatError(
+            "the first frame comes out far larger than it went in; the file is damaged, or this machine does not add "
+            "as the one that wrote it"
+        )
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:

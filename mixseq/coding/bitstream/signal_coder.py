@@ -19,14 +19,13 @@ Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``); 
 
 from __future__ import annotations
 
-from zlib import crc32
-
 import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream import arithmetic
 from mixseq.coding.bitstream import signal_kernels as kernels
 from mixseq.coding.bitstream.bit_models import BitModels, bit_models
+from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_check, without_check
 from mixseq.coding.bitstream.predictor import Predictor
 from mixseq.coding.bitstream.predictor_kernels import UNIT
 from mixseq.coding.bitstream.signal_graph import SignalGraph
@@ -35,9 +34,6 @@ from mixseq.errors import FormatError
 MARGINS: Float = np.interp(np.arange(kernels.LEVELS), [2, 6, 10, 14], [0.15, 0.25, 0.38, 0.45])
 """Numbers are rounded up from 1 - margin, by the level of their expected size: towards zero, which costs fewer bits
 than accuracy, most of all where zeros are expected. Chosen on seven sequences. Free: only encoders round."""
-
-_CHECK = 4
-"""Bytes of the CRC-32 at the end of a stream. Frozen: breaks old files."""
 
 _ROOM = 16
 """Bytes that a number takes at most. Free: memory is taken ahead."""
@@ -57,11 +53,11 @@ class Writer:
 
     def checked(self, values: Index) -> None:
         """Add values to what a decoder has to find."""
-        self._check = crc32(values.astype("<i8").tobytes(), self._check)
+        self._check = check_of(values, self._check)
 
     def finish(self) -> bytes:
         """Return everything that was written."""
-        return arithmetic.written(self._coded) + self._check.to_bytes(_CHECK, "little")
+        return with_check(arithmetic.written(self._coded), self._check)
 
 
 class Reader:
@@ -74,8 +70,8 @@ class Reader:
     """
 
     def __init__(self, data: bytes) -> None:
-        self._coded = arithmetic.to_read(data[:-_CHECK])
-        self._expected = int.from_bytes(data[-_CHECK:], "little")
+        data, self._expected = without_check(data)
+        self._coded = arithmetic.to_read(data)
         self._check = 0
 
     def bits(self) -> arithmetic.Coded:
@@ -92,7 +88,7 @@ class Reader:
 
     def checked(self, values: Index) -> None:
         """Add values to what was found."""
-        self._check = crc32(values.astype("<i8").tobytes(), self._check)
+        self._check = check_of(values, self._check)
 
     def finish(self) -> None:
         """Make sure that what was read is what was written.
@@ -102,11 +98,7 @@ class Reader:
         FormatError
             If it is not.
         """
-        if self._check != self._expected:
-            raise FormatError(
-                "coded numbers come out otherwise than they went in; the file is damaged, or this machine or this "
-                "version of a library does not add as IEEE 754 says"
-            )
+        refuse_others(self._check, self._expected)
 
 
 class NumberModels:

@@ -193,4 +193,4 @@ def test_real_coordinates_take_two_bytes(data: Path, name: str, tmp_path: Path) 
         assert mixseq.verify(file, reader).holds
     uvs = mixseq.load(file).header.surface.uvs
     assert uvs is not None
-    assert compressed_sizes(file)["uvs"] <= 2 * len(uvs.values)
+    assert compressed_sizes(file)["uvs"] <= 2 * len(uvs.values) + 4  # and what they decode to
