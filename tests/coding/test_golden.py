@@ -58,6 +58,11 @@ CASES: dict[str, Callable[[], CompressedSequence]] = {
     "parts": _parts,
 }
 
+REVISIONS = {1: "", 2: "-2"}
+"""How streams are coded, and how the names of their files end."""
+
+FILES = [name + ending for name in CASES for ending in REVISIONS.values()]
+
 
 def stored(name: str) -> tuple[CompressedSequence, np.ndarray, np.ndarray]:
     """Return a golden sequence, the frames whose points are known, and these ``(n, V, 3)``."""
@@ -94,24 +99,26 @@ def store(name: str, coded: CompressedSequence) -> None:
     )
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", FILES)
 def test_golden_streams_decode_to_the_same_points(name: str) -> None:
     coded, frames, points = stored(name)
     found = to_model(coded).sample(frames=frames.tolist()).points
     np.testing.assert_allclose(found, points, rtol=0, atol=1e-9)
 
 
-def test_golden_streams_have_all_that_streams_can_have() -> None:
-    bounded, shapes, long = (stored(name)[0] for name in ("bounded", "shapes", "long"))
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_golden_streams_have_all_that_streams_can_have(revision: int) -> None:
+    bounded, shapes, long, parts = (stored(name + REVISIONS[revision])[0] for name in CASES)
+    assert {each.parameters.revision for each in (bounded, shapes, long, parts)} == {revision}
     assert bounded.parameters.factors == "trajectories"
     assert bounded.parameters.promised
     assert all(chunk.residuals for chunk in bounded.chunks)
     assert shapes.parameters.factors == "shapes"
     assert len(shapes.basis) > 1
     assert len(long.chunks) > 1
-    assert len(stored("parts")[0].parameters.ranks) == 3
+    assert len(parts.parameters.ranks) == 3
 
 
 if __name__ == "__main__":
     for case, make in CASES.items():
-        store(case, make())
+        store(case + REVISIONS[2], make())
