@@ -1,8 +1,8 @@
 """Decode compressed sequences on machines that calculate a little otherwise: exact or refused, never other points.
 
-A machine is simulated by noise on the weights of predictions, every time that they are found; its relative size is from
-1e-16 to 1e-3, evenly in its logarithm. That is harsher than any machine: weights are rounded, to which true differences
-of the last digits are lost. A decoding is *exact* if every number of it has the same bits as without noise, *refused* if
+A machine is simulated by noise on the weights of predictions, every time that they are found; its relative size is
+from 1e-16 to 1e-3, evenly in its logarithm. That is harsher than any machine: weights are rounded, which true
+differences do not survive. A decoding is *exact* if every number of it has the same bits as without noise, *refused* if
 it ends in an error of mixseq, and *silent* if neither: then this ends with 1.
 
 Usage: scripts/bench exact [NAME ...] [--count 1000] [--seed 0]   (NAME is an animation of $MIXSEQ_DATA/npz)
