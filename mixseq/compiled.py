@@ -12,15 +12,16 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-import numpy as np
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime.nrt import rtsys
+from numba.core.types import unliteral
 
 from mixseq.errors import MixseqWarning
 
@@ -41,6 +42,9 @@ def compiled(function: Function) -> Function:
         When it is called, if what is kept of it is damaged, or nothing can be kept; once in a process.
     """
     made = numba.njit(**_OPTIONS)(function)
+    if made is function:  # NUMBA_DISABLE_JIT
+        return function
+    made.get_call_template = partial(_as_any_number, made.get_call_template)
     with suppress(RuntimeError):  # there is no folder to keep it in: it is compiled in every run
         made._cache = _Cache(function)  # type: ignore[no-untyped-call]
     return cast(Function, made)
@@ -51,13 +55,33 @@ def inlined(function: Function) -> Function:
     return cast(Function, numba.njit(inline="always", error_model="numpy")(function))
 
 
-def constant(number: int) -> int:
-    """Return a number for arguments of compiled functions: of each literal, they would compile a version of its own."""
-    return cast(int, np.int64(number))
+def _as_any_number(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
+    """Find the version of a function for any numbers: of each that stands in the code, numba would compile its own."""
+    plain: Callable[[Any], Any] = unliteral
+    return find(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+
+
+class _Kept(CompileResultCacheImpl):
+    """What is kept of a function: nothing of numba's own functions in it but their code.
+
+    Their *environments* would let them make Python's objects, which none does here. To load them numba imports their
+    modules, and one of these SciPy's linear algebra: half the time until a compressed file is open.
+    """
+
+    def reduce(self, made: Any) -> tuple[Any, ...]:
+        """Return what can be pickled."""
+        *rest, environments = super().reduce(made)  # type: ignore[no-untyped-call]
+        return (*rest, tuple(each for each in environments if not _is_of_numba(each)))
+
+
+def _is_of_numba(environment: Any) -> bool:
+    return str(environment.globals["__name__"]).startswith("numba.")
 
 
 class _Cache(FunctionCache):
     """numba's folder of compiled functions, which cannot make a run fail."""
+
+    _impl_class = _Kept
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a compiled function, None if it must be compiled.

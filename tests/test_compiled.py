@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numba
+import numpy as np
 import pytest
 
 from mixseq import compiled
@@ -117,3 +118,37 @@ def test_no_folder_at_all(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     assert double(kept)(3) == 6
+
+
+CALLING = """
+import numpy as np
+from mixseq.compiled import compiled
+
+@compiled
+def add(number, other):
+    return number + other
+
+@compiled
+def place(numbers):
+    return add(np.argmax(numbers), 1) + add(len(numbers), 2)
+"""
+
+
+def test_what_numba_knows_of_numpy_is_not_imported_to_load_what_it_made(kept: Path) -> None:
+    (kept / "doubling.py").write_text(CALLING.replace("def place", "def double"))
+    numbers = np.array([0.0, 3.0, 2.0])
+    assert double(kept)(numbers) == 7
+    again = double(kept)
+    assert again(numbers) == 7
+    assert loaded(again) == 1
+    (data,) = (kept / "kept").rglob("*double*.nbc")
+    assert b"numba.np.arraymath" not in data.read_bytes()
+    with pytest.raises(ValueError, match="argmax of an empty sequence"):
+        again(numbers[:0])
+
+
+def test_numbers_that_stand_in_the_code_are_compiled_for_once(kept: Path) -> None:
+    (kept / "doubling.py").write_text(CALLING.replace("def place", "def double"))
+    function = double(kept)
+    assert function(np.arange(3.0)) == 8
+    assert len(function.py_func.__globals__["add"].overloads) == 1

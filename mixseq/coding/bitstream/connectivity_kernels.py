@@ -35,13 +35,13 @@ from mixseq.coding.bitstream.half_edges import (
     rank_of,
     vertex_of,
 )
-from mixseq.compiled import compiled, constant, inlined
+from mixseq.compiled import compiled, inlined
 
 KINDS = 4 * GUESSES + 4 * 5
 """Kinds of bits with weights of their own: of guesses by place, of numbers by what they are about. Frozen:
 breaks old files."""
 
-_COUNTS, _STATES = constant(3), constant(4)
+_COUNTS, _STATES = 3, 4
 """What numbers are about: 0 to 2 distances among unused, open, closed vertices; numbers of corners; states. Frozen:
 breaks old files."""
 
@@ -52,14 +52,11 @@ _LOOKED_AT = 32
 """So many corners of a polygon are looked at for a vertex that comes twice: time stays bounded. Frozen: breaks old
 files."""
 
-_FIRST = constant(0)
-"""The first corner, of the type of all others. Free: it saves a compilation."""
-
 
 @compiled
 def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index) -> None:
     """Code all polygons, or decode them into `counts` (P,) and `indices` (C,); `bits.failed` says if that failed."""
-    corner = _FIRST
+    corner = 0
     first = previous = 0  # corners that the polygon before, and the one before that, start from
     last_new = -1
     repeat = run = 0  # the corner that comes after the same differences, and for how long it was right

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.compiled import compiled, constant, inlined
+from mixseq.compiled import compiled, inlined
 
 Small = NDArray[np.int32]
 
-UNUSED, OPEN, CLOSED = constant(0), constant(1), constant(2)
+UNUSED, OPEN, CLOSED = 0, 1, 2
 """States of vertices. Frozen: breaks old files."""
 
 INTO, OUT_OF = 0, 1

@@ -36,6 +36,7 @@ from mixseq.coding.bitstream import predictor_kernels as kernels
 from mixseq.coding.bitstream.predictor_kernels import UNIT
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.stencils import stencils
+from mixseq.polygons import frozen
 
 SIMILAR, SIMILAR_FRAMES = 8, 16
 """So many nodes that are most like a node are joined to it: vertices, or frames. Frozen: breaks files."""
@@ -106,7 +107,7 @@ class Predictor:
         """Predict nodes from these, with these weights as long as nothing is known about them."""
         self.neighbours = neighbours.astype(np.int32)
         self.counts = counts.astype(np.int32)
-        self._start = kernels.rounded(weights)
+        self._start = kernels.rounded(frozen(weights))  # as those of stencils are: one type to numba
         self.weights = self._start.copy()
         self._blocks, self._sizes = blocks(self.counts)
         entries = self._sizes.astype(np.int64) * (self._sizes + 1) // 2 - 1

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.growing import Corners, after, before
-from mixseq.compiled import compiled, constant
+from mixseq.compiled import compiled
 
-COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = (constant(kind) for kind in range(5))
+COPIED, AROUND, BEYOND, BESIDE, ANYWHERE = range(5)
 """What a guess is made of. Frozen: breaks old files."""
 
 

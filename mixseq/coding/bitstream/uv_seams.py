@@ -17,12 +17,12 @@ import numpy as np
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.bit_mixing import Bits, code
 from mixseq.coding.bitstream.growing import Corners, after, before
-from mixseq.compiled import compiled, constant
+from mixseq.compiled import compiled
 
 SEAM_KINDS = 4
 """Kinds of bits with weights of their own. Frozen: breaks old files."""
 
-_INTO, _OUT, _OTHER, _BOTH = (constant(kind) for kind in range(SEAM_KINDS))
+_INTO, _OUT, _OTHER, _BOTH = range(SEAM_KINDS)
 """The node beyond the edge into the corner, beyond that out of it, another node, that of both edges. Frozen: breaks
 old files."""
 

@@ -41,7 +41,7 @@ from mixseq.coding.bitstream.uv_guesses import (
     make_guess,
 )
 from mixseq.coding.bitstream.uv_seams import SEAM_KINDS
-from mixseq.compiled import compiled, constant
+from mixseq.compiled import compiled
 
 _GROUPS = 4
 """Guesses whose misses are alike: around and beyond, copied, beside, anywhere. Frozen: breaks old files."""
@@ -59,10 +59,10 @@ LARGEST = 1 << 26
 _TOLERATED = 8
 """Copies that are farther off, and farther than another guess, are no copies. Frozen: breaks old files."""
 
-_BACK, _PLACE = constant(2 * _GROUPS), constant(2 * _GROUPS + 1)
+_BACK, _PLACE = 2 * _GROUPS, 2 * _GROUPS + 1
 """Numbers about regions. Frozen: breaks old files."""
 
-_NONE = constant(-1)
+_NONE = -1
 """No node, of the type of nodes. Free: it saves a compilation."""
 
 _FIRST_SIZES = (64, 64, 160, 160)
