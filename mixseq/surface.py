@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import FloatArray, IntArray
+from mixseq.arrays import FloatArray, Index, IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons, as_indices, frozen
 from mixseq.renamed import renamed_attributes
@@ -238,6 +238,20 @@ class Surface:
                 )
         if self.objects:
             _check_objects(self.objects, polygons, vertex_count)
+
+
+def by_first_use(numbers: IntArray) -> Index:
+    """Return numbers that are equal where these are, 0, 1, 2, ... as they come: hard edges tell no more.
+
+    Examples
+    --------
+    >>> by_first_use(np.array([7, 3, 7, 5])).tolist()
+    [0, 1, 0, 2]
+    """
+    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number.reshape(-1)]
 
 
 def _flat(indices: ArrayLike, what: str) -> IntArray:

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mixseq.arrays import FloatArray, Index, IntArray
+from mixseq.arrays import FloatArray, Index
 from mixseq.choices import OrderName
 from mixseq.polygon_matching import matched
 from mixseq.polygons import Polygons
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, header_fields
-from mixseq.surface import CornerValues, FaceSet, Surface
+from mixseq.surface import CornerValues, FaceSet, Surface, by_first_use
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Renumbering:
         return replace(
             surface,
             uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[self.corners]),
-            hard_edges=None if hard_edges is None else _by_first_use(hard_edges[self.corners]),
+            hard_edges=None if hard_edges is None else by_first_use(hard_edges[self.corners]),
             face_sets=tuple(
                 FaceSet(each.name, new[each.polygons], each.material) for each in surface.face_sets
             ),
@@ -170,12 +170,6 @@ def _corners(starts: Index, sizes: Index, begin: Index) -> Index:
     first = np.cumsum(sizes) - sizes
     along = np.arange(int(sizes.sum())) - np.repeat(first - begin, sizes)
     return np.asarray(np.repeat(starts, sizes) + along % np.repeat(sizes, sizes), dtype=np.int64)
-
-
-def _by_first_use(numbers: IntArray) -> Index:
-    """Return numbers that are equal where these are: 0, 1, 2, ... as they come, which takes the fewest bytes."""
-    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
-    return np.asarray(_inverse(np.argsort(first))[number], dtype=np.int64)
 
 
 def _is_sorted(numbers: Index) -> bool:

@@ -47,7 +47,7 @@ from mixseq_io.hdf5.stream_index import Container, Stream, StreamIndex, facts_of
 from mixseq_io.memory import check_memory
 
 _OF_ELEMENT, _OF_CORNER = 64, 256
-"""Bytes that decoding takes for each vertex, corner and frame, and more for each corner with texture coordinates."""
+"""Bytes that decoding takes for each vertex, corner and frame, and more for each corner if something may be on it."""
 
 _DECODED = 16
 """Bytes that decoding takes for each number of a basis and its coefficients."""
@@ -176,7 +176,8 @@ def read_header(
     facts = facts_of(path, container)
     told = [facts.get(f"{what}_count") for what in ("vertex", "corner", "frame")]
     elements = sum(each for each in told if isinstance(each, int))
-    corner = _OF_CORNER * told[1] if "uvs" in ground and isinstance(told[1], int) else 0
+    on_corners = "uvs" in ground or ground["surface"]
+    corner = _OF_CORNER * told[1] if on_corners and isinstance(told[1], int) else 0
     check_memory(path, _OF_ELEMENT * elements + corner, "mesh and times")
     parameters = read_parameters(path, container)
     try:
@@ -187,7 +188,7 @@ def read_header(
         if sum(chunk.count for chunk in index.chunks) != frames:
             raise FormatError(f"its chunks do not add up to {frames} frames")
         mesh = _polygons(ground["connectivity"], (polygons, corners, vertices), parameters.revision)
-        surface = unpack_surface(ground["surface"], path.parent)
+        surface = unpack_surface(ground["surface"], path.parent, (mesh, vertices))
         if "uvs" in ground and parameters.uv_steps is not None:
             surface = replace(surface, uvs=_uvs(ground["uvs"], mesh, vertices, parameters))
         return SequenceHeader(

@@ -130,7 +130,8 @@ def room_for_signals(
         If there are none, or `uv_error` is out of range, or there is no such `order`.
     """
     header = cheapest_numbering(header, order).of_header(header)
-    connectivity, surface, times, *textures = map(len, _ground(*with_quantised_uvs(header, uv_error, uvs)))
+    ground = _ground(*with_quantised_uvs(header, uv_error, uvs))
+    connectivity, surface, times, *textures = map(len, ground)
     surface += sum(textures)
     container = _CONTAINER + times + _INDEX * (1 + header.frame_count // 64)
     taken = connectivity + surface + container
@@ -161,7 +162,7 @@ def _ground(header: SequenceHeader, uv_steps: int | None, revision: int = 2) -> 
         surface = replace(surface, uvs=None)
     return [
         connectivity,
-        pack_surface(surface),
+        pack_surface(surface, (polygons, header.vertex_count) if revision > 1 else None),
         pack_times(header.times, header.fps),
         *textures,
     ]

@@ -17,10 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_check, without_check
+from mixseq.coding.bitstream.hard_edges import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
-from mixseq.surface import Surface
+from mixseq.polygons import Polygons
+from mixseq.surface import Surface, by_first_use
 from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
+
+Mesh = tuple[Polygons, int]
+"""Polygons, and the number of vertices."""
+
+_HARD_EDGES = "hard_edges"
+"""The array of coded hard edges; `creases` are numbers of normals. Frozen: breaks old files."""
 
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
 """How surfaces are compressed. Frozen: breaks old files."""
@@ -73,15 +82,16 @@ def _inflated(packed: bytes, size: int) -> bytes:
     return data
 
 
-def pack_surface(surface: Surface) -> bytes:
+def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
     """Return everything a surface has, empty if it has nothing.
 
     A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
-    all of it compressed by lzma.
+    all of it compressed by lzma. With the `mesh` that it is on, hard edges are coded by
+    `mixseq.coding.bitstream.hard_edges`, if they can be: model version 8.
     """
     listed: list[list[Any]] = []
     data = []
-    for name, array in surface_arrays(surface).items():
+    for name, array in _with_coded_hard_edges(surface, mesh).items():
         if array.dtype.kind == "U":
             listed.append([name, array.tolist()])
         else:
@@ -94,8 +104,19 @@ def pack_surface(surface: Surface) -> bytes:
     return lzma.compress(b"\0".join([text, b"".join(data)]), lzma.FORMAT_RAW, filters=_FILTERS)
 
 
-def unpack_surface(packed: bytes, folder: Path) -> Surface:
-    """Return the surface that `pack_surface` was given; `folder` as in `surface_of_arrays`.
+def _with_coded_hard_edges(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
+    arrays = surface_arrays(surface)
+    coded = None
+    if mesh is not None and surface.hard_edges is not None:
+        coded = encode_hard_edges(*mesh, surface.hard_edges)
+    if coded is None:
+        return arrays
+    checked = with_check(coded, check_of(by_first_use(arrays.pop("creases"))))
+    return arrays | {_HARD_EDGES: np.frombuffer(checked, dtype=np.uint8)}
+
+
+def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
+    """Return the surface on a mesh that `pack_surface` was given; `folder` as in `surface_of_arrays`.
 
     Raises
     ------
@@ -112,7 +133,13 @@ def unpack_surface(packed: bytes, folder: Path) -> Surface:
                 f"the surface takes more than {gigabytes(limit)} of memory, the limit (--max-memory)"
             )
         text, _, data = whole.partition(b"\0")
-        return surface_of_arrays(_arrays(json.loads(text), data), folder)
+        arrays = _arrays(json.loads(text), data)
+        coded = arrays.pop(_HARD_EDGES, None)
+        if coded is not None:
+            stream, expected = without_check(coded.tobytes())
+            arrays["creases"] = decode_hard_edges(stream, *mesh)
+            refuse_others(check_of(arrays["creases"]), expected)
+        return surface_of_arrays(arrays, folder)
     except (lzma.LZMAError, ValueError, TypeError, KeyError, IndexError) as error:
         raise FormatError(f"the surface is damaged ({error})") from error
 

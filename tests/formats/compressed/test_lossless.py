@@ -16,11 +16,12 @@ from mixseq.coding.bitstream.entropy import pack_leb128, unpack_leb128
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, by_first_use
 from mixseq_io.hdf5.compressed_reader import read_compressed
 from mixseq_io.hdf5.compressed_writer import compressed_sizes
 from mixseq_io.hdf5.lossless import pack_surface, pack_times, unpack_surface, unpack_times
 from tests.formats.compressed.stream_cases import any_bytes
+from tests.meshes import tube
 
 
 def test_regular_times_take_nothing() -> None:
@@ -52,6 +53,9 @@ def test_another_number_of_times_is_refused(count: int) -> None:
 @given(st.lists(st.integers(0, 2**70)))
 def test_whole_numbers(numbers: list[int]) -> None:
     assert list(unpack_leb128(pack_leb128(numbers))) == numbers
+
+
+MESH = Polygons(np.array([4, 3]), np.arange(7)), 7
 
 
 def full() -> Surface:
@@ -87,7 +91,7 @@ def test_surfaces_come_back(tmp_path: Path, coded: CompressedSequence) -> None:
 
 def test_no_surface_takes_nothing(tmp_path: Path) -> None:
     assert pack_surface(Surface()) == b""
-    bare = unpack_surface(b"", tmp_path)
+    bare = unpack_surface(b"", tmp_path, MESH)
     assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
 
 
@@ -97,14 +101,32 @@ def test_texture_coordinates_of_a_grid_take_little(tmp_path: Path) -> None:
     uvs = CornerValues(np.stack([u.reshape(-1), v.reshape(-1)], axis=1), np.arange(count))
     packed = pack_surface(Surface(uvs=uvs))
     assert len(packed) < 3 * count
-    got = unpack_surface(packed, tmp_path).uvs
+    got = unpack_surface(packed, tmp_path, MESH).uvs
     assert got is not None
     np.testing.assert_array_equal(got.at_corners, uvs.at_corners)
+
+
+def test_hard_edges_are_coded_on_their_mesh(tmp_path: Path) -> None:
+    """As numbers of normals they take some bytes for each vertex; those that vertices share stay so."""
+    polygons = Polygons.from_triangles(tube(12, 40)[1])
+    mesh = polygons, int(polygons.indices.max()) + 1
+    shuffled = np.random.default_rng(0).permutation(mesh[1])[polygons.indices]
+    for numbers, most in ((shuffled, 0.1), (shuffled // 2, 1.1)):
+        surface = Surface(hard_edges=numbers)
+        packed, plain = pack_surface(surface, mesh), pack_surface(surface)
+        assert len(packed) < most * len(plain)
+        for data in (packed, plain):
+            found = unpack_surface(data, tmp_path, mesh).hard_edges
+            assert found is not None
+            np.testing.assert_array_equal(by_first_use(found), by_first_use(numbers))
+    with pytest.raises(FormatError, match="hard edges at 21 corners"):
+        other = Polygons.from_triangles(np.arange(21).reshape(7, 3)), 21
+        unpack_surface(pack_surface(Surface(hard_edges=shuffled), mesh), tmp_path, other)
 
 
 @pytest.mark.parametrize("size", [1, 20, 100])
 def test_damaged_surfaces_are_refused(size: int, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="the surface is damaged"):
-        unpack_surface(pack_surface(full())[:size], tmp_path)
+        unpack_surface(pack_surface(full())[:size], tmp_path, MESH)
     with pytest.raises(FormatError, match="the surface is damaged"):
-        unpack_surface(any_bytes(size), tmp_path)
+        unpack_surface(any_bytes(size), tmp_path, MESH)
