@@ -28,13 +28,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.compiled import compiled
+from mixseq.compiled import compiled, inlined
 
 Small = NDArray[np.int32]
 Byte = NDArray[np.uint8]
 
 QUEUES = 16
 """Number of queues. The first has bits about which nothing is known. Frozen: breaks old files."""
+
+INPUTS = 8
+"""Number of contexts of a bit. Frozen: breaks old files."""
 
 SLOTS = 1 << 16
 """Contexts of an input that are told apart; more share their frequencies. Frozen: breaks old files."""
@@ -70,18 +73,20 @@ class Bits(NamedTuple):
         is put.
     failed : (1,) int64
         Whether a queue had no more bits.
-    contexts : (inputs,) int64
+    contexts : (INPUTS,) int64
         To be set before every bit: what the inputs know, any numbers.
-    slots : (inputs,) int64
+    slots : (INPUTS,) int64
         Where the contexts of the current bit are found.
-    shares : (inputs, SLOTS) int32
+    shares : (INPUTS, SLOTS) int32
         Frequencies of 1 and from how many bits they are: ``256 p + bits``.
-    weights : (sets, inputs) int64
+    weights : (sets, INPUTS) int64
         Weights. Bits of different kinds have sets of their own.
-    logits : (inputs,) int64
+    logits : (INPUTS,) int64
         The inputs x of the current bit.
-    stretch, squash, steps : int64
-        Tables of x of p, of p of x, and of the rates of frequencies.
+    stretch, squash : int32
+        Tables of x of p, and of p of x.
+    steps : (_PATIENCE + 1,) int64
+        Rates of frequencies.
     """
 
     decoding: bool
@@ -94,20 +99,20 @@ class Bits(NamedTuple):
     shares: Small
     weights: Index
     logits: Index
-    stretch: Index
-    squash: Index
+    stretch: Small
+    squash: Small
     steps: Index
 
 
-def bits_to_code(room: int, inputs: int, sets: int) -> Bits:
+def bits_to_code(room: int, sets: int) -> Bits:
     """Return a state in which nothing is known, with room for so many bits to be coded."""
-    return _bits(False, np.empty(room, dtype=np.uint8), np.zeros(QUEUES, dtype=np.int64), inputs, sets)
+    return _bits(False, np.empty(room, dtype=np.uint8), np.zeros(QUEUES, dtype=np.int64), sets)
 
 
-def bits_to_decode(queues: list[Index], inputs: int, sets: int) -> Bits:
+def bits_to_decode(queues: list[Byte], sets: int) -> Bits:
     """Return a state in which nothing is known, with queues of bits."""
     lengths = np.array([len(queue) for queue in queues], dtype=np.int64)
-    return _bits(True, np.concatenate(queues).astype(np.uint8), lengths, inputs, sets)
+    return _bits(True, np.concatenate(queues), lengths, sets)
 
 
 def queues_of(bits: Bits) -> list[Byte]:
@@ -116,7 +121,7 @@ def queues_of(bits: Bits) -> list[Byte]:
     return [coded[coded >> 1 == queue] & 1 for queue in range(QUEUES)]
 
 
-def _bits(decoding: bool, queued: Byte, lengths: Index, inputs: int, sets: int) -> Bits:
+def _bits(decoding: bool, queued: Byte, lengths: Index, sets: int) -> Bits:
     squash = np.ones(2 * _FAR + 1)
     factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
     for x in range(_FAR):
@@ -130,18 +135,18 @@ def _bits(decoding: bool, queued: Byte, lengths: Index, inputs: int, sets: int) 
         heads=ends - lengths,
         ends=ends,
         failed=np.zeros(1, dtype=np.int64),
-        contexts=np.zeros(inputs, dtype=np.int64),
-        slots=np.zeros(inputs, dtype=np.int64),
-        shares=np.full((inputs, SLOTS), 1 << 23, dtype=np.int32),
-        weights=np.full((sets, inputs), _FIRST_WEIGHT, dtype=np.int64),
-        logits=np.zeros(inputs, dtype=np.int64),
-        stretch=np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR,
-        squash=squash.astype(np.int64),
+        contexts=np.zeros(INPUTS, dtype=np.int64),
+        slots=np.zeros(INPUTS, dtype=np.int64),
+        shares=np.full((INPUTS, SLOTS), 1 << 23, dtype=np.int32),
+        weights=np.full((sets, INPUTS), _FIRST_WEIGHT, dtype=np.int64),
+        logits=np.zeros(INPUTS, dtype=np.int64),
+        stretch=(np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR).astype(np.int32),
+        squash=squash.astype(np.int32),
         steps=(1 << 17) // (2 * np.arange(_PATIENCE + 1, dtype=np.int64) + 3),
     )
 
 
-@compiled
+@inlined
 def code(bits: Bits, kind: int, bit: int) -> int:
     """Code or decode a bit in the contexts that were set, learn from it, and return it.
 
@@ -162,7 +167,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
         bits.logits,
     )
     x = 0
-    for i in range(len(weights)):
+    for i in range(INPUTS):
         slot = (contexts[i] * SPREAD >> 48) & (SLOTS - 1)
         slots[i] = slot
         logit = bits.stretch[shares[i, slot] >> 12]
@@ -182,7 +187,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
         bits.queued[bits.heads[0]] = 2 * queue + (bit ^ likely)
         bits.heads[0] += 1
     error = ((bit << 16) - bits.squash[x + _FAR]) >> 4
-    for i in range(len(weights)):
+    for i in range(INPUTS):
         weights[i] += (logits[i] * error * _RATE + (1 << 15)) >> 16
         slot = slots[i]
         share, seen = shares[i, slot] >> 8, shares[i, slot] & 255

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import QUEUES, Bits, bits_to_decode, queues_of
+from mixseq.coding.bitstream.bit_mixing import QUEUES, Bits, Byte, bits_to_decode, queues_of
 from mixseq.coding.bitstream.entropy import Reader, Tables, Writer, pack_leb128, unpack_leb128
 from mixseq.errors import FormatError
 
@@ -35,7 +35,7 @@ def pack_queues(bits: Bits) -> bytes:
     return pack_leb128(lengths.tolist()) + writer.finish()
 
 
-def unpack_queues(data: bytes, most: int, inputs: int, sets: int, what: str) -> Bits:
+def unpack_queues(data: bytes, most: int, sets: int, what: str) -> Bits:
     """Return the state from which the bits are decoded that `pack_queues` was given.
 
     Parameters
@@ -44,8 +44,8 @@ def unpack_queues(data: bytes, most: int, inputs: int, sets: int, what: str) -> 
         What `pack_queues` returned.
     most : int
         How many bits there can be. Memory grows with the bits.
-    inputs, sets : int
-        As in `bits_to_code`.
+    sets : int
+        Sets of weights, as in `bits_to_code`.
     what : str
         What the bits are of, for messages.
 
@@ -58,12 +58,12 @@ def unpack_queues(data: bytes, most: int, inputs: int, sets: int, what: str) -> 
     if sum(lengths) > most:
         raise FormatError(f"{sum(lengths)} bits are too many for {what}; the file is damaged")
     reader, tables = Reader(data[start:]), _tables()
-    queues: list[list[Index]] = [[np.zeros(0, dtype=np.int64)] for _ in range(QUEUES)]
+    queues: list[list[Byte]] = [[np.zeros(0, dtype=np.uint8)] for _ in range(QUEUES)]
     for _, sizes in _rounds(np.array(lengths)):
-        part = reader.get(np.repeat(np.arange(QUEUES), sizes), tables)
+        part = (reader.get(np.repeat(np.arange(QUEUES), sizes), tables) & 1).astype(np.uint8)
         for queue, numbers in zip(queues, np.split(part, np.cumsum(sizes)[:-1]), strict=True):
             queue.append(numbers)
-    return bits_to_decode([np.concatenate(queue) & 1 for queue in queues], inputs, sets)
+    return bits_to_decode([np.concatenate(queue) for queue in queues], sets)
 
 
 def all_decoded(bits: Bits) -> bool:

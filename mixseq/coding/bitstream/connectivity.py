@@ -22,7 +22,7 @@ import numpy as np
 from mixseq.coding.bitstream.bit_mixing import bits_to_code
 from mixseq.coding.bitstream.bit_queues import all_decoded, pack_queues, unpack_queues
 from mixseq.coding.bitstream.connectivity_kernels import KINDS, LONGEST, walk
-from mixseq.coding.bitstream.corner_guesses import GUESSES, INPUTS, no_past
+from mixseq.coding.bitstream.corner_guesses import GUESSES, no_past
 from mixseq.coding.bitstream.half_edges import no_half_edges
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.polygons import Polygons
@@ -51,7 +51,7 @@ def encode_polygons(polygons: Polygons, vertex_count: int) -> bytes:
             f"corners have vertices {lowest} to {highest}; with {vertex_count} vertices, 0 to {vertex_count - 1} exist"
         )
     counts, indices = polygons.counts.astype(np.int64), polygons.indices.astype(np.int64)
-    bits = bits_to_code(_most_bits(len(counts), len(indices)), INPUTS, KINDS)
+    bits = bits_to_code(_most_bits(len(counts), len(indices)), KINDS)
     walk(bits, no_half_edges(len(indices), vertex_count), no_past(vertex_count), counts, indices)
     return pack_queues(bits)
 
@@ -84,7 +84,7 @@ def decode_polygons(data: bytes, polygon_count: int, corner_count: int, vertex_c
         if data or corner_count:
             raise FormatError(f"a mesh with {mesh} has no coded corners; the file is damaged")
         return Polygons(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
-    bits = unpack_queues(data, _most_bits(polygon_count, corner_count), INPUTS, KINDS, mesh)
+    bits = unpack_queues(data, _most_bits(polygon_count, corner_count), KINDS, mesh)
     counts, indices = np.zeros(polygon_count, dtype=np.int64), np.zeros(corner_count, dtype=np.int64)
     walk(bits, no_half_edges(corner_count, vertex_count), no_past(vertex_count), counts, indices)
     if not all_decoded(bits):

@@ -15,11 +15,10 @@ changes these must change this file, too. Format 1.
 from __future__ import annotations
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import Bits, code
+from mixseq.coding.bitstream.bit_mixing import INPUTS, Bits, code
 from mixseq.coding.bitstream.corner_guesses import (
     BASES,
     GUESSES,
-    INPUTS,
     Past,
     make_guesses,
     remember,

@@ -32,12 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.bit_mixing import SPREAD
+from mixseq.coding.bitstream.bit_mixing import INPUTS, SPREAD
 from mixseq.coding.bitstream.half_edges import INTO, OUT_OF, HalfEdges
 from mixseq.compiled import inlined
-
-INPUTS = 8
-"""Number of contexts of a bit. Frozen: breaks old files."""
 
 GUESSES = 16
 """Number of guesses at a corner. Frozen: breaks old files."""

@@ -28,9 +28,6 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.surface import CornerValues
 
-_INPUTS = 8
-"""Contexts of a bit. Frozen: breaks old files."""
-
 _FIRST_WEIGHT = 11000
 """Weights to begin with, in units of 2^-16. Frozen: breaks old files."""
 
@@ -94,7 +91,7 @@ def code_uvs(polygons: Polygons, vertex_count: int, numbers: Index, regions: Ind
     """
     keys = np.column_stack([polygons.indices, numbers])
     labels = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    bits = bits_to_code(_most_bits(len(labels), 0), _INPUTS, SEAM_KINDS + VALUE_KINDS)
+    bits = bits_to_code(_most_bits(len(labels), 0), SEAM_KINDS + VALUE_KINDS)
     corners, count = _walked_seams(bits, polygons, vertex_count, labels)
     room = np.empty(_most_bits(0, count + len(polygons.counts)), dtype=np.uint8)
     bits = bits._replace(queued=np.concatenate([bits.queued[: bits.heads[0]], room]))
@@ -114,7 +111,7 @@ def decode_uvs(data: bytes, polygons: Polygons, vertex_count: int, steps: int) -
     """
     what = f"texture coordinates at {polygons.indices.size} corners"
     most = _most_bits(polygons.indices.size, polygons.indices.size + len(polygons.counts))
-    bits = unpack_queues(data, most, _INPUTS, SEAM_KINDS + VALUE_KINDS, what)
+    bits = unpack_queues(data, most, SEAM_KINDS + VALUE_KINDS, what)
     corners, count = _walked_seams(bits, polygons, vertex_count, np.zeros(polygons.indices.size, np.int64))
     if not bits.failed[0]:
         _, known = _walked_values(bits, corners, np.zeros((count, 2), dtype=np.int64), None)

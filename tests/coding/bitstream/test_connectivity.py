@@ -210,13 +210,13 @@ def test_states_of_vertices() -> None:
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 1)), max_size=300))
 @settings(max_examples=50, deadline=None)
 def test_mixed_bits_come_back(pairs: list[tuple[int, int]]) -> None:
-    coder = bits_to_code(len(pairs), 2, 1)
+    coder = bits_to_code(len(pairs), 1)
     for context, bit in pairs:
-        coder.contexts[:] = context, 0
+        coder.contexts[:2] = context, 1
         assert code(coder, 0, bit) == bit
-    decoder = bits_to_decode([queue.astype(np.int64) for queue in queues_of(coder)], 2, 1)
+    decoder = bits_to_decode(queues_of(coder), 1)
     for context, bit in pairs:
-        decoder.contexts[:] = context, 0
+        decoder.contexts[:2] = context, 1
         assert code(decoder, 0, 0) == bit
     assert decoder.heads.tolist() == decoder.ends.tolist()
     assert not decoder.failed[0]
@@ -225,12 +225,12 @@ def test_mixed_bits_come_back(pairs: list[tuple[int, int]]) -> None:
 
 
 def test_bits_that_are_always_the_same_become_certain() -> None:
-    coder = bits_to_code(2000, 2, 1)
+    coder = bits_to_code(2000, 1)
     for _ in range(2000):
         code(coder, 0, 1)
     queues = queues_of(coder)
     assert sum(len(queue) for queue in queues[QUEUES // 2 :]) > 1900
-    assert sum(int(queue.sum()) for queue in queues) == 1  # the first came unexpected
+    assert sum(int(queue.sum()) for queue in queues) <= 1  # the first may come unexpected
 
 
 # Real meshes ------------------------------------------------------------------------------------------------
