@@ -6,15 +6,12 @@ its vertices. So parts cost little, however many frames there are; and so do err
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from mixseq.arrays import Float
-from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import Block, Part
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 
@@ -23,9 +20,6 @@ ZEROS = 3
 
 VANISHING = 0.55
 """Numbers below this share of a step are rounded to zero."""
-
-FEWEST = 64
-"""Parts with fewer vertices are looked at whole."""
 
 _AT_ONCE = 16
 """So many vectors are computed at once."""
@@ -70,12 +64,10 @@ class PartComponents:
     ----------
     norms : (K,) float64
         Norms of the vectors that are coded, in the units of the sequence.
-    weight : float
-        For how many vertices each of those that are looked at stands.
     """
 
     def __init__(self, components: PrincipalComponents, part: Part, least: float) -> None:
-        self.part, self.weight, self.norms = part, 1.0, components.norms
+        self.part, self.norms = part, components.norms
         self._components = components
         cubes = components.vectors
         if len(part.vertices) < cubes.shape[2]:
@@ -89,19 +81,6 @@ class PartComponents:
             self._ready = [root * components.mean, *cubes]
             self.norms = np.append(root * np.linalg.norm(components.mean), self.norms)
         self._loadings = cubes.reshape(len(cubes), -1)
-
-    def coarse(self, share: float) -> PartComponents:
-        """Return the same components, known only at a share of the vertices: those that are coded first."""
-        graph = self.part.graph
-        count = max(round(share * graph.size), min(graph.size, FEWEST))
-        nodes = graph.order[:count]
-        other = copy(self)
-        other.part = Part(self.part.vertices[nodes], first_nodes(graph, count))
-        other.weight = self.weight * graph.size / count
-        cubes = self._loadings.reshape(len(self._loadings), self.coordinates, -1)[..., nodes]
-        other._loadings = cubes.reshape(len(cubes), -1)
-        other._ready = [vector[:, nodes] for vector in self._ready]
-        return other
 
     @property
     def coordinates(self) -> int:
@@ -166,26 +145,6 @@ def _turned(loadings: Float, least: float) -> tuple[Float, Float, Float]:
     kept = max(1, min(int(np.count_nonzero(values > least**2)), loadings.shape[1]))
     directions = np.ascontiguousarray(vectors[:, ::-1][:, :kept].T)
     return directions, directions @ means, np.sqrt(np.maximum(values[::-1][:kept], 0.0))
-
-
-def first_nodes(graph: SignalGraph, count: int) -> SignalGraph:
-    """Return the graph of the nodes that are coded first, in the order of their coding."""
-    sizes = np.diff(graph.ring_starts)
-    inside = (np.repeat(np.arange(graph.size), sizes) < count) & (graph.ring < count)
-    starts = np.append(0, np.cumsum(inside))[graph.ring_starts[: count + 1]]
-    batches = tuple(
-        slice(batch.start, min(batch.stop, count)) for batch in graph.batches if batch.start < count
-    )
-    return replace(
-        graph,
-        order=np.arange(count),
-        batches=batches,
-        neighbours=graph.neighbours[:count],
-        counts=graph.counts[:count],
-        weights=graph.weights[:count],
-        ring=graph.ring[inside],
-        ring_starts=starts,
-    )
 
 
 def _solved(gram: Float, right: Float) -> Float:

@@ -17,10 +17,9 @@ from functools import cache, partial
 import numpy as np
 
 from mixseq.coding.bitstream.signal_graph import SignalGraph
-from mixseq.coding.bitstream.spatial_basis import BasisKind
-from mixseq.coding.encoder.part_merging import vertex_parts
-from mixseq.coding.encoder.part_refinement import refined
-from mixseq.coding.encoder.principal_components import shapes, trajectories
+from mixseq.coding.encoder import candidates
+from mixseq.coding.encoder.candidates import Way, Ways, expected_error, step_of
+from mixseq.coding.encoder.principal_components import trajectories
 from mixseq.coding.encoder.residuals import with_residuals
 from mixseq.coding.encoder.trial import Candidate, Trial, squared_error, try_step
 from mixseq.errors import SettingsError
@@ -33,7 +32,7 @@ ROUNDS = 6
 CLOSE = 0.01
 """An error, or a size, may be below what was asked for by this share."""
 
-SLOPE = 0.6
+SLOPE = 0.4
 """About the power of the error with which sizes fall."""
 
 FIRST = 0.002
@@ -45,21 +44,13 @@ RATIO = 0.3
 FACTOR = 1.5
 """Ratio of the steps that are tried for a bound."""
 
-SHAPES = 1.65
-"""Shapes are tried unless they have so many more bits, unpredicted: they are predicted better, but not that much."""
-
 NEARLY = 1.02
 """The best two are tried with several steps, if their sizes at the first step are so near."""
 
-PARTS, START = (3, 6, 12), 6
-"""So many parts are tried, beginning in the middle, then more or fewer as long as bytes become fewer."""
+START = 6
+"""So many parts are tried first, then more or fewer as long as bytes become fewer."""
 
-NODES, LARGE = 8000, 0.7
-"""Candidates are compared on so many vertices, if these are at most this share of all."""
-
-KINDS: tuple[BasisKind, ...] = ("trajectories", "shapes")
-
-GUESS = 0.75
+GUESS = 0.9
 """Error of the first step, relative to what is expected of it."""
 
 TINY = 1e-9
@@ -84,42 +75,28 @@ class Search:
 
     def _first_trials(self, error: float) -> list[Trial]:
         """Try candidates with steps that should make an error; return those that may be the best, best first."""
-        header, graph = self._sequence.header, self._graph
         least = 0.1 * error / float(np.sqrt(3 * len(self._sequence.points)))
-        components = trajectories(self._sequence, least)
-        labels = {1: np.zeros(graph.size, dtype=np.int64)}
-        if "trajectories" in KINDS:
-            labels |= vertex_parts(self._sequence, PARTS)
-        one = Candidate.of(components, labels[1], header.faces, graph)
-        found: list[tuple[float, Candidate, Trial]] = []
-
-        def tried(candidate: Candidate) -> float:
-            share = min(1.0, NODES / graph.size)
-            looked_at = candidate.coarse(share) if share < LARGE else candidate
-            trial = self._try(looked_at, step_of(candidate, error / self._wrong))
-            self._wrong *= float(np.clip(trial.error / error, 0.5, 2.0))
-            found.append((_size_at(trial, error), candidate, trial))
-            return found[-1][0]
+        ways = Ways(self._sequence, self._graph, trajectories(self._sequence, least), least, error)
+        found: list[tuple[float, Way, Trial]] = []
 
         @cache
-        def with_parts(number: int) -> float:
-            if number == 1:
-                return tried(one)
-            better = refined(components, labels[number], header.faces, step_of(one, error))
-            return tried(Candidate.of(components, better, header.faces, graph, least))
+        def tried(way: Way) -> float:
+            candidate = ways.coarse(way)
+            trial = self._try(candidate, step_of(candidate, error / self._wrong))
+            self._wrong *= float(np.clip(trial.error / error, 0.5, 2.0))
+            found.append((_size_at(trial, error), way, trial))
+            return found[-1][0]
 
-        if "trajectories" in KINDS:
-            _lowest(with_parts, list(labels), START)
-        if "shapes" in KINDS:
-            other = Candidate.of(shapes(components, 3**0.5 * least), labels[1], header.faces, graph)
-            if not found or _bits(other, step_of(other, error)) < SHAPES * _bits(one, step_of(one, error)):
-                tried(other)
+        if "trajectories" in candidates.KINDS:
+            _lowest(tried, [("trajectories", number) for number in ways.numbers], ("trajectories", START))
+        if "shapes" in candidates.KINDS and (not found or ways.shapes_may_pay()):
+            tried(("shapes", 1))
         found.sort(key=lambda each: each[0])
         return [
             trial
-            if trial.candidate is candidate
-            else self._try(candidate, _next_step(trial, error / trial.error))
-            for size, candidate, trial in found[:2]
+            if trial.candidate.share == 1
+            else self._try(ways.whole(way), _next_step(trial, error / trial.error))
+            for size, way, trial in found[:2]
             if size <= NEARLY * found[0][0]
         ]
 
@@ -179,8 +156,8 @@ class Search:
         return best
 
 
-def _lowest(value: Callable[[int], float], numbers: list[int], start: int) -> None:
-    """Look at values of increasing numbers, from one on upwards or else downwards, as long as they fall."""
+def _lowest(value: Callable[[Way], float], numbers: list[Way], start: Way) -> None:
+    """Look at values, from one on to the right or else to the left, as long as they fall."""
     first = place = numbers.index(start) if start in numbers else len(numbers) - 1
     value(numbers[place])
     for direction in (1, -1):
@@ -222,34 +199,7 @@ def _size_at(trial: Trial, error: float) -> float:
     return float(trial.size * (max(trial.error, TINY * error) / error) ** SLOPE)
 
 
-def expected_error(candidate: Candidate, step: float) -> float:
-    """Return about which error a step makes.
-
-    Squared, it is s^2 / 12 for every number of a vector and of its coefficients, or all of the vector, if that is less.
-    """
-    squares, rows = 0.0, candidate.components.curves[0].size
-    for part in candidate.parts:
-        numbers = part.weight * part.width + rows
-        squares += float(np.minimum(np.square(part.norms), numbers * step**2 / 12).sum())
-    return float(np.sqrt(squares))
-
-
-def step_of(candidate: Candidate, error: float) -> float:
-    """Return the step that is expected to make an error."""
-    low, high = 1e-12 * error, error
-    for _ in range(60):
-        step = float(np.sqrt(low * high))
-        low, high = (step, high) if expected_error(candidate, step) < error else (low, step)
-    return low
-
-
 def _slope(trial: Trial) -> float:
     """Return about the power of the step with which the error grows."""
     finer, coarser = (expected_error(trial.candidate, trial.step * factor) for factor in (0.9, 1.1))
     return float(max(np.log(coarser / finer) / np.log(1.1 / 0.9), 0.1)) if finer > 0 else 1.0
-
-
-def _bits(candidate: Candidate, step: float) -> float:
-    """Return how many bits one part would cost if nothing were known of its components but their norms."""
-    [part] = candidate.parts
-    return float(part.width * np.log2(np.maximum(part.norms / (step * part.width**0.5), 1.0)).sum())

@@ -7,7 +7,7 @@ has it*, which makes good for some of the error of rounding; then they are round
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -34,7 +34,7 @@ from mixseq.frame_store import FrameStore, block_size, blocks_of
 CHUNK = 512
 """A chunk has about so many frames."""
 
-FINER = 0.6
+FINER = 0.35
 """Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
 
 DIGITS = 1e-10
@@ -56,7 +56,7 @@ class Candidate:
     labels : (V,) int64
         Part of every vertex.
     share : float
-        Share of the vertices that are looked at.
+        Share of a larger mesh that these vertices are.
     """
 
     components: PrincipalComponents
@@ -73,15 +73,12 @@ class Candidate:
         faces: NDArray[np.integer],
         graph: SignalGraph,
         least: float = 0.0,
+        share: float = 1.0,
     ) -> Candidate:
         """Make one with parts by labels ``(V,)``; components of parts with a norm below `least` left out."""
         parts = parts_of(labels, faces) if labels.any() else whole(graph)
         found = tuple(PartComponents(components, part, least) for part in parts)
-        return cls(components, found, graph, labels)
-
-    def coarse(self, share: float) -> Candidate:
-        """Return the candidate looked at on a share of the vertices only, which is quick."""
-        return replace(self, parts=tuple(part.coarse(share) for part in self.parts), share=share)
+        return cls(components, found, graph, labels, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,7 @@ class Trial:
 
     @cached_property
     def size(self) -> int:
-        """Number of bytes; about, if not all vertices were looked at."""
+        """Number of bytes; if the vertices are a share of a larger mesh, about those of that."""
         of_chunks = sum(len(chunk.coefficients) + len(chunk.residuals) for chunk in self.chunks)
         finer = FINER * (1 / self.candidate.share - 1)
         return round((1 + finer) * sum(map(len, self.basis_streams))) + of_chunks
@@ -145,15 +142,14 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
     basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
     fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
     scales, owners = _varying(basis)
-    weights = np.array([part.weight for part in candidate.parts])
-    # Vectors over more vertices would be longer: their coefficients are as accurate as they would be then.
-    longer = np.sqrt(weights)[owners, None]
+    # Vectors over the larger mesh would be longer: their coefficients are as accurate as they would be then.
+    longer = candidate.share**-0.5
     nearest = in_order(basis, [fit.coefficients for fit in fits])
     decoded, streams = write_coefficients(basis, nearest * (longer / scales[:, None]), step)
     moved = decoded * (scales[:, None] / longer)
     squares = candidate.components.left_out
     for place, fit in enumerate(fits):
-        squares += weights[place] * fit.squares_of(moved[:, owners == place].transpose(1, 0, 2))
+        squares += fit.squares_of(moved[:, owners == place].transpose(1, 0, 2)) / candidate.share
     if squares <= DIGITS * np.square(candidate.components.norms).sum() and candidate.share == 1:
         squares = squared_error(sequence, basis, decoded)
     done = tuple(

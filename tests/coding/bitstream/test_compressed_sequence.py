@@ -38,7 +38,7 @@ def bounded() -> CompressedSequence:
     noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trial, "CHUNK", 100)
-        patch.setattr("mixseq.coding.encoder.search.KINDS", ("trajectories",))
+        patch.setattr("mixseq.coding.encoder.candidates.KINDS", ("trajectories",))
         return compress(smooth.with_points(smooth.points + noise), max_error=0.02)
 
 
@@ -48,7 +48,7 @@ def noisy() -> CompressedSequence:
     points, faces = tube(6, 9)
     noise = np.random.default_rng(1).normal(size=(20, *points.shape))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.encoder.search.KINDS", ("shapes",))
+        patch.setattr("mixseq.coding.encoder.candidates.KINDS", ("shapes",))
         return compress(MeshSequence.from_arrays(points + 0.1 * noise, faces), kg=0.5)
 
 
@@ -61,8 +61,8 @@ def grouped() -> tuple[MeshSequence, CompressedSequence]:
     frames = points + np.einsum("tki,kv->tvi", rng.normal(size=(20, 30, 3)), modes)
     sequence = MeshSequence.from_arrays(frames, faces)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mixseq.coding.encoder.search.KINDS", ("trajectories",))
-        patch.setattr("mixseq.coding.encoder.search.PARTS", (10_000,))
+        patch.setattr("mixseq.coding.encoder.candidates.KINDS", ("trajectories",))
+        patch.setattr("mixseq.coding.encoder.candidates.PARTS", (10_000,))
         return sequence, compress(sequence, kg=0.2)
 
 

@@ -8,9 +8,9 @@ import pytest
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.bitstream.spatial_basis import BasisKind, Part
-from mixseq.coding.encoder.part_components import VANISHING, ZEROS, first_nodes
+from mixseq.coding.encoder.candidates import KINDS, expected_error, step_of
+from mixseq.coding.encoder.part_components import VANISHING, ZEROS
 from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
-from mixseq.coding.encoder.search import KINDS, expected_error, step_of
 from mixseq.coding.encoder.trial import Candidate, decoded_blocks, squared_error, try_step
 from mixseq.frame_store import FrameStore, frame_store
 from tests.meshes import bar
@@ -89,30 +89,3 @@ def test_first_steps_are_near(kind: BasisKind) -> None:
         step = step_of(candidate, error)
         assert expected_error(candidate, step) == pytest.approx(error, rel=1e-3)
         assert 0.4 * error < try_step(SEQUENCE, candidate, step).error < 2 * error
-
-
-# Coarse -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_share_of_the_vertices_tells_about_the_same(kind: BasisKind) -> None:
-    sequence = frame_store(bar(sides=12, rings=60, frames=9))
-    graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
-    components = trajectories(sequence, 0.0)
-    components = components if kind == "trajectories" else shapes(components, 0.0)
-    labels = np.zeros(graph.size, dtype=np.int64)
-    candidate = Candidate.of(components, labels, sequence.header.faces, graph)
-    trials = [try_step(sequence, one, 0.02) for one in (candidate, candidate.coarse(0.4))]
-    assert trials[1].error == pytest.approx(trials[0].error, rel=0.2)
-    assert trials[1].size == pytest.approx(trials[0].size, rel=0.35)
-
-
-def test_first_nodes_are_a_graph() -> None:
-    part = first_nodes(GRAPH, 30)
-    assert part.size == 30
-    assert part.batches[0] == GRAPH.batches[0]
-    assert part.batches[-1].stop == 30
-    for node in range(30):
-        ring = GRAPH.ring[GRAPH.ring_starts[node] : GRAPH.ring_starts[node + 1]]
-        found = part.ring[part.ring_starts[node] : part.ring_starts[node + 1]]
-        np.testing.assert_array_equal(found, ring[ring < 30])

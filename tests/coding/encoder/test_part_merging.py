@@ -141,7 +141,7 @@ def test_parts_are_chosen_only_if_they_pay(
     flying: tuple[MeshSequence, CompressedSequence], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence, coded = flying
-    monkeypatch.setattr("mixseq.coding.encoder.search.PARTS", (10_000,))
+    monkeypatch.setattr("mixseq.coding.encoder.candidates.PARTS", (10_000,))
     one = compress(sequence, kg=0.1)
     assert one.parameters.ranks == ()
     sizes = [

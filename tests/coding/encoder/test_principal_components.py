@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float
 from mixseq.coding.bitstream.spatial_basis import BasisKind
 from mixseq.coding.encoder import principal_components as module
+from mixseq.coding.encoder.candidates import KINDS
 from mixseq.coding.encoder.principal_components import PrincipalComponents
-from mixseq.coding.encoder.search import KINDS
 from mixseq.frame_store import FrameStore, frame_store
 from mixseq.sequence import MeshSequence
 from tests.coding.one_part import principal_components

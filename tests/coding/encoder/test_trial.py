@@ -10,8 +10,8 @@ from mixseq.coding.bitstream.signal_coder import MARGINS
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.bitstream.spatial_basis import GROUP, BasisKind, SpatialBasis, groups, read_coefficients
 from mixseq.coding.encoder import trial as module
+from mixseq.coding.encoder.candidates import KINDS
 from mixseq.coding.encoder.principal_components import PrincipalComponents
-from mixseq.coding.encoder.search import KINDS
 from mixseq.coding.encoder.trial import CHUNK, chunks, write_coefficients
 from mixseq.frame_store import frame_store
 from tests.coding.one_part import basis_of, least_squares, principal_components, read_basis, write_basis
