@@ -19,9 +19,6 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.surface import by_first_use
 
-_INPUTS = 8
-"""Contexts of a bit. Frozen: breaks old files."""
-
 _FIRST_WEIGHT = 11000
 """Weights to begin with, in units of 2^-16. Frozen: breaks old files."""
 
@@ -43,7 +40,7 @@ def encode_hard_edges(polygons: Polygons, vertex_count: int, numbers: IntArray) 
     bytes or None
         None if vertices share a normal, or one has very many: that is not coded.
     """
-    bits = bits_to_code(_most_bits(len(numbers)), _INPUTS, SEAM_KINDS)
+    bits = bits_to_code(_most_bits(len(numbers)), SEAM_KINDS)
     nodes = _walked(bits, polygons, vertex_count, by_first_use(numbers))
     return pack_queues(bits) if np.array_equal(by_first_use(nodes), by_first_use(numbers)) else None
 
@@ -57,7 +54,7 @@ def decode_hard_edges(data: bytes, polygons: Polygons, vertex_count: int) -> Ind
         If the data are damaged, or those of another mesh (not all damage is noticed: files have checksums).
     """
     what = f"hard edges at {polygons.indices.size} corners"
-    bits = unpack_queues(data, _most_bits(polygons.indices.size), _INPUTS, SEAM_KINDS, what)
+    bits = unpack_queues(data, _most_bits(polygons.indices.size), SEAM_KINDS, what)
     nodes = _walked(bits, polygons, vertex_count, np.zeros(polygons.indices.size, dtype=np.int64))
     if not all_decoded(bits):
         raise FormatError(f"{what} are damaged, or those of another mesh")
