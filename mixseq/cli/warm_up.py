@@ -43,11 +43,17 @@ def command(quiet: bool) -> None:
 @contextmanager
 def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
     """Yield what to do, and what it is called."""
+    from dataclasses import replace
+
     import numpy as np
 
     from mixseq.creature import walk_cycle
+    from mixseq.surface import CornerValues, Surface
 
     walk = walk_cycle(FRAMES)
+    corners = walk.polygons.indices
+    uvs = CornerValues(walk.points[0][:, :2], corners)
+    walk = replace(walk, surface=Surface(uvs=uvs, hard_edges=corners))
     coarse = walk.with_points(walk.points.astype(np.float32))
     with TemporaryDirectory(prefix="mixseq-") as folder:
         file = Path(folder) / "walk.h5"
@@ -60,7 +66,7 @@ def _work() -> Iterator[list[tuple[str, Callable[[], object]]]]:
 
 
 def _compress(walk: MeshSequence, file: Path) -> None:
-    mixseq.save(file, mixseq.compress(walk, max_error=0.01))
+    mixseq.save(file, mixseq.compress(walk, max_error=0.01, order="free"))
 
 
 def _decode(file: Path) -> None:
