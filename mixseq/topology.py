@@ -46,8 +46,8 @@ class Topology(PickledWithoutCaches):
     vertex_count: int
 
     @cached_property
-    def _sorted_edges(self) -> tuple[Index, Index, Index]:
-        """Edges ``(E, 2)``, the edge ``(3F,)`` of every side, face by face, and how many faces edges have ``(E,)``."""
+    def _sorted_edges(self) -> tuple[Index, Index]:
+        """Edges ``(E, 2)``, and the edge ``(3F,)`` of every side, face by face."""
         start, end = self._sides
         keys = np.minimum(start, end) * np.int64(self.vertex_count) + np.maximum(start, end)
         order = np.argsort(keys, kind="stable")
@@ -55,8 +55,7 @@ class Topology(PickledWithoutCaches):
         first = np.diff(keys, prepend=-1) != 0
         edge_of_side = np.empty_like(order)
         edge_of_side[order] = np.cumsum(first) - 1
-        counts = np.diff(np.flatnonzero(first), append=len(keys))
-        return np.stack(np.divmod(keys[first], self.vertex_count), axis=1), edge_of_side, counts
+        return np.stack(np.divmod(keys[first], self.vertex_count), axis=1), edge_of_side
 
     @property
     def _sides(self) -> tuple[Index, Index]:
@@ -69,10 +68,10 @@ class Topology(PickledWithoutCaches):
         """Edges ``(E, 2)``, each with its lower vertex first, in lexicographic order."""
         return self._sorted_edges[0]
 
-    @property
+    @cached_property
     def edge_face_counts(self) -> Index:
         """Number of faces ``(E,)`` at every edge."""
-        return self._sorted_edges[2]
+        return np.bincount(self._sorted_edges[1], minlength=len(self.edges))
 
     @property
     def face_edges(self) -> Index:

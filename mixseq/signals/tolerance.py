@@ -10,10 +10,11 @@ from hashlib import blake2b
 import numpy as np
 
 from mixseq.errors import ReconstructionError, SettingsError
-from mixseq.frame_store import FrameStore, digits_end, farthest, largest_coordinate
+from mixseq.frame_store import FrameStore, block_size, digits_end, farthest, largest_coordinate
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.signals.decoding import FRAMES
 from mixseq.signals.detail import Detail, Encoded, build
 from mixseq.signals.model import Model
 
@@ -173,7 +174,8 @@ def largest_error(
     # Every 4th frame first, then those between: what is out of tolerance is out of it at many frames.
     frames = np.concatenate([np.arange(first, len(sequence.points), 4) for first in (0, 2, 1, 3)])
     largest, done = 0.0, 0
-    for block in model.blocks(model.times[frames], workers=workers):
+    size = min(FRAMES, block_size(sequence.header.vertex_count))
+    for block in model.blocks(model.times[frames], size, workers=workers):
         apart = block - sequence.points[frames[done : done + len(block)]]
         error = float(np.sqrt(np.einsum("tvi,tvi->tv", apart, apart).max())) / unit
         if not np.isfinite(error):
