@@ -77,6 +77,12 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         type=click.Choice(ORDERS),
         help="Compressed: what keeps its numbers, vertices and faces, vertices only, or neither.  [default: keep]",
     )
+    @setting(
+        "--chunk",
+        type=click.IntRange(min=16),
+        metavar="N",
+        help="Compressed: about N frames can be decoded without others.  [default: 512]",
+    )
     @setting("--uvs/--no-uvs", default=True, help="Compressed: keep texture coordinates.  [default: uvs]")
     @wraps(command)
     def with_options(
@@ -87,15 +93,18 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
         uv_error: float | None,
         uvs: bool,
         order: str | None,
+        chunk: int | None,
         **settings: Any,
     ) -> None:
         aims = {"max_error": max_error, "kg": kg, "size": size}
         aim: dict[str, Any] = {name: value for name, value in aims.items() if value is not None}
         _check_aim(click.get_current_context(), [name.replace("_", "-") for name in aim])
-        others = {"uv_error": uv_error, "uvs": None if uvs else False, "order": order}
+        others = {"uv_error": uv_error, "uvs": None if uvs else False, "order": order, "chunk": chunk}
         given = {name: value for name, value in others.items() if value is not None}
         if given and not aim:
-            option = {"uv_error": "uv-error", "uvs": "no-uvs", "order": "order"}[next(iter(given))]
+            option = {"uv_error": "uv-error", "uvs": "no-uvs", "order": "order", "chunk": "chunk"}[
+                next(iter(given))
+            ]
             raise SettingsError(f"--{option} is for compressed models; give --max-error, --kg or --size, too")
         aim |= given
         command(*args, aim=aim, **settings)

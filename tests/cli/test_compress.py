@@ -210,12 +210,9 @@ def test_decode(run: Run, small: Path, bent_bar: MeshSequence) -> None:
     assert mixseq.read("new.h5").frame_count == 7
 
 
-def test_damaged_files_are_refused_and_salvaged(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mixseq.coding.encoder.trial.CHUNK", 128)
+def test_damaged_files_are_refused_and_salvaged(run: Run, folder: Path) -> None:
     walk = bar(5, 5, 260)  # more than one chunk
-    mixseq.save("long.h5", mixseq.compress(walk, max_error=0.01))
+    mixseq.save("long.h5", mixseq.compress(walk, max_error=0.01, chunk=128))
     first = read_compressed(Path("long.h5")).chunks[1].first
     damage(Path("long.h5"), lambda index: index.chunks[1].coefficients)
     result = run("decode", "long.h5", "old.npz")

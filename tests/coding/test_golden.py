@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CodingParameters, CompressedSequence, to_model
-from mixseq.coding.encoder import trial
 from mixseq.coding.encoder.compress import compress
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence, SequenceHeader
@@ -35,9 +34,7 @@ def _shapes() -> CompressedSequence:
 def _long() -> CompressedSequence:
     points, faces = tetrahedron()
     frames = [points @ rotation((0.1 * t, 0.03 * t, 2.0)).T + [0.05 * t, 0, 0] for t in range(200)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trial, "CHUNK", 100)
-        return compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1)
+    return compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100)
 
 
 def _parts() -> CompressedSequence:

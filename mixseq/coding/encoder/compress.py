@@ -15,7 +15,7 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.residuals import width
 from mixseq.coding.encoder.search import ROUNDS, Search
-from mixseq.coding.encoder.trial import Trial
+from mixseq.coding.encoder.trial import CHUNK, FEWEST, Trial
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
@@ -36,6 +36,7 @@ def compress(
     uv_error: float = UV_ERROR,
     uvs: bool = True,
     order: OrderName = "keep",
+    chunk: int = CHUNK,
 ) -> CompressedSequence:
     """Compress a sequence.
 
@@ -49,7 +50,7 @@ def compress(
     kg : float, optional
         KG error in percent: root mean square distance, relative to that of the vertices from their centroid.
     size : int, optional
-        Number of bytes of the signals.
+        Number of bytes of the signals, in which the KG error is to be as small as it can be.
     progress : callable, optional
         Told about every stage.
     uv_error : float
@@ -60,6 +61,8 @@ def compress(
     order : {"keep", "vertices", "free"}
         What keeps its numbers: vertices and faces; vertices only; or neither. The other numbers are those that take the
         fewest bytes; what is on vertices, faces and corners goes along.
+    chunk : int
+        About so many frames, 16 or more, can be decoded, or be lost, without those of others. Fewer take more bytes.
 
     Returns
     -------
@@ -71,12 +74,14 @@ def compress(
     SettingsError
         If not exactly one of `max_error`, `kg` and `size` is given, or it is out of range, or `size` cannot be reached,
         or `max_error` is beyond the digits of the coordinates, or `uv_error` is not from 0 to 0.25,
-        or there is no such `order`.
+        or there is no such `order`, or `chunk` is below 16.
     FormatError, InvalidSequenceError
         If a sequence that is read turns out to be damaged or unsound, or too small or too large for doubles.
     """
     check_frames(sequence)
     _check(max_error, kg, size)
+    if not chunk >= FEWEST:
+        raise SettingsError(f"chunk is {chunk}; {FEWEST} frames or more are expected")
     numbering = cheapest_numbering(sequence.header, order)
     sequence = numbering.of_frames(sequence)
     header, uv_steps = with_quantised_uvs(sequence.header, uv_error, uvs)
@@ -84,7 +89,8 @@ def compress(
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
-        search = Search(frames, mesh_graph(sequence.header.faces, sequence.header.vertex_count), stages)
+        graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
+        search = Search(frames, graph, stages, chunk)
         if max_error is not None:
             best = search.within(_with_margin(max_error * unit, frames))
         elif kg is not None:

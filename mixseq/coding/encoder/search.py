@@ -23,7 +23,7 @@ from mixseq.coding.encoder.principal_components import trajectories
 from mixseq.coding.encoder.residuals import with_residuals
 from mixseq.coding.encoder.trial import Candidate, Trial, squared_error, try_step
 from mixseq.errors import SettingsError
-from mixseq.frame_store import FrameStore
+from mixseq.frame_store import FrameStore, digits_end, largest_coordinate
 from mixseq.progress import Stages
 
 ROUNDS = 6
@@ -38,8 +38,12 @@ SLOPE = 0.4
 FIRST = 0.002
 """Error with which the search for a size begins, relative to the deviation."""
 
-RATIO = 0.3
+RATIO = 0.42
 """Error with which the search for a bound begins: root mean square, relative to the bound."""
+
+RESTARTS, FAR, FARTHEST = 3, 3.0, 100.0
+"""Candidates for a size are compared again where the error will be so many times larger or smaller: so often, and each
+time at most so many times."""
 
 FACTOR = 1.5
 """Ratio of the steps that are tried for a bound."""
@@ -60,18 +64,20 @@ TINY = 1e-9
 class Search:
     """Trials with several steps."""
 
-    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: Stages) -> None:
+    def __init__(self, sequence: FrameStore, graph: SignalGraph, stages: Stages, chunk: int) -> None:
         self._sequence = sequence
         self._graph = graph
         self._stages = stages
+        self._chunk = chunk
         self._count = len(sequence.points) * sequence.points.shape[1]
+        self._finest = digits_end(largest_coordinate(sequence.points)) * sequence.points.shape[1] ** 0.5
         self._rounds = 0
         self._wrong = GUESS
 
     def _try(self, candidate: Candidate, step: float) -> Trial:
         self._stages.at(1 + min(self._rounds, ROUNDS - 1))(0, 1, "choosing the step")
         self._rounds += 1
-        return try_step(self._sequence, candidate, step)
+        return try_step(self._sequence, candidate, max(step, self._finest), self._chunk)
 
     def _first_trials(self, error: float) -> list[Trial]:
         """Try candidates with steps that should make an error; return those that may be the best, best first."""
@@ -124,8 +130,16 @@ class Search:
 
     def with_size(self, size: int, deviation: float) -> Trial:
         """Find the finest step that fits into a number of bytes; begin with an error of 0.2 % of the deviation."""
+        error = FIRST * deviation
+        trials = self._first_trials(error)
+        for _ in range(RESTARTS):
+            aim = trials[0].error * (trials[0].size / size) ** (1 / SLOPE)
+            if FAR * aim > error > aim / FAR:
+                break
+            error *= float(np.clip(aim / error, 1 / FARTHEST, FARTHEST))
+            trials = self._first_trials(error)
         found: list[Trial] = []
-        for first in self._first_trials(FIRST * deviation):
+        for first in trials:
             best = _closest(
                 partial(self._try, first.candidate),
                 lambda one: size / one.size,
@@ -142,16 +156,17 @@ class Search:
         """Find the cheapest of some steps whose residual layer keeps a bound, in the units of the sequence."""
         first = self._first_trials(RATIO * bound * self._count**0.5)[0]
         best = with_residuals(self._sequence, first, bound)
-        for direction in (FACTOR, 1 / FACTOR):
-            found = False
-            while self._rounds < 2 * ROUNDS:
-                other = with_residuals(
-                    self._sequence, self._try(best.candidate, best.step * direction), bound
-                )
+        power = SLOPE * _slope(first)
+        for factor in (FACTOR, 1 / FACTOR):
+            start = best
+            # A finer step does not pay if the signals alone would be larger.
+            while self._rounds < 2 * ROUNDS and best.signals * factor**-power < best.size:
+                other = with_residuals(self._sequence, self._try(best.candidate, best.step * factor), bound)
+                power = abs(float(np.log(other.signals / best.signals))) / float(np.log(FACTOR))
                 if other.size >= best.size:
                     break
-                best, found = other, True
-            if found:
+                best = other
+            if best is not start:
                 break
         return best
 
@@ -191,6 +206,8 @@ def _closest(
                 slope = float(measured)
         aim = left / (1 + CLOSE / 3)
         before, last = last, trial_with(last.step * float(np.clip(aim ** (1 / slope), 0.05, 20.0)))
+        if last.step == before.step:  # there is no finer one
+            break
     return best
 
 

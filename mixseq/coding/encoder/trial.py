@@ -31,8 +31,8 @@ from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 from mixseq.frame_store import FrameStore, block_size, blocks_of
 
-CHUNK = 512
-"""A chunk has about so many frames."""
+CHUNK, FEWEST = 512, 16
+"""A chunk has about so many frames by default, and as few at least."""
 
 FINER = 0.35
 """Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
@@ -117,6 +117,11 @@ class Trial:
     error: float
     bound: float | None = None
 
+    @property
+    def signals(self) -> int:
+        """Number of bytes without the residual layer."""
+        return self.size - sum(len(chunk.residuals) for chunk in self.chunks)
+
     @cached_property
     def size(self) -> int:
         """Number of bytes; if the vertices are a share of a larger mesh, about those of that."""
@@ -125,7 +130,7 @@ class Trial:
         return round((1 + finer) * sum(map(len, self.basis_streams))) + of_chunks
 
 
-def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
+def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = CHUNK) -> Trial:
     """Code a sequence.
 
     Parameters
@@ -136,6 +141,8 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
         What is known of it, and how it is to be coded.
     step : float
         Quantisation step, in the units of the sequence.
+    chunk : int
+        A chunk has about so many frames.
     """
     vectors, basis_streams = write_basis(candidate, step)
     parts = [one.part for one in candidate.parts]
@@ -145,7 +152,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
     # Vectors over the larger mesh would be longer: their coefficients are as accurate as they would be then.
     longer = candidate.share**-0.5
     nearest = in_order(basis, [fit.coefficients for fit in fits])
-    decoded, streams = write_coefficients(basis, nearest * (longer / scales[:, None]), step)
+    decoded, streams = write_coefficients(basis, nearest * (longer / scales[:, None]), step, chunk)
     moved = decoded * (scales[:, None] / longer)
     squares = candidate.components.left_out
     for place, fit in enumerate(fits):
@@ -154,16 +161,16 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float) -> Trial:
         squares = squared_error(sequence, basis, decoded)
     done = tuple(
         Chunk(frames.start, len(frames), stream)
-        for frames, stream in zip(chunks(len(decoded)), streams, strict=True)
+        for frames, stream in zip(chunks(len(decoded), chunk), streams, strict=True)
     )
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
     return Trial(candidate, step, ranks, basis, decoded, basis_streams, done, error)
 
 
-def chunks(frame_count: int) -> list[range]:
-    """Return the frames of every chunk."""
-    number = max(1, round(frame_count / CHUNK))
+def chunks(frame_count: int, size: int = CHUNK) -> list[range]:
+    """Return the frames of every chunk, about so many."""
+    number = max(1, round(frame_count / size))
     ends = [frame_count * place // number for place in range(number + 1)]
     return [range(a, b) for a, b in pairwise(ends)]
 
@@ -207,13 +214,15 @@ def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
     return ordered.transpose(1, 0, 2)
 
 
-def write_coefficients(basis: SpatialBasis, coefficients: Float, step: float) -> tuple[Float, list[bytes]]:
+def write_coefficients(
+    basis: SpatialBasis, coefficients: Float, step: float, size: int = CHUNK
+) -> tuple[Float, list[bytes]]:
     """Code coefficients ``(T, K, d)``; return them as decoders have them, and a stream for every chunk."""
     scales, owners = _varying(basis)
     scales = scales / step
     decoded = np.empty_like(coefficients)
     streams = []
-    for chunk in chunks(len(coefficients)):
+    for chunk in chunks(len(coefficients), size):
         writer, coders = Writer(), coefficient_coders(basis, len(chunk))
         frames = slice(chunk.start, chunk.stop)
         for place, coordinate in np.ndindex(coefficients.shape[1:]):

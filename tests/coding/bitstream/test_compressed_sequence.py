@@ -19,7 +19,6 @@ from mixseq.coding.bitstream.compressed_sequence import (
 )
 from mixseq.coding.bitstream.residual_layer import RUN, CodedResidualLayer, read_residuals
 from mixseq.coding.bitstream.signal_graph import mesh_graph
-from mixseq.coding.encoder import trial
 from mixseq.coding.encoder.compress import compress
 from mixseq.errors import FormatError
 from mixseq.sequence import MeshSequence
@@ -37,9 +36,8 @@ def bounded() -> CompressedSequence:
     smooth = bar(sides=4, rings=6, frames=200)
     noise = np.random.default_rng(0).laplace(scale=0.01, size=smooth.points.shape)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trial, "CHUNK", 100)
         patch.setattr("mixseq.coding.encoder.candidates.KINDS", ("trajectories",))
-        return compress(smooth.with_points(smooth.points + noise), max_error=0.02)
+        return compress(smooth.with_points(smooth.points + noise), max_error=0.02, chunk=100)
 
 
 @cache

@@ -108,6 +108,24 @@ def test_more_bytes_are_more_accurate() -> None:
     assert (np.diff(sizes) > 0).all()
 
 
+@pytest.mark.parametrize("chunk", [16, 50])
+def test_chunks_are_as_long_as_was_asked_for(chunk: int) -> None:
+    sequence = bar(sides=5, rings=9, frames=100)
+    coded = compress(sequence, kg=0.5, chunk=chunk)
+    assert len(coded.chunks) == round(100 / chunk)
+    assert kg_of(sequence, check(sequence, coded)) <= 0.5
+
+
+@pytest.mark.parametrize("size", [300, 3000, 30_000])
+def test_sizes_far_from_the_first_guess_are_used_up(size: int) -> None:
+    rng = np.random.default_rng(5)
+    body = bar(sides=10, rings=30, frames=20)
+    sequence = body.with_points(body.points + rng.normal(scale=1e-3, size=body.points.shape))
+    coded = compress(sequence, size=size)
+    check(sequence, coded)
+    assert 0.93 * size < size_of(coded) <= size
+
+
 def test_smooth_motion_takes_few_bits() -> None:
     """A bar that bends: a hundred frames for half a bit per vertex and frame."""
     sequence = bar(sides=12, rings=40, frames=100)
@@ -203,6 +221,7 @@ def test_very_many_steps_are_no_harm() -> None:
         ({"kg": np.nan}, "kg is nan"),
         ({"max_error": np.inf}, "max_error is inf"),
         ({"size": 0}, "size is 0"),
+        ({"kg": 1, "chunk": 15}, "chunk is 15; 16 frames or more"),
         ({"size": 3}, "do not fit into 3 bytes; give more"),
         ({"max_error": 1e-14}, "beyond the digits of coordinates.*give at least"),
     ],

@@ -9,7 +9,6 @@ from mixseq.arrays import Float
 from mixseq.coding.bitstream.signal_coder import MARGINS
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.bitstream.spatial_basis import GROUP, BasisKind, SpatialBasis, groups, read_coefficients
-from mixseq.coding.encoder import trial as module
 from mixseq.coding.encoder.candidates import KINDS
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 from mixseq.coding.encoder.trial import CHUNK, chunks, write_coefficients
@@ -102,11 +101,10 @@ def bars_basis(kind: BasisKind) -> tuple[SpatialBasis, Float]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_chunk_comes_back_by_itself(kind: BasisKind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_chunk_comes_back_by_itself(kind: BasisKind) -> None:
     basis, coefficients = bars_basis(kind)
-    monkeypatch.setattr(module, "CHUNK", 100)
-    decoded, streams = write_coefficients(basis, coefficients, STEP)
-    parts = chunks(300)
+    decoded, streams = write_coefficients(basis, coefficients, STEP, 100)
+    parts = chunks(300, 100)
     assert len(parts) == len(streams) == 3
     for part, stream in list(zip(parts, streams, strict=True))[::-1]:
         found = read_coefficients(basis, stream, len(part), STEP)
