@@ -53,7 +53,7 @@ class BasisSpace(ShapeSpace):
     @property
     def weights(self) -> Float:
         """The norms of the basis vectors, for all three coordinates."""
-        return np.repeat(np.sqrt(np.square(self.basis).sum(axis=1)), 3)
+        return np.repeat(np.sqrt(np.einsum("kv,kv->k", self.basis, self.basis)), 3)
 
     def constants(self) -> Iterable[object]:
         """Implement `ShapeSpace.constants`."""

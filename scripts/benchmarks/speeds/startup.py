@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from pathlib import Path
 from typing import Any
 
 from scripts.benchmarks.common.child import MIXSEQ, run, run_module
@@ -12,7 +13,14 @@ from scripts.benchmarks.common.section import LargeArray, Say, Section, at_least
 from scripts.benchmarks.common.timing import Timing
 
 RUNS = 10
-HELP, IMPORT, FIRST = 0.3, 0.5, 15.0
+HELP, IMPORT, SHOWN, FIRST = 0.3, 0.5, 0.6, 15.0
+
+COMPRESS = """
+import sys, mixseq
+from mixseq.creature import walk_cycle
+mixseq.save(sys.argv[1], mixseq.compress(walk_cycle(frames=24), kg=0.1))
+"""
+FRAME = "import sys, mixseq; mixseq.load(sys.argv[1])(0.0)"
 
 
 def measure(say: Say) -> Section:
@@ -22,6 +30,11 @@ def measure(say: Say) -> Section:
     help_ = _timed(*MIXSEQ, "--help")
     import_ = _timed(sys.executable, "-c", "import mixseq")
     all_ = _timed(sys.executable, "-c", "import mixseq; mixseq.read, mixseq.fit, mixseq.save")
+    with tempfile.TemporaryDirectory() as folder:
+        say("first frame of a compressed file")
+        file = Path(folder) / "walk.h5"
+        run(sys.executable, "-c", COMPRESS, file)
+        frame = _timed(sys.executable, "-c", FRAME, file)
     with tempfile.TemporaryDirectory() as cache:
         say("first run, with nothing compiled")
         cold = _first_use(cache)
@@ -34,6 +47,7 @@ def measure(say: Say) -> Section:
         ("`mixseq --help`", help_.text()),
         ("`import mixseq`", import_.text()),
         ("the same, and what `read`, `fit` and `save` need", all_.text()),
+        ("first frame of a compressed walk of 24 frames, import and all", frame.text()),
         (
             "first run, nothing compiled yet: fit, decode with velocities, both placements, float32 and float64",
             f"{sum(cold['first']):.3g}",
@@ -47,6 +61,7 @@ def measure(say: Say) -> Section:
         [
             at_most("`mixseq --help`", help_.median, HELP, " s"),
             at_most("`import mixseq`, Python's own start included", import_.median, IMPORT, " s"),
+            at_most("first frame of a compressed file", frame.median, SHOWN, " s"),
             at_most("pause of the first run (first minus second)", first, FIRST, " s"),
             at_least(
                 "functions compiled in the first run (or they are not counted)", len(cold["compiled"]), 1
@@ -63,6 +78,7 @@ def measure(say: Say) -> Section:
                 "help": help_.runs,
                 "import": import_.runs,
                 "all": all_.runs,
+                "frame": frame.runs,
                 "python": nothing.runs,
                 "cold": cold,
                 "warm": warm,
