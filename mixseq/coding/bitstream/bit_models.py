@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_bit
-from mixseq.compiled import compiled
+from mixseq.compiled import inlined
 
 _FAR = 2047
 """Largest magnitude of x: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
@@ -98,13 +98,13 @@ def _tables() -> tuple[Index, Index, Index, Index]:
     )
 
 
-@compiled
+@inlined
 def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
     """Write or read a bit at a position, in the contexts that were set, learn from it, and return it."""
-    shares, weights, inputs = models.shares, models.weights, models.inputs
+    shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts
     x = 0
     for i in range(len(inputs)):
-        share = shares[i, models.contexts[i], position]
+        share = shares[i, contexts[i], position]
         inputs[i] = (models.stretch[share >> 12] * models.trust[share & 255]) >> 8
         x += weights[position, i] * inputs[i]
     chance = models.squash[min(max(x >> 16, -_FAR), _FAR) + _FAR]
@@ -112,8 +112,8 @@ def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
     error = ((bit << 16) - chance) >> 4
     for i in range(len(inputs)):
         weights[position, i] += (inputs[i] * error * _RATE + (1 << 15)) >> 16
-        share = shares[i, models.contexts[i], position]
+        share = shares[i, contexts[i], position]
         p, seen = share >> 8, share & 255
         p += (((bit << 16) - bit - p) * models.steps[seen]) >> 16
-        shares[i, models.contexts[i], position] = (p << 8) + min(seen + 1, _PATIENCE)
+        shares[i, contexts[i], position] = (p << 8) + min(seen + 1, _PATIENCE)
     return bit

@@ -12,7 +12,7 @@ from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_number
 from mixseq.coding.bitstream.bit_models import BitModels, code
 from mixseq.coding.bitstream.predictor_kernels import UNIT, Small, predict
-from mixseq.compiled import compiled
+from mixseq.compiled import compiled, inlined
 
 LEVELS = 32
 """Expected sizes are told apart at so many levels, two of them in an octave. Frozen: breaks old files."""
@@ -114,12 +114,11 @@ def code_signal(
         values[node] = predicted + UNIT * number
 
 
-@compiled
+@inlined
 def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     """Write or read a number: how many bits it has, the highest of those after the first, the others, and the sign."""
-    size, magnitude = 0, abs(number)
-    while magnitude >> size:
-        size += 1
+    magnitude = abs(number)
+    size = bit_length(magnitude)
     found = 0
     while found < _LONGEST and code(coded, models, found, 1 if size > found else 0):
         found += 1
@@ -137,26 +136,35 @@ def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     return -value if code_number(coded, 1, 1 if number < 0 else 0) else value
 
 
-@compiled
+@inlined
 def level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, two in an octave."""
-    if size < 2:
-        return size
-    bits = 2
-    while size >> bits:
-        bits += 1
-    return min(2 * (bits - 1) + ((size >> (bits - 2)) & 1), LEVELS - 1)
+    bits = bit_length(size)
+    return min(size if bits < 2 else 2 * (bits - 1) + ((size >> (bits - 2)) & 1), LEVELS - 1)
 
 
-@compiled
+@inlined
 def fine_level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, four in an octave."""
-    if size < 4:
-        return size
-    bits = 3
-    while size >> bits:
-        bits += 1
-    return 4 * (bits - 2) + ((size >> (bits - 3)) & 3)
+    bits = bit_length(size)
+    return size if bits < 3 else 4 * (bits - 2) + ((size >> (bits - 3)) & 3)
+
+
+@inlined
+def bit_length(size: int) -> int:
+    """Return how many bits a number has, which is not negative."""
+    bits = 0
+    while size >= 1 << 16:
+        size, bits = size >> 16, bits + 16
+    if size >= 1 << 8:
+        size, bits = size >> 8, bits + 8
+    if size >= 1 << 4:
+        size, bits = size >> 4, bits + 4
+    if size >= 1 << 2:
+        size, bits = size >> 2, bits + 2
+    if size >= 1 << 1:
+        size, bits = size >> 1, bits + 1
+    return bits + size
 
 
 @compiled
