@@ -18,6 +18,9 @@ resemble each other, too: besides its neighbours every node is joined to the nod
 it, wherever they are. So vertices of one rigid part that are far apart, or of several components, predict each
 other, and so do frames of one pose in a motion that comes back to it.
 
+Later signals are small, and most of their numbers zero, so that errors of nodes on coarse levels are those of all that
+lie between them: their steps are smaller.
+
 **The same everywhere.** Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
 2^-24, so that roughness, distances, products and predictions are exact in float64, in whatever order they are added,
 as long as values are below 2^29 (8 million steps). Only the weights are solved for with rounded operations, + - * / and
@@ -64,6 +67,13 @@ SELDOM = 2
 """Weights are new after every signal, after 8 signals after every other, after 12 after every third, and so on.
 Frozen: breaks files."""
 
+FINER, FINEST = 9, 38
+"""From level to coarser level steps are smaller, by so many tenths, but not below so many units. Frozen: breaks
+files."""
+
+EQUAL = 3
+"""Of so many signals, times their coordinates, all nodes have the same step. Frozen: breaks files."""
+
 _MANY = 1024
 """Graphs with more nodes are worked at in larger blocks. Free: a matter of time."""
 
@@ -92,15 +102,18 @@ class Predictor:
         Their weights, multiples of 2^-24.
     values : (N,) int64
         The signal in work, in nodes' order, in steps / UNIT.
+    steps : (N,) int64
+        Of what its numbers are multiples, in steps / UNIT.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
         self._plain = graph
-        self._searched = SEARCHED * coordinates
+        self._coordinates, self._searched = coordinates, SEARCHED * coordinates
         self._known, self._due = 0, 1
         self._signals: list[Float] = []  # all, until similar nodes are looked for
         self._pending: list[Float] = []  # those that the weights do not know yet
         self.values = np.zeros(graph.size, dtype=np.int64)
+        self.steps = np.full(graph.size, UNIT)
         self._join(*stencils(graph))
 
     def _join(self, neighbours: Index, counts: Index, weights: Float) -> None:
@@ -121,6 +134,8 @@ class Predictor:
         self._known += 1
         known = self._known
         self._pending.append(signal)
+        if known == EQUAL * self._coordinates and not self._plain.over_time:
+            self.steps = finer_steps(len(self.steps))
         if known <= self._searched:
             self._signals.append(signal)
         if known == self._searched:
@@ -152,6 +167,20 @@ class Predictor:
         joined = plain.with_more(similar, found)
         self._join(joined.neighbours, joined.counts, joined.weights)
         self._pending, self._signals = self._signals, []
+
+
+def finer_steps(size: int) -> Index:
+    """Return the steps ``(N,)`` of so many nodes, in units: smaller on coarse levels, whose errors finer ones inherit.
+
+    A level has as many nodes as there are before it.
+    """
+    steps = np.full(size, UNIT)
+    first, step = size // 2, UNIT
+    while first:
+        step = max(step * FINER // 10, FINEST)
+        steps[:first] = step
+        first //= 2
+    return steps
 
 
 def blocks(counts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -159,6 +159,7 @@ class SignalCoder:
             predictor.counts,
             predictor.weights,
             predictor.values,
+            predictor.steps,
             self._numbers,
             self._activity,
             self._around,

@@ -56,6 +56,7 @@ def code_signal(
     counts: Small,
     weights: Float,
     values: Index,
+    steps: Index,
     numbers: Index,
     activity: Index,
     around: Index,
@@ -76,6 +77,8 @@ def code_signal(
         Of the predictor.
     values : (N,) int64
         Where the signal goes, in 1 / `UNIT` steps.
+    steps : (N,) int64
+        Of what numbers are multiples, in 1 / `UNIT` steps.
     numbers : (N,) int64
         Numbers of the signal before, which those of this one replace.
     activity, around : (N,) int64
@@ -106,12 +109,12 @@ def code_signal(
         number = 0
         if not coded.decoding:
             off = targets[node] - predicted
-            number = math.floor(min(abs(off) / UNIT + margins[wanted], _FARTHEST))
+            number = math.floor(min(abs(off) / steps[node] + margins[wanted], _FARTHEST))
             if off < 0.0:
                 number = -number
         number = code_signed(coded, models, number)
         numbers[node] = number
-        values[node] = predicted + UNIT * number
+        values[node] = predicted + steps[node] * number
 
 
 @inlined

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream import predictor_kernels as kernels
-from mixseq.coding.bitstream.predictor import ROUGH, SEARCHED, SIMILAR, Predictor, blocks
+from mixseq.coding.bitstream.predictor import (
+    EQUAL,
+    FINEST,
+    ROUGH,
+    SEARCHED,
+    SIMILAR,
+    Predictor,
+    blocks,
+    finer_steps,
+)
 from mixseq.coding.bitstream.predictor_kernels import UNIT
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.coding.bitstream.stencils import stencils
@@ -46,8 +55,8 @@ def code(predictor: Predictor, signal: Float) -> Index:
     known = predictor.neighbours, predictor.counts, predictor.weights, predictor.values
     for node, target in enumerate(np.rint(UNIT * signal).astype(np.int64).tolist()):
         predicted = expected(node, *known)
-        numbers[node] = round((target - predicted) / UNIT)
-        predictor.values[node] = predicted + UNIT * numbers[node]
+        numbers[node] = round((target - predicted) / int(predictor.steps[node]))
+        predictor.values[node] = predicted + predictor.steps[node] * numbers[node]
     predictor.finish()
     return numbers
 
@@ -56,7 +65,7 @@ def decode(predictor: Predictor, numbers: Index) -> Index:
     """Values that numbers stand for."""
     known = predictor.neighbours, predictor.counts, predictor.weights, predictor.values
     for node, number in enumerate(numbers.tolist()):
-        predictor.values[node] = expected(node, *known) + UNIT * number
+        predictor.values[node] = expected(node, *known) + predictor.steps[node] * number
     values = predictor.values.copy()
     predictor.finish()
     return values
@@ -141,6 +150,24 @@ def test_weights_that_are_no_numbers_predict_bounds() -> None:
     predictor.weights[:] = np.nan
     known = predictor.neighbours, predictor.counts, predictor.weights, predictor.values
     assert expected(53, *known) == -(2**50)
+
+
+def test_steps_of_later_signals_are_smaller_on_coarse_levels() -> None:
+    assert finer_steps(16).tolist() == [40, 45, 51, 51, *[57] * 4, *[64] * 8]
+    assert finer_steps(1).tolist() == [UNIT]
+    assert finer_steps(1 << 12).min() == FINEST
+    predictor = Predictor(GRAPHS["torus"], 2)
+    for _ in range(2 * EQUAL):
+        assert (predictor.steps == UNIT).all()
+        predictor.finish()
+    np.testing.assert_array_equal(predictor.steps, finer_steps(54))
+
+
+def test_steps_over_time_are_equal() -> None:
+    predictor = Predictor(path_graph(50))
+    for _ in range(EQUAL + 1):
+        predictor.finish()
+    assert (predictor.steps == UNIT).all()
 
 
 # Exactness ----------------------------------------------------------------------------------------------------
