@@ -6,12 +6,17 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
+import mixseq
+from mixseq.creature import walk_cycle
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning
 from mixseq_io import isolation, worker_pool
+from mixseq_io.hdf5.contents import read_contents
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.isolation import open_isolated
 from mixseq_io.reader import SequenceReader
 from tests.forking import in_a_fork
@@ -177,3 +182,18 @@ def test_an_interrupted_worker_answers_no_more(new_workers: pytest.MonkeyPatch) 
         signal.signal(signal.SIGALRM, before)
     with opened() as reader:
         assert [block[:, 0, 0].tolist() for block in reader.blocks(3)] == [[0, 0, 0], [3]]
+
+
+def test_meanwhile_this_process_does_something_else(tmp_path: Path) -> None:
+    path = tmp_path / "walk.h5"
+    mixseq.save(path, mixseq.fit(walk_cycle(frames=2), space="vertex"))
+    done: list[str] = []
+    found = read_contents(path, meanwhile=lambda: done.append("imports"))
+    assert (done, found.kind) == (["imports"], MODEL_FORMAT)
+
+    def fail() -> NoReturn:
+        raise ImportError("nothing of that name")
+
+    with pytest.raises(ImportError, match="nothing of that name"):
+        read_contents(path, meanwhile=fail)
+    assert read_contents(path).attrs["vertex_count"] == found.attrs["vertex_count"]  # not the other's answer
