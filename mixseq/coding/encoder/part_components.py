@@ -15,11 +15,11 @@ from mixseq.arrays import Float
 from mixseq.coding.bitstream.spatial_basis import Block, Part
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 
-ZEROS = 3
-"""Basis vectors are coded until so many in a row are zero everywhere, after rounding."""
+VANISHING = 0.9
+"""Basis vectors without a number as large as this share of a step do not pay: rounding leaves next to none."""
 
-VANISHING = 0.55
-"""Numbers below this share of a step are rounded to zero."""
+ZEROS = 2
+"""Basis vectors are coded until so many in a row do not pay."""
 
 _AT_ONCE = 16
 """So many vectors are computed at once."""
@@ -101,7 +101,7 @@ class PartComponents:
         return self._ready[place]
 
     def rank(self, step: float) -> int:
-        """Return how many vectors there are before `ZEROS` of them, or all that are left, round to zero."""
+        """Return how many vectors there are before `ZEROS` of them, or all that are left, that do not pay."""
         zeros = place = 0
         while place < len(self.norms) and zeros < ZEROS:
             zeros = zeros + 1 if np.abs(self.vector(place)).max() < VANISHING * step else 0

@@ -44,7 +44,7 @@ def test_components_of_a_part_are_those_of_its_frames() -> None:
             np.testing.assert_allclose(found * np.sign(found @ expected), expected, atol=1e-6)
 
 
-def test_the_rank_ends_where_all_that_follows_rounds_to_zero() -> None:
+def test_the_rank_ends_before_vectors_that_do_not_pay() -> None:
     [part] = candidate_of("trajectories").parts
     largest = [np.abs(part.vector(place)).max() for place in range(len(part.norms))]
     for rank in (1, 2, 4):
