@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,15 @@ def textured_sequence(frames: int = 3) -> MeshSequence:
     surface = Surface(
         uvs=CornerValues(uvs, np.arange(len(uvs))), face_sets=(FaceSet("end", np.arange(4), "skin"),)
     )
+    return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
+
+
+def sharp_sequence() -> MeshSequence:
+    """The same with hard edges around one polygon in six."""
+    sequence = textured_sequence()
+    sharp = np.repeat(np.arange(len(sequence.polygons.counts)) % 6 == 0, 3)
+    numbers = sequence.polygons.indices + sequence.vertex_count * sharp
+    surface = replace(sequence.header.surface, hard_edges=numbers)
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
@@ -173,14 +183,21 @@ def test_a_size_counts_coordinates_as_they_will_be(sequence: MeshSequence) -> No
     assert rooms[0] < rooms[1] < rooms[2]
 
 
-def test_the_golden_file_still_decodes_to_the_same_coordinates() -> None:
-    path = GOLDEN / "model-v7-coded.h5"
-    with np.load(path.with_suffix(".npz")) as expected:
-        points, uvs = expected["points"], expected["uvs"]
+@pytest.mark.parametrize(
+    ("version", "original"), [(7, textured_sequence), (8, sharp_sequence)], ids=["version 7", "version 8"]
+)
+def test_golden_files_still_decode_to_the_same(version: int, original: Callable[[], MeshSequence]) -> None:
+    path = GOLDEN / f"model-v{version}-coded.h5"
+    with np.load(path.with_suffix(".npz")) as file:
+        expected = dict(file)
     model = mixseq.load(path)
-    np.testing.assert_array_equal(at_corners(model.header), uvs)
-    np.testing.assert_allclose(model.sample().points, points, atol=1e-9)
-    assert mixseq.verify(path, textured_sequence()).holds
+    np.testing.assert_array_equal(at_corners(model.header), expected["uvs"])
+    np.testing.assert_allclose(model.sample().points, expected["points"], atol=1e-9)
+    if "hard_edges" in expected:
+        np.testing.assert_array_equal(model.header.surface.hard_edges, expected["hard_edges"])
+    with h5py.File(path) as h5:
+        assert h5.attrs["version"] == version
+    assert mixseq.verify(path, original()).holds
 
 
 @pytest.mark.realdata
