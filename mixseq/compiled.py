@@ -55,6 +55,18 @@ def inlined(function: Function) -> Function:
     return cast(Function, numba.njit(inline="always", error_model="numpy")(function))
 
 
+def joined(function: Function) -> Function:
+    """Compile a function, and let LLVM put it into those that call it: quicker than `inlined`, in half of the time.
+
+    Its arguments keep their types. With `inlined` numbers are as wide as in the functions that call, which matters
+    where they are narrow.
+    """
+    made = numba.njit(forceinline=True, **_OPTIONS)(function)
+    if made is not function:  # NUMBA_DISABLE_JIT
+        made.get_call_template = partial(_as_any_number, made.get_call_template)
+    return cast(Function, made)
+
+
 def _as_any_number(find: Callable[..., Any], arguments: Any, keywords: Mapping[str, Any]) -> Any:
     """Find the version of a function for any numbers: of each that stands in the code, numba would compile its own."""
     plain: Callable[[Any], Any] = unliteral

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.compiled import inlined
+from mixseq.compiled import joined
 
 ONE = 1 << 16
 """Chances are whole numbers from 1 to 65535, in units of 2^-16. Frozen: breaks old files."""
@@ -93,7 +93,7 @@ def is_beyond(coded: Coded) -> bool:
     return int(coded.place[0]) > len(coded.data) + _BITS_BEYOND
 
 
-@inlined
+@joined
 def code_bit(coded: Coded, chance: int, bit: int) -> int:
     """Write a bit, or read one, which is 1 with a chance of so many 65536ths; return it."""
     low, high = coded.interval[0], coded.interval[1]
@@ -117,7 +117,7 @@ def code_bit(coded: Coded, chance: int, bit: int) -> int:
     return bit
 
 
-@inlined
+@joined
 def code_number(coded: Coded, size: int, number: int) -> int:
     """Write or read the last `size` bits of a number of which nothing is known, and return them."""
     found = 0

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_bit
-from mixseq.compiled import inlined
+from mixseq.compiled import joined
 
 _FAR = 2047
 """Largest magnitude of x: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
@@ -98,7 +98,7 @@ def _tables() -> tuple[Index, Index, Index, Index]:
     )
 
 
-@inlined
+@joined
 def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
     """Write or read a bit at a position, in the contexts that were set, learn from it, and return it."""
     shares, weights, inputs, contexts = models.shares, models.weights, models.inputs, models.contexts

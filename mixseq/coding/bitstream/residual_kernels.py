@@ -11,7 +11,7 @@ from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_number
 from mixseq.coding.bitstream.bit_models import BitModels, code
 from mixseq.coding.bitstream.signal_graph import MOST
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 INPUTS = 3
 """Contexts of a bit. Frozen: breaks old files."""
@@ -86,12 +86,12 @@ def code_residuals(
             others |= (1 if numbers[node, k] else 0) << k
 
 
-@inlined
+@joined
 def _any(numbers: Index, node: int) -> int:
     return 1 if numbers[node, 0] or numbers[node, 1] or numbers[node, 2] else 0
 
 
-@inlined
+@joined
 def _code_coordinate(coded: Coded, models: BitModels, number: int) -> int:
     if not code(coded, models, 2, 1 if number else 0):
         return 0

@@ -12,7 +12,7 @@ from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_number
 from mixseq.coding.bitstream.bit_models import BitModels, code
 from mixseq.coding.bitstream.predictor_kernels import UNIT, Small, predict
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 LEVELS = 32
 """Expected sizes are told apart at so many levels, two of them in an octave. Frozen: breaks old files."""
@@ -117,7 +117,7 @@ def code_signal(
         values[node] = predicted + steps[node] * number
 
 
-@inlined
+@joined
 def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     """Write or read a number: how many bits it has, the highest of those after the first, the others, and the sign."""
     magnitude = abs(number)
@@ -139,21 +139,21 @@ def code_signed(coded: Coded, models: BitModels, number: int) -> int:
     return -value if code_number(coded, 1, 1 if number < 0 else 0) else value
 
 
-@inlined
+@joined
 def level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, two in an octave."""
     bits = bit_length(size)
     return min(size if bits < 2 else 2 * (bits - 1) + ((size >> (bits - 2)) & 1), LEVELS - 1)
 
 
-@inlined
+@joined
 def fine_level(size: int) -> int:
     """Return the level of a size in 1 / `UNIT` steps, four in an octave."""
     bits = bit_length(size)
     return size if bits < 3 else 4 * (bits - 2) + ((size >> (bits - 3)) & 3)
 
 
-@inlined
+@joined
 def bit_length(size: int) -> int:
     """Return how many bits a number has, which is not negative."""
     bits = 0
