@@ -22,9 +22,10 @@ Later signals are small, and most of their numbers zero, so that errors of nodes
 lie between them: their steps are smaller.
 
 **The same everywhere.** Values are whole 64ths of a step, trust is a power of two, and weights are whole multiples of
-2^-24, so that roughness, distances, products and predictions are exact in float64, in whatever order they are added,
-as long as values are below 2^29 (8 million steps). Only the weights are solved for with rounded operations, + - * / and
-roots in a fixed order: `mixseq.coding.bitstream.predictor_kernels`.
+2^-24, so that predictions are exact in float64, in whatever order they are added, as long as values are below 2^29 (8
+million steps); so are roughness, distances and sums of products in nearly all files, and where these are rounded, it is
+in a fixed order. Weights are solved for with rounded operations, + - * / and roots, in a fixed order:
+`mixseq.coding.bitstream.predictor_kernels`.
 
 The constants are ours. Frozen: they break files when they change.
 """
