@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
+from mixseq.coding.bitstream.logistic import FAR, logistic_tables
 from mixseq.compiled import compiled, inlined
 
 Small = NDArray[np.int32]
@@ -41,9 +42,6 @@ INPUTS = 8
 
 SLOTS = 1 << 16
 """Contexts of an input that are told apart; more share their frequencies. Frozen: breaks old files."""
-
-_FAR = 2047
-"""Largest magnitude of x: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
 
 _PATIENCE = 255
 """Frequencies follow their last so many bits. Frozen: breaks old files."""
@@ -122,12 +120,7 @@ def queues_of(bits: Bits) -> list[Byte]:
 
 
 def _bits(decoding: bool, queued: Byte, lengths: Index, sets: int) -> Bits:
-    squash = np.ones(2 * _FAR + 1)
-    factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
-    for x in range(_FAR):
-        squash[_FAR + x + 1] = squash[_FAR + x] * factor
-    squash[:_FAR] = 1 / squash[:_FAR:-1]
-    squash = np.floor(65536 * (squash / (1 + squash)))
+    stretch, squash = logistic_tables()
     ends = np.cumsum(lengths)
     return Bits(
         decoding=decoding,
@@ -140,7 +133,7 @@ def _bits(decoding: bool, queued: Byte, lengths: Index, sets: int) -> Bits:
         shares=np.full((INPUTS, SLOTS), 1 << 23, dtype=np.int32),
         weights=np.full((sets, INPUTS), _FIRST_WEIGHT, dtype=np.int64),
         logits=np.zeros(INPUTS, dtype=np.int64),
-        stretch=(np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR).astype(np.int32),
+        stretch=stretch.astype(np.int32),
         squash=squash.astype(np.int32),
         steps=(1 << 17) // (2 * np.arange(_PATIENCE + 1, dtype=np.int64) + 3),
     )
@@ -173,8 +166,8 @@ def code(bits: Bits, kind: int, bit: int) -> int:
         logit = bits.stretch[shares[i, slot] >> 12]
         logits[i] = logit
         x += weights[i] * logit
-    x = min(max(x >> 16, -_FAR), _FAR)
-    queue = abs(x) * QUEUES // (_FAR + 1)
+    x = min(max(x >> 16, -FAR), FAR)
+    queue = abs(x) * QUEUES // (FAR + 1)
     likely = 1 if x > 0 else 0
     if bits.decoding:
         place = bits.heads[queue]
@@ -186,7 +179,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
     else:
         bits.queued[bits.heads[0]] = 2 * queue + (bit ^ likely)
         bits.heads[0] += 1
-    error = ((bit << 16) - bits.squash[x + _FAR]) >> 4
+    error = ((bit << 16) - bits.squash[x + FAR]) >> 4
     for i in range(INPUTS):
         weights[i] += (logits[i] * error * _RATE + (1 << 15)) >> 16
         slot = slots[i]

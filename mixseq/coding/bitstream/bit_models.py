@@ -27,10 +27,8 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_bit
+from mixseq.coding.bitstream.logistic import FAR, logistic_tables
 from mixseq.compiled import joined
-
-_FAR = 2047
-"""Largest magnitude of x: about 8, a chance of 1 in 3000. Frozen: breaks old files."""
 
 _PATIENCE = 255
 """Frequencies follow their last so many bits. Frozen: breaks old files."""
@@ -82,17 +80,11 @@ def bit_models(inputs: int, contexts: int, positions: int) -> BitModels:
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[Index, Index, Index, Index]:
-    squash = np.ones(2 * _FAR + 1)
-    factor = 1.0039138893383475  # exp(1 / 256), and products of it: exp itself differs between machines
-    for x in range(_FAR):
-        squash[_FAR + x + 1] = squash[_FAR + x] * factor
-    squash[:_FAR] = 1 / squash[:_FAR:-1]
-    squash = np.floor(65536 * (squash / (1 + squash)))
-    stretch = np.searchsorted(squash, np.arange(4096) * 16 + 8).clip(0, 2 * _FAR) - _FAR
+    stretch, squash = logistic_tables()
     counts = np.arange(_PATIENCE + 1, dtype=np.int64)
     return (
-        stretch.astype(np.int64),
-        squash.astype(np.int64).clip(_LEAST, 65536 - _LEAST),
+        stretch,
+        squash.clip(_LEAST, 65536 - _LEAST),
         (1 << 17) // (2 * counts + 3),
         256 * counts // (counts + 1),
     )
@@ -107,7 +99,7 @@ def code(coded: Coded, models: BitModels, position: int, bit: int) -> int:
         share = shares[i, contexts[i], position]
         inputs[i] = (models.stretch[share >> 12] * models.trust[share & 255]) >> 8
         x += weights[position, i] * inputs[i]
-    chance = models.squash[min(max(x >> 16, -_FAR), _FAR) + _FAR]
+    chance = models.squash[min(max(x >> 16, -FAR), FAR) + FAR]
     bit = code_bit(coded, chance, bit)
     error = ((bit << 16) - chance) >> 4
     for i in range(len(inputs)):
