@@ -43,7 +43,7 @@ LAYERS = (
     ("retargeting",),
     ("operations",),
     ("metrics", "scene", "creature"),
-    ("plots",),
+    ("plots", "web"),
     ("viewing",),
     ("mixseq_io",),
     ("cli",),

@@ -1,0 +1,1 @@
+"""Playing compressed sequences on the web: the decoder in JavaScript, and what stands on it."""

@@ -1,0 +1,83 @@
+"""Our JavaScript modules as one module that imports nothing: what a page or a project takes along."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib.resources import files
+from posixpath import dirname, join, normpath
+
+SEQUENCE = "decoder/sequence.js"
+"""The module that opens compressed sequences: all of the decoder is under it."""
+
+_IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|class|const|let) (\w+))", re.MULTILINE)
+_TOKEN = re.compile(
+    r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
+    r"""|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)""",
+    re.DOTALL,
+)
+
+
+def module(path: str) -> str:
+    """Return the text of a module, such as ``"decoder/arithmetic.js"``."""
+    return files("mixseq.web").joinpath(*path.split("/")).read_text(encoding="utf-8")
+
+
+@cache
+def bundled(*entries: str) -> str:
+    """Return modules, and all they import, as one ES module without imports.
+
+    Every module becomes a function that is called once, so that names of different modules do not meet. Comments and
+    indentation are taken away.
+
+    Parameters
+    ----------
+    *entries : str
+        The modules whose exports are those of the whole; `SEQUENCE` if there are none.
+    """
+    entries = entries or (SEQUENCE,)
+    places: dict[str, str] = {}
+    for entry in entries:
+        _place(entry, places)
+    names = {path: f"module{number}" for number, path in enumerate(places)}
+    parts = [_as_function(path, places[path], names) for path in places]
+    exports = [
+        f"export const {{ {', '.join(_EXPORT.findall(places[path]))} }} = {names[path]};\n"
+        for path in entries
+    ]
+    return _stripped("".join(parts + exports))
+
+
+def _place(path: str, places: dict[str, str]) -> None:
+    """Add a module after those that it imports; circles are not allowed."""
+    if path in places:
+        return
+    source = module(path)
+    for _, imported in _IMPORT.findall(source):
+        _place(_target(path, imported), places)
+    places[path] = source
+
+
+def _target(path: str, imported: str) -> str:
+    return normpath(join(dirname(path), imported))
+
+
+def _as_function(path: str, source: str, names: dict[str, str]) -> str:
+    exported = ", ".join(_EXPORT.findall(source))
+
+    def taken(match: re.Match[str]) -> str:
+        return f"const {{{match[1].replace(' as ', ': ')}}} = {names[_target(path, match[2])]};\n"
+
+    body = _EXPORT.sub("", _IMPORT.sub(taken, source))
+    return f"const {names[path]} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();\n"
+
+
+def _stripped(source: str) -> str:
+    """Without comments and indentation; our modules have no regular expressions with quotes or slashes."""
+
+    def kept(match: re.Match[str]) -> str:
+        return match["text"] or ("\n" if match["gap"] else "")
+
+    once = _TOKEN.sub(kept, source)
+    return _TOKEN.sub(kept, once).lstrip()

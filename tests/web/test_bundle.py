@@ -1,0 +1,72 @@
+"""One module out of many: the same exports, and nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mixseq.web import bundle
+from mixseq.web.bundle import SEQUENCE, bundled
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.web.conftest import Node
+
+MODULES = {
+    "decoder/sum.js": """// adds
+const SIZE = 2; /* of what? */
+export const add = (a, b) => a + b + 0 * SIZE; // "both"
+""",
+    "decoder/text.js": """import { add } from "./sum.js";
+const SIZE = "// no comment";
+
+/** A text of
+    several lines. */
+export function told() {
+  return `${SIZE}
+    ${add(1, 2)}`;
+}
+export class Told {}
+""",
+    "player/play.js": """import { told as heard, Told } from "../decoder/text.js";
+import {
+  add,
+} from "../decoder/sum.js";
+export async function* all() { yield heard(); }
+export let last = add(4, 5), kind = new Told().constructor.name;
+""",
+}
+
+
+@pytest.fixture
+def modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundle, "module", MODULES.__getitem__)
+    bundled.cache_clear()
+
+
+@pytest.mark.usefixtures("modules")
+def test_modules_become_one(node: Node, tmp_path: Path) -> None:
+    text = bundled("player/play.js", "decoder/sum.js")
+    assert "import" not in text
+    assert "both" not in text
+    assert "of what" not in text
+    assert "several" not in text
+    bundled_file = tmp_path / "mixseq.mjs"
+    bundled_file.write_text(text, encoding="utf-8")
+    said = node(
+        "const all = await import(process.argv[2]);\n"
+        "console.log(JSON.stringify([Object.keys(all), (await all.all().next()).value, all.last]));",
+        bundled_file,
+    )
+    assert said.strip() == '[["add","all","last"],"// no comment\\n    3",9]'
+
+
+def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
+    bundled_file = tmp_path / "mixseq.mjs"
+    bundled_file.write_text(bundled(), encoding="utf-8")
+    names = "console.log(Object.keys(await import(process.argv[2])).join());"
+    assert node(names, bundled_file) == node(
+        f'import * as all from "{SEQUENCE}";\nconsole.log(Object.keys(all).join());'
+    )
