@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.coding.bitstream.compressed_sequence import (
+    BetweenFrames,
     Chunk,
     CodingParameters,
     CompressedSequence,
@@ -120,7 +122,12 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
     )
     header = read_header(path, container, index, ground)
     return CompressedSequence(
-        header, read_parameters(path, container), basis, chunks, read_order(path, container)
+        header,
+        read_parameters(path, container),
+        basis,
+        chunks,
+        read_order(path, container),
+        read_between(path, container),
     )
 
 
@@ -161,6 +168,28 @@ def read_order(path: Path, container: Container) -> OrderName:
     if order not in ORDERS:
         raise FormatError(f"{path}: this mixseq does not know the order {order!r}; upgrade it")
     return order
+
+
+def read_between(path: Path, container: Container) -> BetweenFrames | None:
+    """Read how coefficients are predicted between frames; None if the file does not say.
+
+    Raises
+    ------
+    FormatError
+        If it says that with other keys, or values that are out of range.
+    """
+    given = facts_of(path, container).get("between")
+    if given is None:
+        return None
+    if not (isinstance(given, dict) and set(given) == {"length", "cubic"}):
+        raise FormatError(f"{path}: between is {given!r}; length and cubic are expected; it is damaged")
+    length, cubic = given["length"], given["cubic"]
+    try:
+        return BetweenFrames(
+            inf if length is None else length, tuple(cubic) if isinstance(cubic, list) else cubic
+        )
+    except SettingsError as error:
+        raise FormatError(f"{path}: between: {error}; it is damaged") from error
 
 
 def read_header(

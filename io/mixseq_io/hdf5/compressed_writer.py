@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from math import inf
 from pathlib import Path
 from zlib import crc32
 
@@ -186,4 +187,7 @@ def _json(coded: CompressedSequence) -> bytes:
     }
     if coded.order != "keep":
         facts["order"] = coded.order
+    if coded.between is not None:
+        length, cubic = coded.between.length, coded.between.cubic
+        facts["between"] = {"length": None if length == inf else length, "cubic": cubic}
     return json.dumps(facts, separators=(",", ":")).encode("ascii")

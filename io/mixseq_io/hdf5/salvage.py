@@ -32,6 +32,7 @@ from mixseq.errors import FormatError, MixseqWarning
 from mixseq.sequence_header import SequenceHeader
 from mixseq_io.hdf5.compressed_reader import (
     container_of,
+    read_between,
     read_header,
     read_order,
     read_parameters,
@@ -82,12 +83,14 @@ def salvage_compressed(path: Path) -> CompressedSequence | None:
     groups = _basis(path, container, index)
     complete = len(groups) == len(index.basis)
     chunks, frames, bounded = _chunks(path, container, index, complete, header)
+    whole = len(frames) == header.frame_count
     return CompressedSequence(
-        header if len(frames) == header.frame_count else header.with_times(header.times[frames]),
+        header if whole else header.with_times(header.times[frames]),
         parameters if complete and bounded else replace(parameters, promised=False),
         groups,
         chunks,
         read_order(path, container),
+        read_between(path, container) if whole else None,  # what was chosen is for all frames
     )
 
 

@@ -27,7 +27,7 @@ from mixseq.coding.bitstream.spatial_basis import (
 )
 from mixseq.coding.bitstream.uv_values import LARGEST
 from mixseq.errors import FormatError, SettingsError
-from mixseq.prediction.operator import chosen, with_middles
+from mixseq.prediction.operator import Operator, chosen, with_middles
 from mixseq.sequence import SequenceHeader, bounding_diagonal
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -37,6 +37,9 @@ from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.basis import BasisSpace
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.threads import one_blas_thread
+
+SHORTEST, LONGEST = 0.5, 64.0
+"""Lengths that files may have. Frozen: they are part of the format."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,44 @@ class CodingParameters:
 
 
 @dataclass(frozen=True)
+class BetweenFrames:
+    """How coefficients are predicted between frames: what `mixseq.prediction.operator.chosen` found.
+
+    Attributes
+    ----------
+    length : float
+        Length of the covariance, in mean steps between frames: from 0.5 to 64, or infinite.
+    cubic : (float, float)
+        Shares of the usual cubic spline in the first and in the last interval, from 0 to 1.
+
+    Raises
+    ------
+    SettingsError
+        If one of them is of another type, or out of range: somebody wrote it into a file.
+    """
+
+    length: float
+    cubic: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not (_is_number(self.length) and (SHORTEST <= self.length <= LONGEST or self.length == inf)):
+            raise SettingsError(
+                f"length is {self.length!r}; a number from {SHORTEST:g} to {LONGEST:g} is expected, or infinity"
+            )
+        shares = self.cubic
+        if not (
+            isinstance(shares, tuple)
+            and len(shares) == 2
+            and all(_is_number(share) and 0 <= share <= 1 for share in shares)
+        ):
+            raise SettingsError(f"cubic is {shares!r}; two numbers from 0 to 1 are expected")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True)
 class CompressedSequence:
     """A compressed sequence, as a file holds it.
 
@@ -167,6 +208,8 @@ class CompressedSequence:
         Signals over time: all frames, in order.
     order : {"keep", "vertices", "free"}
         What has the numbers of the original: vertices and polygons, vertices only, or neither. Decoders do not need it.
+    between : BetweenFrames, optional
+        How coefficients are predicted between frames. None if that is chosen anew by whoever decodes them.
     """
 
     header: SequenceHeader
@@ -174,6 +217,7 @@ class CompressedSequence:
     basis: tuple[bytes, ...]
     chunks: tuple[Chunk, ...]
     order: OrderName = "keep"
+    between: BetweenFrames | None = None
 
 
 def to_model(coded: CompressedSequence) -> Model:
@@ -194,6 +238,11 @@ def to_model(coded: CompressedSequence) -> Model:
     FormatError
         If the streams are damaged or contradict each other.
     """
+    return decode(coded)[0]
+
+
+def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
+    """Decode a compressed sequence, as `to_model`, and tell how its coefficients are predicted between frames."""
     parameters, header = coded.parameters, coded.header
     graph = mesh_graph(header.faces, header.vertex_count)
     with (
@@ -219,10 +268,16 @@ def to_model(coded: CompressedSequence) -> Model:
             parameters.revision,
             graph,
         )
+    between = coded.between or _chosen(header.times, scores)
     times = with_middles(header.times)
-    time = Curve(times, chosen(header.times, scores).at(times).of(scores))
+    time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))
-    return Model(header, space, time, pose, shapes, placement, residual_layer)
+    return Model(header, space, time, pose, shapes, placement, residual_layer), between
+
+
+def _chosen(times: Float, scores: Float) -> BetweenFrames:
+    operator = chosen(times, scores)
+    return BetweenFrames(operator.length, operator.cubic)
 
 
 def _refuse_far(points: Float, parameters: CodingParameters) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mixseq.choices import OrderName
-from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence, to_model
+from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence, decode
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.residuals import width
@@ -167,7 +167,7 @@ def _checked(
         best.basis_streams,
         best.chunks,
     )
-    model = to_model(coded)
+    model, between = decode(coded)
     squares = variation = largest = 0.0
     done = 0
     for block in model.blocks(model.times):
@@ -188,4 +188,4 @@ def _checked(
             f"the KG error is {kg_percent:.6g} % after decoding, more than {kg:g}; please report this"
         )
     parameters = replace(coded.parameters, max_error=error if bound is None else bound, kg_percent=kg_percent)
-    return replace(coded, parameters=parameters)
+    return replace(coded, parameters=parameters, between=between)

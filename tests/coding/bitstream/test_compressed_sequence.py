@@ -5,13 +5,15 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from functools import cache
+from math import inf
 
 import numpy as np
 import pytest
 
 from mixseq.arrays import Float
-from mixseq.coding.bitstream import residual_layer
+from mixseq.coding.bitstream import compressed_sequence, residual_layer
 from mixseq.coding.bitstream.compressed_sequence import (
+    BetweenFrames,
     CompressedSequence,
     decode_basis,
     decode_coefficients,
@@ -21,6 +23,7 @@ from mixseq.coding.bitstream.residual_layer import RUN, CodedResidualLayer, read
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.compress import compress
 from mixseq.errors import FormatError
+from mixseq.prediction.operator import Operator, with_middles
 from mixseq.sequence import MeshSequence
 from mixseq.signals.model import Model
 from mixseq.spaces import VertexSpace
@@ -107,6 +110,28 @@ def test_frames_are_the_same_bits_however_they_are_asked_for() -> None:
 
 
 # Between frames ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("coded", [bounded, noisy], ids=["trajectories", "shapes"])
+def test_what_encoders_choose_between_frames_is_what_decoders_would(
+    coded: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = coded()  # type: ignore[operator]
+    expected = to_model(replace(made, between=None)).time
+    monkeypatch.setattr(compressed_sequence, "chosen", None)  # nobody asks for it
+    found = to_model(made).time
+    np.testing.assert_array_equal(found.times, expected.times)
+    np.testing.assert_array_equal(found.values, expected.values)
+
+
+def test_what_a_file_says_is_between_frames_is_there() -> None:
+    made = noisy()
+    for between in (BetweenFrames(inf, (0.25, 1.0)), BetweenFrames(1.0, (0.0, 0.0))):
+        model = to_model(replace(made, between=between))
+        scores = model.time(model.times)
+        operator = Operator(model.times, between.length, between.cubic)
+        expected = operator.at(with_middles(model.times)).of(scores)
+        np.testing.assert_allclose(model.time.values, expected, atol=1e-12)
 
 
 def test_residuals_are_linear_between_frames() -> None:

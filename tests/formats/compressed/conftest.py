@@ -9,7 +9,7 @@ import pytest
 
 import mixseq
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
-from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes
+from tests.formats.compressed.stream_cases import BETWEEN, PARAMETERS, any_bytes
 from tests.meshes import bar
 
 
@@ -22,7 +22,8 @@ def coded() -> CompressedSequence:
         Chunk(4 * number, count, any_bytes(coefficients), any_bytes(residuals))
         for number, (count, coefficients, residuals) in enumerate(sizes)
     )
-    return CompressedSequence(header, PARAMETERS, tuple(any_bytes(size) for size in (500, 600, 700)), chunks)
+    groups = tuple(any_bytes(size) for size in (500, 600, 700))
+    return CompressedSequence(header, PARAMETERS, groups, chunks, between=BETWEEN)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from mixseq.coding.bitstream.compressed_sequence import CodingParameters, CompressedSequence
+from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, CodingParameters, CompressedSequence
 from mixseq_io.hdf5.compressed_reader import read_container
 from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
 
@@ -24,6 +24,8 @@ PARAMETERS = CodingParameters(
     promised=True,
 )
 
+BETWEEN = BetweenFrames(2.8, (1 / 3, 0.1 + 0.2))
+
 
 def any_bytes(size: int) -> bytes:
     return np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8).tobytes()
@@ -31,6 +33,7 @@ def any_bytes(size: int) -> bytes:
 
 def assert_same(got: CompressedSequence, expected: CompressedSequence) -> None:
     assert (got.parameters, got.basis, got.chunks) == (expected.parameters, expected.basis, expected.chunks)
+    assert (got.order, got.between) == (expected.order, expected.between)
     a, b = got.header, expected.header
     assert a.polygons.same_as(b.polygons)
     assert a.times.tolist() == b.times.tolist()

@@ -133,6 +133,17 @@ def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
         (lambda facts: facts.update(frame_count=99), "numbers of frames contradict each other"),
         (lambda facts: facts.update(vertex_count="many"), "many.*; it is damaged"),
         (lambda facts: facts.update(up_axis="W"), "up axis is 'W'.*; it is damaged"),
+        (lambda facts: facts.update(between=[4.0, 0.5, 0.5]), "between is .*length and cubic are expected"),
+        (lambda facts: facts["between"].pop("cubic"), "between is .*length and cubic are expected"),
+        (lambda facts: facts["between"].update(knots=3), "between is .*length and cubic are expected"),
+        (lambda facts: facts["between"].update(length=0.25), "length is 0.25; a number from 0.5 to 64"),
+        (lambda facts: facts["between"].update(length=65), "length is 65; a number from 0.5 to 64"),
+        (lambda facts: facts["between"].update(length=float("nan")), "length is nan; a number from 0.5"),
+        (lambda facts: facts["between"].update(length=True), "length is True; a number from 0.5 to 64"),
+        (lambda facts: facts["between"].update(cubic=[0.5, 1.5]), r"cubic is \(0.5, 1.5\); two numbers"),
+        (lambda facts: facts["between"].update(cubic=[0.5]), r"cubic is \(0.5,\); two numbers"),
+        (lambda facts: facts["between"].update(cubic=[0.5, "1"]), r"cubic is \(0.5, '1'\); two numbers"),
+        (lambda facts: facts["between"].update(cubic=0.5), "cubic is 0.5; two numbers from 0 to 1"),
     ],
 )
 def test_contradictions_are_refused(
@@ -141,6 +152,16 @@ def test_contradictions_are_refused(
     changed(path, change)
     with pytest.raises(FormatError, match=rf"small\.h5: .*{message}"):
         read_compressed(path)
+
+
+def test_what_else_files_say_is_ignored(path: Path, coded: CompressedSequence) -> None:
+    changed(path, lambda facts: facts.update(author="somebody", colours={"skin": [1, 2, 3]}))
+    assert_same(read_compressed(path), coded)
+
+
+def test_files_need_not_say_what_is_between_frames(path: Path, coded: CompressedSequence) -> None:
+    changed(path, lambda facts: facts.pop("between"))
+    assert_same(read_compressed(path), replace(coded, between=None))
 
 
 def test_newer_versions_are_refused(path: Path) -> None:

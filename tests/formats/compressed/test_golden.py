@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
@@ -45,3 +46,15 @@ def test_the_golden_file_still_decodes_to_the_same_points() -> None:
     assert coded.header.surface.face_sets[0].name == "end"
     assert coded.header.surface.hard_edges is not None
     assert mixseq.verify(path, golden_sequence()).holds
+
+
+def test_what_the_golden_file_says_of_the_time_between_frames_still_holds() -> None:
+    path = GOLDEN / "model-v8-between.h5"
+    model = mixseq.load(path)
+    with np.load(path.with_suffix(".npz")) as expected:
+        np.testing.assert_allclose(model.sample().points, expected["points"], atol=1e-9)
+        between = model.sample(expected["between_times"]).points
+        np.testing.assert_allclose(between, expected["between"], atol=1e-9)
+    coded = read_compressed(path)
+    assert coded.between is not None
+    assert 0 < coded.between.length < inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from math import inf
 from pathlib import Path
 
 import h5py
@@ -12,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mixseq
-from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, Chunk, CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.sequence import MeshSequence
 from mixseq.spaces.basis import BasisSpace
@@ -46,6 +47,15 @@ def test_the_file_says_what_it_is(path: Path) -> None:
         name: value for name, value in asdict(PARAMETERS).items() if name not in without
     }
     assert (facts["name"], facts["frame_count"], facts["polygon_count"]) == ("Füchsin", 14, 150)
+    assert facts["between"] == {"length": 2.8, "cubic": [1 / 3, 0.1 + 0.2]}
+
+
+def test_infinite_lengths_come_back(path: Path, coded: CompressedSequence) -> None:
+    endless = replace(coded, between=BetweenFrames(inf, (0, 1)))
+    mixseq.save(path, endless)
+    with h5py.File(path) as file:
+        assert json.loads(file.attrs["coding"])["between"] == {"length": None, "cubic": [0, 1]}
+    assert_same(read_compressed(path), endless)
 
 
 def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: CompressedSequence) -> None:

@@ -54,6 +54,7 @@ def test_damaged_tracks_cost_their_frames(path: Path, coded: CompressedSequence)
     first, _, third, fourth = coded.chunks
     assert rest.chunks == (first, replace(third, first=4), replace(fourth, first=8))
     assert (rest.parameters, rest.basis) == (coded.parameters, coded.basis)
+    assert rest.between is None  # it was chosen for all frames
 
 
 def test_frames_that_are_lost_are_named_together(path: Path) -> None:
@@ -77,6 +78,7 @@ def test_damaged_fields_cost_the_groups_from_there_on(path: Path, coded: Compres
     assert [each.residuals for each in rest.chunks] == 4 * [b""]
     assert [each.coefficients for each in rest.chunks] == [each.coefficients for each in coded.chunks]
     assert not rest.parameters.promised
+    assert rest.between == coded.between
 
 
 def test_a_damaged_surface_costs_the_surface(tmp_path: Path, coded: CompressedSequence) -> None:
