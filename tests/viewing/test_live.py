@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -19,7 +21,7 @@ from mixseq.signals import Model
 from tests.viewing.conftest import NewPage
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -79,6 +81,30 @@ MIDDLE = """() => {
 }"""
 
 
+ON_SCREEN = """() => {
+  let mesh = null;
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  nodeRefFromName["/mesh/0"].traverse((each) => { if (each.isMesh && !mesh) mesh = each });
+  const { array, count } = mesh.geometry.attributes.position, { x, y, width, height } = canvas.getBoundingClientRect();
+  const point = mesh.position.clone(), seen = [];
+  for (let k = 0; k < count; k++) {
+    mesh.localToWorld(point.fromArray(array, 3 * k)).project(camera);
+    seen.push([x + (1 + point.x) / 2 * width, y + (1 - point.y) / 2 * height, point.z]);
+  }
+  return seen;
+}"""
+"""Where the vertices are on the page, and how deep."""
+
+
+def foremost_part(window: Window, model: Model) -> tuple[int, tuple[float, float]]:
+    """A part that hangs on another one, and the place on the page where it is nearest to the camera of all."""
+    seen, parts = np.array(window.page.evaluate(ON_SCREEN)), model.decomposition
+    hangs = (model.space.parents[parts.part_of_face] >= 0) & (parts.joint_of_face < 0)
+    middles = seen[model.header.faces].mean(axis=1)
+    face = np.flatnonzero(hangs)[middles[hangs, 2].argmin()]
+    return int(parts.part_of_face[face]), (float(middles[face, 0]), float(middles[face, 1]))
+
+
 class Window:
     """A page with the viewer, and a hand."""
 
@@ -121,6 +147,10 @@ class Window:
         x, y = self.page.evaluate(MIDDLE)
         return x, y
 
+    def part(self) -> str:
+        """What is chosen as the part that is edited."""
+        return self.page.get_by_label("Part", exact=True).input_value()
+
     def click(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
 
@@ -150,6 +180,9 @@ def test_a_session(
 
     page.mouse.click(*window.middle())
     eventually(lambda: page.locator("#mixseq-picked").inner_text().startswith("vertex "))
+    part, place = foremost_part(window, model)
+    page.mouse.click(*place)
+    eventually(lambda: window.part() == str(part))
 
     for now, colour in (("clay", "parts"), ("parts", "strain")):
         window.changes("color", partial(window.choose, now, colour))
@@ -180,3 +213,60 @@ def test_a_session(
     assert other.array("position") == drawn
     assert session.model is edited
     page.screenshot(path=screenshots / "view_wide.png")
+
+
+def test_the_whole_body_is_not_held(new_page: NewPage, running: Viewer, model: Model) -> None:
+    """It has nothing to rest against: that is told, and nothing changes."""
+    window = Window(new_page(), running.address)
+    assert window.part() == "whole body"
+    window.click("Hold")
+    eventually(lambda: window.page.get_by_text("nothing to rest against").count())
+    assert running.session.model is model
+    assert not running.session.history.undoes
+
+
+EDGES = """() => {
+  const { left, top, right } = document.querySelector(".mixseq-sheet").getBoundingClientRect();
+  return [window.__viserMutable.canvas.getBoundingClientRect().bottom, left, top, right];
+}"""
+"""Where the picture ends, and the left, upper and right edge of the panel."""
+
+
+def test_on_a_phone_the_panel_is_under_the_picture(
+    new_page: NewPage, running: Viewer, screenshots: Path
+) -> None:
+    page = new_page(390, 844)
+    page.goto(running.address + QUICK)
+    page.locator(".mixseq-sheet").wait_for()
+
+    def meet() -> bool:
+        """Whether the sheet begins where the picture ends, and has the width of the window."""
+        end, left, top, right = page.evaluate(EDGES)
+        return abs(top - end) <= 1 and (left, right) == (0, 390)
+
+    eventually(meet)
+    top = page.evaluate(EDGES)[2]
+    assert top > 444, "the picture has more than half of the window"
+
+    def fits() -> bool:
+        seen = np.array(page.evaluate(ON_SCREEN))
+        return bool((seen[:, :2].min(axis=0) > 0).all() and (seen[:, :2].max(axis=0) < [390, top]).all())
+
+    eventually(fits)
+    page.screenshot(path=screenshots / "view_phone.png")
+
+
+def test_the_page_says_so_when_its_server_is_killed(browser: Browser, tmp_path: Path, model: Model) -> None:
+    mixseq.save(tmp_path / "fox.h5", model)
+    command = [sys.executable, "-m", "mixseq", "view", "fox.h5", "--no-browser", "--port", "8301"]
+    page = browser.new_page()  # its console tells of the line that is cut
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout
+            page.goto(server.stdout.readline().split()[2] + QUICK)
+            page.wait_for_function("() => window.mixseqLive")
+            eventually(lambda: page.locator("#mixseq-ended").is_hidden())
+        finally:
+            server.kill()
+    page.get_by_role("alert").get_by_text("This viewer has ended").wait_for()
+    page.close()

@@ -37,7 +37,7 @@ def add_bridge(server: Any, heard: Callable[[Message], None]) -> None:
 
 def _frame(line: str) -> str:
     """Return an element that brings our scripts into the page that it is in."""
-    source = f"{chart_scripts()}\n{script('live.js')}"
+    source = "\n".join([chart_scripts(), script("live_window.js"), script("live.js")])
     start = f"""<script>
 const text = {script_json(source)};
 if (!parent.mixseqLive) {{

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mixseq.frame_numbers import frame_text
-from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, retime, reverse
+from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, reverse
 from mixseq.operations.dragging import default_reach
 from mixseq.signals import Model
-from mixseq.viewing.live.controls import SaveControls
+from mixseq.viewing.live.controls import SaveControls, notify
 from mixseq.viewing.live.curves_panel import Charts
 from mixseq.viewing.messages import Message
 from mixseq.viewing.picking import Picked
@@ -20,6 +20,11 @@ from mixseq.viewing.playback import Moment, Playback
 from mixseq.viewing.session import Edit, Session
 
 WHOLE = "whole body"
+
+NO_HOLD = (
+    "the whole body has nothing to rest against; click a part of the mesh, or choose it under Part. To stop all for a "
+    "while, drag keys of the retiming"
+)
 
 SHORTEST = 1e-3
 """Seconds that a length of time has at least."""
@@ -66,7 +71,7 @@ class EditControls:
         self._seconds.on_update(lambda _: charts.last(float(self._seconds.value)))
         self._reach.on_update(lambda _: charts.reach(float(self._reach.value)))
         sections.on_click(lambda _: self._edit_section(sections.value))
-        parts.on_click(lambda _: self._edit_part(parts.value))
+        parts.on_click(lambda event: self._edit_part(parts.value, event.client))
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
 
@@ -119,15 +124,14 @@ class EditControls:
         }
         self._session.edit(name.lower(), edits[name])
 
-    def _edit_part(self, name: str) -> None:
+    def _edit_part(self, name: str, client: Any) -> None:
         part, gain = self._part.value, float(self._gain.value)
         if name == "Exaggerate" and part == WHOLE:
             self._session.edit("exaggerate", partial(exaggerate, gain=gain))
         elif name == "Exaggerate":
             self._session.edit("exaggerate part", partial(exaggerate_part, part=int(part), gain=gain))
         elif part == WHOLE:
-            start, end = self._chosen_section
-            self._session.edit("hold", partial(pause, time=self._time, seconds=end - start))
+            notify(client, "Hold: not done", NO_HOLD)
         else:
             start, end = self._chosen_section
             self._session.edit("hold", partial(hold, part=int(part), time=self._time, start=start, end=end))
@@ -150,19 +154,6 @@ class EditControls:
         """The time of the model that is seen."""
         model, playback = self._session.model, self._playback
         return min(model.start + playback.scene.elapsed(playback.frame), model.end)
-
-
-def pause(model: Model, time: float, seconds: float) -> Model:
-    """Return the model standing still at a time, for so many seconds, and then going on.
-
-    Raises
-    ------
-    SettingsError
-        If the time is not in the model, or the seconds are not positive.
-    """
-    before = [[model.start, model.start]] if time > model.start else []
-    after = [[model.end + seconds, model.end]] if time < model.end else []
-    return retime(model, [*before, [time, time], [time + seconds, time], *after], smooth=False)
 
 
 def span(model: Model) -> tuple[float, float]:

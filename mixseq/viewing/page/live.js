@@ -8,7 +8,7 @@
 window.mixseqLive ??= (function () {
   const self = Math.random().toString(36).slice(2); // several pages may talk to one server
   const seen = new Map(); // of every mesh: which positions and colours were drawn last
-  let bridge = "", said = 0, charts = null;
+  let bridge = "", line = null, said = 0, charts = null;
 
   function say(message) {
     const value = JSON.stringify({ ...message, from: self, number: ++said });
@@ -76,6 +76,8 @@ window.mixseqLive ??= (function () {
   function tick() {
     requestAnimationFrame(tick);
     if (!bridge || !window.__viserMutable?.nodeRefFromName) return;
+    mixseqWindow.arrange();
+    mixseqWindow.say(window.__viserMutable.sendMessage !== line); // viser puts another one there when its line is cut
     const meshes = Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => /^\/mesh\/\d+$/.test(name));
     if (meshes.map(paint).some(Boolean)) {
       window.__viserMutable.requestRender?.();
@@ -107,6 +109,7 @@ window.mixseqLive ??= (function () {
     /** Talk to the text input of this name; again after every reconnection. */
     connect(to) {
       bridge = to;
+      line = window.__viserMutable.sendMessage;
       seen.clear();
     },
   };
