@@ -27,8 +27,8 @@ INTO, OUT_OF = 0, 1
 """Half-edges that end, or start, at a vertex. Free: rows of tables."""
 
 _LOOKED_AT = 32
-"""So many open half-edges at a vertex are looked at for one that runs the other way: time stays bounded. Frozen: breaks
-old files."""
+"""So many open half-edges at a vertex, and one more, are looked at for one that runs the other way: time stays bounded.
+Frozen: breaks old files."""
 
 
 class HalfEdges(NamedTuple):
