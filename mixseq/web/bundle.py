@@ -12,6 +12,7 @@ SEQUENCE = "decoder/sequence.js"
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|class|const|let) (\w+))", re.MULTILINE)
+_AGAIN = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
 _TOKEN = re.compile(
     r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
     r"""|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)""",
@@ -42,11 +43,8 @@ def bundled(*entries: str) -> str:
         _place(entry, places)
     names = {path: f"module{number}" for number, path in enumerate(places)}
     parts = [_as_function(path, places[path], names) for path in places]
-    exports = [
-        f"export const {{ {', '.join(_EXPORT.findall(places[path]))} }} = {names[path]};\n"
-        for path in entries
-    ]
-    return _stripped("".join(parts + exports))
+    exports = [f"export const {{ {_exported(places[path])} }} = {names[path]};\n" for path in entries]
+    return stripped("".join(parts + exports))
 
 
 def _place(path: str, places: dict[str, str]) -> None:
@@ -64,17 +62,19 @@ def _target(path: str, imported: str) -> str:
 
 
 def _as_function(path: str, source: str, names: dict[str, str]) -> str:
-    exported = ", ".join(_EXPORT.findall(source))
-
     def taken(match: re.Match[str]) -> str:
         return f"const {{{match[1].replace(' as ', ': ')}}} = {names[_target(path, match[2])]};\n"
 
-    body = _EXPORT.sub("", _IMPORT.sub(taken, source))
-    return f"const {names[path]} = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();\n"
+    body = _EXPORT.sub("", _AGAIN.sub("", _IMPORT.sub(taken, source)))
+    return f"const {names[path]} = (() => {{\n{body}\nreturn {{ {_exported(source)} }};\n}})();\n"
 
 
-def _stripped(source: str) -> str:
-    """Without comments and indentation; our modules have no regular expressions with quotes or slashes."""
+def _exported(source: str) -> str:
+    return ", ".join([*_EXPORT.findall(source), *_AGAIN.findall(source)])
+
+
+def stripped(source: str) -> str:
+    """Return scripts without comments and indentation; they have no regular expressions with quotes or slashes."""
 
     def kept(match: re.Match[str]) -> str:
         return match["text"] or ("\n" if match["gap"] else "")

@@ -1,9 +1,134 @@
 // A compressed sequence: what it is, and its frames at any time.
-import { MixseqError as Failure } from "./errors.js";
+import { decodePolygons } from "./connectivity.js";
+import { Curve } from "./curve.js";
+import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
+import { MixseqError, guarded } from "./errors.js";
+import { readFacts } from "./parameters.js";
+import { triangulated } from "./polygons.js";
+import { evaluate, fieldsOf } from "./evaluation.js";
+import { ResidualLayer } from "./residual_layer.js";
+import { meshGraph } from "./signal_graph.js";
+import { readBasis, readWeights, widthOf } from "./spatial_basis.js";
+import { readIndex } from "./stream_index.js";
+import { unpackTimes } from "./times.js";
+export { MixseqError };
 
-export class MixseqError extends Failure {}
-
-/** Open a sequence: `text` is the attribute `coding` of a compressed model, `streams` are the bytes of its dataset. */
+/**
+ * Open a sequence: `text` is the attribute `coding` of a compressed model, `streams` are the bytes of its dataset. All
+ * bytes are checked, nothing is decoded yet.
+ */
 export function open(text, streams) {
-  throw new MixseqError(`not yet: ${text.length} characters, ${streams.length} bytes`);
+  return guarded("the sequence", () => new Sequence(text, streams));
+}
+
+/** Decoded as it is asked for: the mesh, the fields over it, and chunk by chunk their weights over time. */
+export class Sequence {
+  #between;
+  #polygons;
+  #triangles;
+  #basis;
+  #weights = [];
+
+  constructor(text, bytes) {
+    const { firstTime, between, ...told } = readFacts(text);
+    Object.assign(this, told, { streams: readIndex(text, bytes, told.parameters.uvSteps !== null) });
+    this.chunks = this.streams.chunks.map(({ first, count }) => ({ first, count, loaded: false }));
+    if (this.chunks.reduce((sum, { count }) => sum + count, 0) !== this.frameCount) {
+      throw new MixseqError(`its chunks are not of ${this.frameCount} frames; it is damaged`);
+    }
+    this.times = unpackTimes(this.streams.times, firstTime, this.frameCount, this.fps);
+    this.#between = between;
+  }
+
+  /** How many corners the polygons have, `counts`, and the vertices of all `corners`. */
+  polygons() {
+    return (this.#polygons ??= guarded("the connectivity", () => {
+      const { data, expected } = withoutCheck(this.streams.connectivity);
+      const found = decodePolygons(data, this.polygonCount, this.cornerCount, this.vertexCount);
+      refuseOthers(checkOf(found.corners, checkOf(found.counts)), expected);
+      return found;
+    }));
+  }
+
+  /** The triangles that polygons are drawn as: three vertices each. */
+  triangles() {
+    const { counts, corners } = this.polygons();
+    return (this.#triangles ??= triangulated(counts, corners));
+  }
+
+  /**
+   * Fields over the mesh: their `count`, and `parts` of the mesh, each vertex in one of them. A part has `vertices`, the
+   * numbers of its `fields`, and their `values` at the vertices, vertex by vertex. A frame is the sum of all fields times
+   * their `weights`.
+   */
+  fields() {
+    return this.#decoded().fields;
+  }
+
+  /** Decode the weights in the frames of a chunk, unless they are known. */
+  load(number) {
+    const chunk = this.chunks[number];
+    if (!chunk || chunk.loaded) return;
+    const { basis } = this.#decoded(), { first, count } = chunk, { coefficients } = this.streams.chunks[number];
+    this.#weights[number] = guarded(`the coefficients of frames ${first} to ${first + count - 1}`, () =>
+      readWeights(coefficients, basis, count, this.parameters.step, this.frameCount));
+    chunk.loaded = true;
+  }
+
+  /** The weights of all fields at a time, x, y and z of each; before the first and after the last frame, of that. */
+  weights(time, out = new Float32Array(this.#decoded().width)) {
+    out.set(this.#at(time));
+    return out;
+  }
+
+  /** Where the vertices are at a time. */
+  at(time, out = new Float32Array(3 * this.vertexCount)) {
+    evaluate(this.fields(), this.#at(time), out);
+    this.#residuals()?.addTo(out, this.#inside(time));
+    return out;
+  }
+
+  /** Where the vertices are in a frame. */
+  frame(number, out) {
+    return this.at(this.times[Math.min(Math.max(Math.round(number), 0), this.frameCount - 1)], out);
+  }
+
+  /** What is to be added to the sum of the fields at a time; null if nothing is. */
+  residuals(time) {
+    const out = this.#residuals() && new Float32Array(3 * this.vertexCount);
+    return out && this.#residuals().addTo(out, this.#inside(time)) ? out : null;
+  }
+
+  #inside(time) {
+    if (Number.isNaN(Number(time))) throw new MixseqError("a time is no number");
+    return Math.min(Math.max(time, this.times[0]), this.times[this.frameCount - 1]);
+  }
+
+  #at(time) {
+    return this.#decoded().curve.at(this.#inside(time));
+  }
+
+  #residuals() {
+    return this.#decoded().residuals;
+  }
+
+  #decoded() {
+    return (this.#basis ??= guarded("the basis vectors", () => {
+      const triangles = this.triangles(), mesh = meshGraph(triangles, this.vertexCount), { chunks, basis: groups } = this.streams;
+      const basis = readBasis(groups, this.parameters, triangles, mesh), width = widthOf(basis);
+      const displaced = chunks.some(({ residuals }) => residuals.length);
+      return {
+        basis, width, fields: fieldsOf(basis),
+        curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame)),
+        residuals: displaced ? new ResidualLayer(this.times, chunks, mesh.graph, this.parameters.correction) : null,
+      };
+    }));
+  }
+
+  #row(frame) {
+    const number = this.chunks.findIndex(({ first, count }) => frame < first + count);
+    this.load(number);
+    const { width } = this.#decoded(), start = (frame - this.chunks[number].first) * width;
+    return this.#weights[number].subarray(start, start + width);
+  }
 }

@@ -1,0 +1,49 @@
+// How likely the next bit is, from several contexts at once (logistic mixing). Mirrors coding/bitstream/bit_models.py.
+import { FAR, logisticTables } from "./logistic.js";
+
+const PATIENCE = 255; // frequencies follow their last so many bits
+const RATE = 48; // of weights, in 1 / 4096 of x's and p's units
+const LEAST = 16; // no bit is likelier than all but so many 65536ths
+
+const { stretch: STRETCH, squash: SQUASH } = logisticTables();
+for (let x = 0; x < SQUASH.length; x++) SQUASH[x] = Math.min(Math.max(SQUASH[x], LEAST), 65536 - LEAST);
+const STEPS = Int32Array.from({ length: PATIENCE + 1 }, (_, count) => Math.floor((1 << 17) / (2 * count + 3)));
+const TRUST = Int32Array.from({ length: PATIENCE + 1 }, (_, count) => Math.floor((256 * count) / (count + 1)));
+
+/** What is known about bits to come; `contexts` are to be set before a bit: what the inputs know. */
+export class BitModels {
+  constructor(inputs, contexts, positions) {
+    this.positions = positions;
+    this.width = contexts * positions; // of an input
+    this.shares = new Int32Array(inputs * this.width).fill(1 << 23); // 256 p + n
+    this.weights = new Float64Array(positions * inputs).fill(Math.floor((65536 + (inputs >> 1)) / inputs));
+    this.contexts = new Int32Array(inputs);
+    this.inputs = new Int32Array(inputs); // x of the current bit
+    this.places = new Int32Array(inputs); // of its shares
+  }
+
+  /** Read a bit at a position, and learn from it. */
+  read(bits, position) {
+    const { shares, weights, contexts, inputs, places, positions, width } = this;
+    const count = inputs.length, own = position * count;
+    let sum = 0; // may have more than 32 bits
+    for (let i = 0, first = position; i < count; i++, first += width) {
+      const place = first + contexts[i] * positions, share = shares[place];
+      const x = (STRETCH[share >> 12] * TRUST[share & 255]) >> 8;
+      places[i] = place;
+      inputs[i] = x;
+      sum += weights[own + i] * x;
+    }
+    const x = sum >= FAR * 65536 ? FAR : sum < -FAR * 65536 ? -FAR : sum >> 16;
+    const chance = SQUASH[x + FAR], bit = bits.read(chance);
+    const error = ((bit << 16) - chance) >> 4, aim = (bit << 16) - bit;
+    for (let i = 0; i < count; i++) {
+      weights[own + i] += (Math.imul(inputs[i], error) * RATE + 32768) >> 16;
+      const place = places[i], share = shares[place], seen = share & 255;
+      // The product has 32 bits: p is 32768 where the step is largest.
+      const p = (share >> 8) + (Math.imul(aim - (share >> 8), STEPS[seen]) >> 16);
+      shares[place] = (p << 8) + (seen < PATIENCE ? seen + 1 : seen);
+    }
+    return bit;
+  }
+}

@@ -1,0 +1,150 @@
+// Predictions, their weights, and nodes that are alike. Mirrors coding/bitstream/predictor_kernels.py.
+//
+// Values are whole, in units of 1/64 step, weights multiples of 2^-24. Neighbours and weights are N x width; the first
+// `counts[node]` of a row count. Only `solve` rounds: + - * / and roots, in the order of the specification.
+
+export const UNIT = 64; // of values, in a step
+const FARTHEST = 2 ** 50; // predictions are not beyond this
+const ROUNDING = 1.5 * 2 ** 28; // a number that is added to this and taken from it again is a multiple of 2^-24
+const LEAST = 1e-12; // share of the traces of matrices that is added to the ridge
+
+/** What the values before a node let expect of it. */
+export function predict(node, { width, neighbours, counts, weights }, values) {
+  let total = 0.5;
+  for (let at = node * width, end = at + counts[node]; at < end; at++) total += weights[at] * values[neighbours[at]];
+  if (total > FARTHEST) total = FARTHEST;
+  else if (!(total > -FARTHEST)) total = -FARTHEST;
+  return Math.floor(total);
+}
+
+/** Weights, rounded to multiples of 2^-24. */
+export const rounded = (weights) => weights.map((weight) => weight + ROUNDING - ROUNDING);
+
+/** A power of two, about 1 / (1 + m / rough), with the mean square m of differences of nodes and first neighbours. */
+export function trust(values, rough, { width, neighbours, counts }) {
+  let total = 0, pairs = 0, share = 1;
+  for (let node = 0; node < values.length; node++) {
+    if (!counts[node]) continue;
+    const apart = values[node] - values[neighbours[node * width]];
+    total += apart * apart;
+    pairs++;
+  }
+  const whole = rough * pairs;
+  total += whole;
+  while (share * total > 1.5 * whole) share *= 0.5;
+  return share;
+}
+
+/** Numbers of a node's matrix and right side, the lower triangle row by row. */
+export const entries = (count) => (count > 1 ? (count * (count + 1)) / 2 - 1 : 0);
+
+/** Add the products of the differences of signals, times their trusts, to the Gram matrices. */
+export function learn(signals, trusts, { width, neighbours, counts }, gram) {
+  const apart = new Float64Array(width), size = counts.length;
+  for (let node = 0, place = 0; node < size; node++) {
+    const last = counts[node] - 1, row = node * width;
+    if (last < 1) continue;
+    for (let k = 0; k < signals.length; k++) {
+      const values = signals[k], weight = trusts[k], first = values[neighbours[row]];
+      for (let i = 0; i < last; i++) apart[i] = values[neighbours[row + i + 1]] - first;
+      apart[last] = values[node] - first;
+      for (let i = 0, at = place; i <= last; i++) {
+        const one = weight * apart[i], end = i < last ? i + 1 : last;
+        for (let j = 0; j < end; j++) gram[at++] += one * apart[j];
+      }
+    }
+    place += entries(last + 1);
+  }
+}
+
+/** Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one, by Cholesky's factors. */
+export function solve(ridge, { width, counts }, gram, start, weights) {
+  const lower = new Float64Array(entries(width) + 1), inverse = new Float64Array(width), found = new Float64Array(width);
+  for (let node = 0, place = 0; node < counts.length; node++) {
+    const last = counts[node] - 1, first = node * width;
+    if (last < 1) continue;
+    let pull = ridge;
+    for (let i = 0; i < last; i++) pull += LEAST * gram[place + (i * (i + 3)) / 2];
+    for (let i = 0, row = 0; i <= last; row += ++i) {
+      for (let j = 0, column = 0; j <= i && j < last; column += ++j) {
+        // The ridge of the first weight, too, which is one minus the others.
+        let entry = gram[place++] + pull;
+        if (i === last) entry += pull * (start[first + j + 1] - start[first]);
+        else if (i === j) entry += pull;
+        for (let k = 0; k < j; k++) entry -= lower[row + k] * lower[column + k];
+        if (i === j) inverse[i] = 1 / Math.sqrt(entry > pull ? entry : pull);
+        else lower[row + j] = entry * inverse[j];
+      }
+    }
+    let left = 1;
+    for (let i = last - 1, row = (last * (last + 1)) / 2; i >= 0; i--) {
+      let entry = lower[row + i];
+      for (let k = i + 1; k < last; k++) entry -= lower[(k * (k + 1)) / 2 + i] * found[k];
+      found[i] = entry * inverse[i] + ROUNDING - ROUNDING;
+      left -= found[i];
+    }
+    weights[first] = left;
+    for (let i = 0; i < last; i++) weights[first + i + 1] = found[i];
+  }
+}
+
+/**
+ * The nodes before every node that are nearest to it in signals, but for its neighbours: `similar` (N x most), the
+ * nearest first, and how many were `found` (N). The first `exhaustive` nodes look at all nodes before them.
+ */
+export function nearest(signals, { width, neighbours, counts }, exhaustive, most) {
+  const size = counts.length, first = Math.min(size, exhaustive), dim = signals.length;
+  const similar = new Int32Array(size * most), found = new Int32Array(size);
+  const apart = new Float64Array(most), distances = new Float64Array(first);
+  const insert = (node, other, distance) => {
+    let place = most - 1;
+    for (; place > 0 && apart[place - 1] > distance; place--) {
+      apart[place] = apart[place - 1];
+      similar[node * most + place] = similar[node * most + place - 1];
+    }
+    apart[place] = distance;
+    similar[node * most + place] = other;
+    if (found[node] < most) found[node]++;
+  };
+  for (let node = 0; node < first; node++) {
+    distances.fill(0, 0, node);
+    for (const signal of signals) {
+      const here = signal[node];
+      for (let other = 0; other < node; other++) {
+        const one = signal[other] - here;
+        distances[other] += one * one;
+      }
+    }
+    for (let i = 0; i < counts[node]; i++) distances[neighbours[node * width + i]] = Infinity;
+    apart.fill(Infinity);
+    for (let other = 0; other < node; other++) if (distances[other] < apart[most - 1]) insert(node, other, distances[other]);
+  }
+  if (size === first) return { similar, found };
+  const points = new Float64Array(size * dim), seen = new Int32Array(size).fill(-1); // the last that looked at a node
+  signals.forEach((signal, axis) => {
+    for (let node = 0; node < size; node++) points[node * dim + axis] = signal[node];
+  });
+  const look = (node, other) => {
+    if (seen[other] === node) return;
+    seen[other] = node;
+    const farthest = apart[most - 1];
+    let distance = 0;
+    for (let axis = 0; axis < dim; axis++) {
+      const one = points[node * dim + axis] - points[other * dim + axis];
+      distance += one * one;
+      if (distance >= farthest) return;
+    }
+    insert(node, other, distance);
+  };
+  for (let node = first; node < size; node++) {
+    const row = node * width;
+    apart.fill(Infinity);
+    for (let i = 0; i < counts[node]; i++) seen[neighbours[row + i]] = node;
+    for (let i = 0; i < counts[node]; i++) {
+      const beside = neighbours[row + i];
+      for (let j = 0; j < counts[beside]; j++) look(node, neighbours[beside * width + j]);
+      for (let j = 0; j < found[beside]; j++) look(node, similar[beside * most + j]);
+    }
+  }
+  return { similar, found };
+}

@@ -1,0 +1,138 @@
+// What is added to decoded frames to bring every vertex below a bound. Mirrors coding/bitstream/residual_layer.py, and its
+// loops.
+import { BitModels } from "./bit_models.js";
+import { MixseqError } from "./errors.js";
+import { placeIn } from "./operator.js";
+import { Reader } from "./signal_coder.js";
+import { MOST as NEIGHBOURS } from "./signal_graph.js";
+
+const RUN = 16; // frames that are coded together
+const KEPT = 8; // decoded runs
+const NEAR = 1e-9; // frames: a frame is a frame, after rounding
+const VOTES = NEIGHBOURS + 1; // numbers of neighbours, from none on
+const INPUTS = 3, CONTEXTS = 3 * VOTES * VOTES, LONGEST = 8, MOST = 62, POSITIONS = 4 + LONGEST;
+
+/** The residual layer of a sequence, decoded where it is asked for: of `chunks` with `first`, `count` and `residuals`. */
+export class ResidualLayer {
+  constructor(times, chunks, graph, unit) {
+    Object.assign(this, { times, chunks, graph, unit });
+    this.runs = new Map();
+  }
+
+  /** Add the displacements at a time to positions; whether there were any. */
+  addTo(positions, time) {
+    const { frame, share } = placeOf(this.times, time);
+    const before = this.addFrame(positions, frame, 1 - share);
+    return (share > 0 && this.addFrame(positions, frame + 1, share)) || before;
+  }
+
+  addFrame(positions, frame, share) {
+    const { vertices, numbers } = this.frame(frame), unit = share * this.unit;
+    for (let i = 0; i < vertices.length; i++) {
+      for (let axis = 0; axis < 3; axis++) positions[3 * vertices[i] + axis] += unit * numbers[3 * i + axis];
+    }
+    return vertices.length > 0;
+  }
+
+  /** Which vertices of a frame are displaced, and how far, in units of the layer. */
+  frame(frame) {
+    const chunk = this.chunks.find(({ first, count }) => frame < first + count);
+    const number = Math.floor((frame - chunk.first) / RUN), key = chunk.first + number * RUN;
+    let run = this.runs.get(key);
+    if (!run) {
+      run = readResiduals(chunk, number, this.graph);
+      this.runs.set(key, run);
+      if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
+    }
+    return run[frame - key];
+  }
+}
+
+/** The frame at or before a time, and how far it is on the way to the next. */
+function placeOf(times, time) {
+  const after = placeIn(times, time), share = after && (time - times[after - 1]) / (times[after] - times[after - 1]);
+  if (!after || share > 1 - NEAR) return { frame: after, share: 0 };
+  return { frame: after - 1, share: share < NEAR ? 0 : share };
+}
+
+/** The residuals of a run of frames. */
+function readResiduals({ count, residuals }, run, graph) {
+  const frames = Math.min(RUN, count - run * RUN), runs = Math.ceil(count / RUN), nothing = { vertices: [], numbers: [] };
+  let start = 4 * runs, from = 0, to = 0;
+  if (!residuals.length) return new Array(frames).fill(nothing);
+  const view = new DataView(residuals.buffer, residuals.byteOffset, residuals.length);
+  for (let k = 0; k < runs && start <= residuals.length; k++) {
+    from = k === run ? start : from;
+    start += view.getUint32(4 * k, true);
+    to = k === run ? start : to;
+  }
+  if (start !== residuals.length) throw new MixseqError("a residual layer has another length than it says; it is damaged");
+  return from === to ? new Array(frames).fill(nothing) : readRun(residuals.subarray(from, to), frames, graph);
+}
+
+function readRun(stream, count, graph) {
+  const reader = new Reader(stream), models = new BitModels(INPUTS, CONTEXTS, POSITIONS), frames = [];
+  let last = new Float64Array(3 * graph.order.length);
+  for (let frame = 0; frame < count; frame++) {
+    const numbers = new Float64Array(last.length), nodes = [];
+    readFrame(reader.bits(), models, graph, last, numbers);
+    reader.checked(numbers);
+    for (let node = 0; node < graph.order.length; node++) if (any(numbers, node)) nodes.push(node);
+    frames.push({
+      vertices: Uint32Array.from(nodes, (node) => graph.order[node]),
+      numbers: Float64Array.from({ length: 3 * nodes.length }, (_, k) => numbers[3 * nodes[Math.floor(k / 3)] + (k % 3)]),
+    });
+    last = numbers;
+  }
+  reader.finish();
+  return frames;
+}
+
+/** Read the numbers of a frame (N x 3), when those of the frame before, `last`, are known. */
+function readFrame(bits, models, { width, neighbours, counts, ring, ringStarts }, last, numbers) {
+  const contexts = models.contexts.fill(0), sums = new Int32Array(3);
+  if (!models.read(bits, 0)) return;
+  for (let node = 0; node < counts.length; node++) {
+    const count = counts[node], own = any(last, node);
+    let votes = 0, before = 0, known = 0;
+    sums.fill(0);
+    for (let at = node * width, end = at + count; at < end; at++) {
+      const beside = neighbours[at];
+      if (!any(numbers, beside)) continue;
+      votes++;
+      for (let k = 0; k < 3; k++) sums[k] += Math.sign(numbers[3 * beside + k]);
+    }
+    for (let place = ringStarts[node]; place < ringStarts[node + 1]; place++) before += any(last, ring[place]);
+    const was = own ? 2 : Math.min(before, 1);
+    contexts[0] = (votes * VOTES + count) * 3 + was;
+    contexts[1] = (Math.min(before, VOTES - 1) * VOTES + Math.min(votes, 3)) * 2 + own;
+    contexts[2] = Math.min(votes, 3) * 3 + was;
+    if (!models.read(bits, 1)) continue;
+    for (let k = 0; k < 3; k++) {
+      const here = limited(last[3 * node + k]) + 3, around = limited(sums[k]) + 3;
+      contexts[0] = here * 7 + around;
+      contexts[1] = (known * 7 + around) * 3 + k;
+      contexts[2] = (known * 7 + here) * 3 + k;
+      const number = readCoordinate(bits, models);
+      numbers[3 * node + k] = number;
+      if (number) known |= 1 << k;
+    }
+  }
+}
+
+function readCoordinate(bits, models) {
+  if (!models.read(bits, 2)) return 0;
+  const negative = models.read(bits, 3);
+  let found = 0;
+  while (found < LONGEST && models.read(bits, 4 + found)) found++;
+  if (found === LONGEST) {
+    let length = 0;
+    while (length < MOST && bits.number(1)) length++;
+    found += bits.number(length);
+  }
+  return negative ? -(found + 1) : found + 1;
+}
+
+const limited = (number) => Math.min(Math.max(number, -3), 3);
+
+const any = (numbers, node) => (numbers[3 * node] || numbers[3 * node + 1] || numbers[3 * node + 2] ? 1 : 0);

@@ -1,0 +1,121 @@
+// Weights to begin with, of signals over a mesh of which only the connectivity is known: what bends the mesh least.
+// Mirrors coding/bitstream/stencils.py.
+import { MOST, find } from "./signal_graph.js";
+
+const WIDEST = 16; // nodes of a stencil
+const HUB = 32; // slopes at nodes with more neighbours do not count
+
+/** What every node of a mesh's graph is predicted from at first: `neighbours` (N x width), `counts`, `weights`. */
+export function stencils({ graph, levels }) {
+  const size = graph.order.length, width = WIDEST;
+  const found = { width, neighbours: new Int32Array(size * width), counts: graph.counts.slice(), weights: new Float64Array(size * width) };
+  for (let node = 0; node < size; node++) {
+    for (let i = 0; i < graph.counts[node]; i++) {
+      found.neighbours[node * width + i] = graph.neighbours[node * graph.width + i];
+      found.weights[node * width + i] = graph.weights[node * graph.width + i];
+    }
+  }
+  let lengths = levels.length ? new Float64Array(levels[0].beside.length).fill(1) : null;
+  for (const level of levels) {
+    const after = lengthsAfter(level, lengths);
+    bend(level, lengths, after, graph.place, found);
+    lengths = after;
+  }
+  return found;
+}
+
+/** Write the stencils of vertices that go, from lengths of edges before and after. */
+function bend({ gone, starts, beside, newStarts, newBeside }, lengths, newLengths, place, found) {
+  const slot = new Int32Array(place.length).fill(-1); // where a vertex is in the two lists
+  const listed = new Int32Array(MOST * (HUB + 1)), shares = new Float64Array(MOST * (HUB + 1));
+  for (const vertex of gone) {
+    const first = starts[vertex], degree = Math.min(starts[vertex + 1] - first, MOST);
+    let slope = 0; // of the vertex, by its own value
+    for (let at = first; at < first + degree; at++) slope += 1 / lengths[at];
+    slope /= degree;
+    for (let i = 0; i < degree; i++) {
+      listed[i] = beside[first + i];
+      shares[i] = slope / (degree * lengths[first + i]);
+      slot[listed[i]] = i;
+    }
+    let size = degree, total = slope * slope;
+    for (let i = 0; i < degree; i++) {
+      const around = beside[first + i], side = lengths[first + i], low = newStarts[around], high = newStarts[around + 1];
+      if (high - low > HUB) continue;
+      const across = (at) => {
+        const where = slot[newBeside[at]];
+        return where >= 0 && where < degree && newLengths[at] >= side + lengths[first + where];
+      };
+      let number = 1; // of neighbours that are left, and one
+      for (let at = low; at < high; at++) if (!across(at)) number++;
+      const own = 1 / (number * side);
+      for (let at = low; at < high; at++) {
+        if (across(at)) continue;
+        const other = newBeside[at];
+        if (slot[other] < 0) {
+          slot[other] = size;
+          listed[size] = other;
+          shares[size++] = 0;
+        }
+        const one = own / (number * newLengths[at]);
+        shares[i] += one;
+        shares[slot[other]] -= one;
+      }
+      total += own * own;
+      shares[i] += own * own;
+    }
+    for (let i = 0; i < size; i++) slot[listed[i]] = -1;
+    write(place[vertex], degree, size, total, listed, shares, place, found);
+  }
+}
+
+/** Write a stencil of a list: neighbours first, then those with the largest shares. */
+function write(node, degree, size, total, listed, shares, place, { width, neighbours, counts, weights }) {
+  const kept = Math.min(size, width);
+  let left = 1;
+  for (let i = 0; i < kept; i++) {
+    let best = i;
+    for (let j = i + 1; i >= degree && j < size; j++) if (Math.abs(shares[j]) > Math.abs(shares[best])) best = j;
+    const vertex = listed[i], share = shares[i];
+    listed[i] = listed[best];
+    shares[i] = shares[best];
+    listed[best] = vertex;
+    shares[best] = share;
+    left -= shares[i] / total;
+  }
+  counts[node] = kept;
+  for (let i = 0; i < kept; i++) {
+    neighbours[node * width + i] = place[listed[i]];
+    weights[node * width + i] = shares[i] / total + left / kept;
+  }
+}
+
+/** The lengths of the edges after vertices went, from those before: always the shortest. */
+function lengthsAfter({ gone, starts, beside, ends, newStarts, newBeside }, lengths) {
+  const found = new Float64Array(newBeside.length).fill(Infinity);
+  for (let vertex = 0; vertex < starts.length - 1; vertex++) {
+    let at = starts[vertex];
+    const end = starts[vertex + 1];
+    for (let where = newStarts[vertex]; where < newStarts[vertex + 1]; where++) {
+      while (at < end && beside[at] < newBeside[where]) at++;
+      if (at < end && beside[at] === newBeside[where]) found[where] = lengths[at];
+    }
+  }
+  const shorten = (one, other, length) => {
+    const where = find(newBeside, newStarts[one], newStarts[one + 1], other);
+    found[where] = Math.min(found[where], length);
+  };
+  let count = 0;
+  for (const vertex of gone) {
+    const first = starts[vertex], last = starts[vertex + 1];
+    if (last - first < 2) continue;
+    const best = ends[count], side = lengths[find(beside, first, last, best)];
+    for (let at = first; at < last; at++) {
+      if (beside[at] === best) continue;
+      shorten(best, beside[at], side + lengths[at]);
+      shorten(beside[at], best, side + lengths[at]);
+      count++;
+    }
+  }
+  return found;
+}

@@ -1,0 +1,58 @@
+// Where the streams are among the bytes, and whether they are sound. Mirrors io/mixseq_io/hdf5/stream_index.py.
+import { crc32 } from "./crc32.js";
+import { MixseqError } from "./errors.js";
+
+const MAGIC = 0x3471736d; // msq4
+const HEAD = 16; // bytes
+
+/**
+ * The streams of `bytes`, each checked: `connectivity`, `surface`, `times` and, if `hasUvs`, `uvs`; a list for the `basis`;
+ * and `chunks` with their `first` frame, `count` of frames, `coefficients` and `residuals`.
+ */
+export function readIndex(text, bytes, hasUvs) {
+  const damaged = new MixseqError("the index is damaged, so nothing can be read");
+  if (bytes.length < HEAD) throw damaged;
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length), word = (at) => view.getUint32(at, true);
+  const middle = HEAD + word(4), end = middle + word(8);
+  if (word(0) !== MAGIC || end > bytes.length || word(8) % 4 || crc32(bytes.subarray(HEAD, end)) !== word(12)) throw damaged;
+  if (end === middle || crc32(new TextEncoder().encode(text)) !== word(middle)) throw damaged;
+  const numbers = leb128(bytes.subarray(HEAD, middle)), [groups, chunks] = numbers;
+  const counts = numbers.slice(2, 2 + chunks), lengths = numbers.slice(2 + chunks);
+  const checks = (end - middle) / 4 - 1, full = lengths.filter((length) => length > 0).length;
+  if (lengths.length !== 3 + hasUvs + groups + 2 * chunks || counts.includes(0) || checks !== full) throw damaged;
+
+  let start = end, checksum = middle, next = 0;
+  const stream = (what) => {
+    const length = lengths[next++], data = bytes.subarray(start, (start += length));
+    if (length && !(data.length === length && crc32(data) === word((checksum += 4)))) throw new MixseqError(`${what} are damaged`);
+    return data;
+  };
+  const connectivity = stream("the connectivity's bytes"), surface = stream("the surface's bytes");
+  const times = stream("the times"), uvs = hasUvs ? stream("the texture coordinates") : null, basis = [];
+  for (let group = 0; group < groups; group++) basis.push(stream(`the basis vectors of group ${group}`));
+  let first = 0;
+  return {
+    connectivity, surface, times, uvs, basis,
+    chunks: counts.map((count) => {
+      const frames = `of frames ${first} to ${first + count - 1}`;
+      const coefficients = stream(`the coefficients ${frames}`), residuals = stream(`the residuals ${frames}`);
+      first += count;
+      return { first: first - count, count, coefficients, residuals };
+    }),
+  };
+}
+
+/** Numbers of 7 bits a byte, the lowest first. */
+function leb128(bytes) {
+  const numbers = [];
+  let number = 0, unit = 1;
+  for (const byte of bytes) {
+    number += (byte & 127) * unit;
+    unit *= 128;
+    if (byte & 128) continue;
+    numbers.push(number);
+    number = 0;
+    unit = 1;
+  }
+  return numbers;
+}

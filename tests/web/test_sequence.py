@@ -1,0 +1,150 @@
+"""Sequences in JavaScript are what they are in Python: mesh and fields bit for bit, frames up to rounding to float32."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.arrays import Float
+from mixseq.coding.bitstream.compressed_sequence import (
+    BetweenFrames,
+    CompressedSequence,
+    decode_basis,
+    to_model,
+)
+from mixseq.coding.bitstream.signal_graph import mesh_graph
+from mixseq.coding.encoder.compress import compress
+from mixseq.polygons import Polygons
+from mixseq.sequence import MeshSequence
+from mixseq.surface import CornerValues, Surface
+from tests.coding.test_golden import stored
+from tests.meshes import bar, grid, joined, rotation, torus, tube
+from tests.web.conftest import Node
+from tests.web.played import Played, played
+
+pytestmark = pytest.mark.slow
+
+GOLDEN = ("bounded-2", "shapes-2", "long-2", "parts-2")
+
+NEAR = 1e-6
+"""Diagonals that positions may be off by, which are float32 here."""
+
+
+def plays_as_in_python(node: Node, folder: Path, coded: CompressedSequence) -> Played:
+    """Compare a sequence at frames and between them."""
+    model, header = to_model(coded), coded.header
+    rng = np.random.default_rng(0)
+    times = np.unique(np.append(header.times, rng.uniform(header.times[0], header.times[-1], 20)))
+    found = played(node, folder, coded, times)
+    np.testing.assert_array_equal(found.counts, header.polygons.counts)
+    np.testing.assert_array_equal(found.corners, header.polygons.indices)
+    np.testing.assert_array_equal(found.triangles.reshape(-1, 3), header.faces)
+    np.testing.assert_array_equal(found.times, header.times)
+    fields_are_exact(found, coded)
+    apart = np.abs(found.positions - np.concatenate(list(model.blocks(times))))
+    assert apart.max() < NEAR * coded.parameters.diagonal
+    return found
+
+
+def fields_are_exact(found: Played, coded: CompressedSequence) -> None:
+    """Fields are the basis vectors, to the last bit of float32."""
+    basis = decode_basis(coded, mesh_graph(coded.header.faces, coded.header.vertex_count))
+    assert len(found.parts) == len(basis.blocks)
+    owners = np.repeat(basis.parts, basis.blocks[0].vectors.shape[1])
+    assert found.facts["count"] == len(owners)
+    for part, (vertices, fields, values) in enumerate(found.parts):
+        block = basis.blocks[part]
+        np.testing.assert_array_equal(vertices, block.vertices)
+        np.testing.assert_array_equal(fields, np.flatnonzero(owners == part))
+        expected = block.vectors.reshape(-1, len(vertices)).T.astype(np.float32)
+        assert values.tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_streams(node: Node, tmp_path: Path, name: str) -> None:
+    coded = replace(stored(name)[0], between=BetweenFrames(2.0, (0.2, 0.9)))
+    plays_as_in_python(node, tmp_path, coded)
+
+
+def test_golden_file(node: Node, tmp_path: Path) -> None:
+    path = Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5"
+    model = mixseq.load(path)
+    found = played(node, tmp_path, path, model.times)
+    apart = np.abs(found.positions - model.sample().points)
+    assert apart.max() < NEAR * found.facts["parameters"]["diagonal"]
+    assert model.header.surface.uvs is not None
+    assert found.uvs.tobytes() == model.header.surface.uvs.at_corners.tobytes()
+
+
+def test_facts(node: Node, tmp_path: Path) -> None:
+    sequence = bar(sides=5, rings=9, frames=6)
+    coded = compress(sequence, max_error=3e-3)
+    facts = played(node, tmp_path, coded, sequence.times[:1]).facts
+    told = coded.parameters
+    assert facts["vertexCount"] == sequence.vertex_count
+    assert facts["polygonCount"] == len(sequence.polygons.counts)
+    assert facts["frameCount"] == 6
+    assert (facts["fps"], facts["upAxis"], facts["name"]) == (
+        sequence.fps,
+        sequence.up_axis,
+        sequence.name,
+    )
+    assert facts["parameters"]["maxError"] == told.max_error
+    assert facts["parameters"]["promised"] is True
+    assert facts["parameters"]["diagonal"] == told.diagonal
+
+
+def random_sequence(seed: int) -> MeshSequence:
+    """Tori, tubes and sheets that turn and wobble, as triangles and quads, with what may be on them, at any times."""
+    rng = np.random.default_rng(seed)
+    count, bodies = int(rng.integers(1, 40)), []
+    for number in range(int(rng.integers(1, 4))):
+        sizes = rng.integers(3, 9, 2).tolist()
+        points, faces = [torus, tube, grid][int(rng.integers(3))](*sizes)
+        turns = np.cumsum(rng.normal(size=(count, 3)) * 0.2, axis=0)
+        wobble = rng.normal(size=(count, 1, 3)) * np.sin(points) * rng.choice([0, 0.1])
+        moved = [points @ rotation(tuple(turn)).T + [4.0 * number, 0, 0] for turn in turns]
+        bodies.append((np.stack(moved) + wobble, faces))
+    faces = joined(*((points[0], some) for points, some in bodies))[1]
+    polygons = Polygons.from_triangles(faces)
+    if rng.random() < 0.5:  # as quads, which these triangles come in pairs of, where they do
+        polygons = Polygons(np.full(len(faces), 3), np.roll(faces, int(rng.integers(3)), axis=1).reshape(-1))
+    times = rng.uniform(0, 3) + np.arange(count) / 30
+    if rng.random() < 0.5:
+        times = np.cumsum(rng.uniform(0.01, 0.1, count))
+    sequence = MeshSequence.from_arrays(
+        np.concatenate([points for points, _ in bodies], axis=1), polygons, times, fps=30
+    )
+    uvs = CornerValues(rng.integers(0, 64, (20, 2)).astype(np.float32) / 64, polygons.indices % 20)
+    hard = rng.integers(0, 3, len(polygons.indices)) + 3 * polygons.indices
+    surface = Surface(uvs=uvs if seed % 2 else None, hard_edges=hard.astype(np.int32) if seed % 3 else None)
+    return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = random_sequence(seed)
+    if seed % 5 == 0:
+        monkeypatch.setattr("mixseq.coding.encoder.candidates.KINDS", ("shapes",))
+    wanted = {"max_error": 2e-3} if seed % 4 else {"kg": 1.0}
+    coded = compress(sequence, **wanted, chunk=16)
+    found = plays_as_in_python(node, tmp_path, coded)
+    if coded.header.surface.uvs is not None:
+        assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
+    else:
+        assert not len(found.uvs)
+
+
+def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> None:
+    points, faces = torus(6, 5)
+    angles: Float = np.arange(400) / 40
+    frames = [points @ rotation((0.2, angle, 0.0)).T for angle in angles]
+    coded = compress(MeshSequence.from_arrays(np.stack(frames), faces), kg=1, chunk=100)
+    assert len(coded.chunks) == 4
+    times = coded.header.times
+    wanted = np.array([times[0], times[3] / 2, times[99], times[250], (times[301] + times[300]) / 2])
+    assert played(node, tmp_path, coded, wanted).facts["loaded"] == [1, 1, 1, 2, 3]
