@@ -29,8 +29,8 @@ times.forEach((time, k) => {
   sequence.at(time, positions.subarray(3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)));
   loaded.push(chunks.filter((chunk) => chunk.loaded).length);
 });
-Object.entries({ counts, corners, positions, times: sequence.times, triangles: sequence.triangles(), uvs: uvsOf(sequence) })
-  .forEach((one) => write(...one));
+const triangles = sequence.triangles(), uvs = uvsOf(sequence);
+Object.entries({ counts, corners, triangles, uvs, positions, times: sequence.times }).forEach((one) => write(...one));
 fields.parts.forEach(({ vertices, fields, values }, part) => {
   write(`vertices${part}`, vertices);
   write(`fields${part}`, fields);

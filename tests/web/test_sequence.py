@@ -1,4 +1,4 @@
-"""Sequences in JavaScript are what they are in Python: mesh and fields bit for bit, frames up to rounding to float32."""
+"""Sequences in JavaScript are what they are in Python: mesh and fields bit for bit, frames up to float32."""
 
 from __future__ import annotations
 
