@@ -20,25 +20,25 @@ export function mixedBits(queues, kinds, firstWeight) {
   const { stretch, squash } = logisticTables();
   const contexts = new Int32Array(INPUTS), above = new Int32Array(INPUTS), heads = new Int32Array(QUEUES);
   const shares = new Int32Array(INPUTS * SLOTS).fill(1 << 23), places = new Int32Array(INPUTS); // shares: 256 p + bits seen
-  const weights = new Float64Array(kinds * INPUTS).fill(firstWeight), logits = new Float64Array(INPUTS);
-  const steps = Float64Array.from({ length: PATIENCE + 1 }, (_, seen) => Math.floor((1 << 17) / (2 * seen + 3)));
+  const weights = new Float64Array(kinds * INPUTS).fill(firstWeight), logits = new Int32Array(INPUTS);
+  const steps = Int32Array.from({ length: PATIENCE + 1 }, (_, seen) => (1 << 17) / (2 * seen + 3));
 
   function next(kind) {
     const first = kind * INPUTS;
     let sum = 0;
     for (let i = 0; i < INPUTS; i++) {
-      const place = i * SLOTS + (spread(contexts[i], above[i]) >>> 16), logit = stretch[shares[place] >> 12];
+      const place = (i << 16) | (spread(contexts[i], above[i]) >>> 16), logit = stretch[shares[place] >> 12];
       places[i] = place;
       logits[i] = logit;
-      sum += weights[first + i] * logit;
+      sum += weights[first + i] * logit; // which may have more than 32 bits
     }
-    const x = Math.min(Math.max(Math.floor(sum / 65536), -FAR), FAR);
+    const x = sum >= FAR * 65536 ? FAR : sum <= -FAR * 65536 ? -FAR : Math.floor(sum / 65536) | 0;
     const bit = taken((Math.abs(x) * QUEUES) >> 11) ^ (x > 0 ? 1 : 0);
     const error = RATE * (((bit << 16) - squash[x + FAR]) >> 4), aim = 65535 * bit;
     for (let i = 0; i < INPUTS; i++) {
-      weights[first + i] += (logits[i] * error + 32768) >> 16;
-      const share = shares[places[i]], p = share >> 8, seen = share & 255;
-      shares[places[i]] = ((p + Math.floor(((aim - p) * steps[seen]) / 65536)) << 8) + (seen < PATIENCE ? seen + 1 : PATIENCE);
+      weights[first + i] += (Math.imul(logits[i], error) + 32768) >> 16;
+      const place = places[i], share = shares[place], p = share >> 8, seen = share & 255;
+      shares[place] = ((p + (Math.imul(aim - p, steps[seen]) >> 16)) << 8) + (seen < PATIENCE ? seen + 1 : PATIENCE);
     }
     return bit;
   }

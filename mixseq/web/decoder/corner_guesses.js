@@ -46,21 +46,17 @@ export function makeGuesses({ newest, older, tails, heads, unused }, { guesses, 
 export function remember({ guesses, successes, trail, winners }, place, vertex, winner) {
   const right = successes[place];
   for (let g = 0; g < GUESSES; g++) if (guesses[g] >= 0) right[g] = ((right[g] << 1) | (guesses[g] === vertex ? 1 : 0)) & 255;
-  trail.copyWithin(1, 0, 2);
-  winners[place].copyWithin(1, 0, 1);
-  trail[0] = winners[place][0] = winner;
+  const here = winners[place];
+  trail[2] = trail[1];
+  trail[1] = trail[0];
+  here[1] = here[0];
+  trail[0] = here[0] = winner;
 }
 
 /** Where it is remembered what came after the last three differences of corners: bits 32 to 47 of a product mod 2^64. */
 export function slotOf(corners, corner, place) {
-  let low = 0, high = 0;
-  for (let k = 0; k < 3; k++) plusTimes(FACTOR, corners[corner - k] - corners[corner - k - 1]);
-  plusTimes(4, place);
-  return spread(low, high) & (REPEATS - 1);
-
-  function plusTimes(factor, number) {
-    const sum = low * factor + number;
-    low = sum - Math.floor(sum / WORD) * WORD;
-    high = (Math.imul(high, factor) + Math.floor(sum / WORD)) | 0;
-  }
+  const third = corners[corner - 2], second = corners[corner - 1], first = (corners[corner] - second) * FACTOR + second - third;
+  const high = Math.floor(first / WORD), low = (first - high * WORD) * FACTOR + third - corners[corner - 3], carry = Math.floor(low / WORD);
+  const lower = 4 * (low - carry * WORD) + place;
+  return spread(lower, 4 * (high * FACTOR + carry) + Math.floor(lower / WORD)) & (REPEATS - 1);
 }

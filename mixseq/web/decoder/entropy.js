@@ -7,56 +7,48 @@ const WORD = 2 ** 32, WHOLE = 2 ** 24;
  * Read coded symbols of bytes: returns `next(lefts)`, which gives the symbol s whose share is from `lefts[s]` to `lefts[s + 1]`;
  * the first left is 0, the last one 2^24.
  *
- * The state is two numbers of 64 bits, each as two doubles of 32 bits: the range, and where the code is above its low end.
+ * The state is two numbers of 64 bits, as doubles of 32 bits each, the upper one first: the range, and how far the code is
+ * above its low end. Behind these is a product.
  */
 export function symbolReader(bytes) {
   if (bytes.length % 4) throw new MixseqError("coded numbers end within a word; the file is damaged");
-  const words = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  let place = 0, rangeHigh = WORD - 1, rangeLow = WORD - 1;
-  let high = nextWord(), low = nextWord();
+  const words = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), state = new Float64Array(6);
+  let place = 0;
+  state.set([WORD - 1, WORD - 1, nextWord(), nextWord()]);
 
   function nextWord() {
-    const word = place < words.byteLength ? words.getUint32(place, true) : 0; // words after the end are 0
     place += 4;
-    return word;
+    return place > words.byteLength ? 0 : words.getUint32(place - 4, true); // words after the end are 0
   }
 
   return function next(lefts) {
-    const scale = rangeHigh * 256 + Math.floor(rangeLow / WHOLE), quotient = (high * WORD + low) / scale;
-    let symbol = 0;
-    while (symbol < lefts.length - 2 && lefts[symbol + 1] <= quotient) symbol++;
-    if (isBelow(scale, lefts[symbol])) symbol--; // the quotient was rounded
-    else if (!isBelow(scale, lefts[symbol + 1])) symbol++;
-    if (symbol > lefts.length - 2) throw new MixseqError("coded numbers are damaged");
-    const left = lefts[symbol], width = lefts[symbol + 1] - left, lowest = lowOf(scale, left), borrow = low < lowest ? 1 : 0;
-    high -= highOf(scale, left) + borrow;
-    low += borrow * WORD - lowest;
-    rangeHigh = highOf(scale, width);
-    rangeLow = lowOf(scale, width);
-    if (!rangeHigh) {
-      [rangeHigh, rangeLow] = [rangeLow, 0];
-      [high, low] = [low, nextWord()];
+    const last = lefts.length - 2, scale = state[0] * 256 + Math.floor(state[1] / WHOLE), quotient = (state[2] * WORD + state[3]) / scale;
+    let symbol = 0, high, low;
+    while (symbol < last && lefts[symbol + 1] <= quotient) symbol++;
+    for (;;) {
+      multiply(scale, lefts[symbol]);
+      high = state[2] - state[4];
+      low = state[3] - state[5];
+      if (low < 0) [high, low] = [high - 1, low + WORD];
+      multiply(scale, lefts[symbol + 1] - lefts[symbol]);
+      if (high < 0) symbol--; // the quotient was rounded
+      else if (high < state[4] || (high === state[4] && low < state[5])) break;
+      else if (++symbol > last) throw new MixseqError("coded numbers are damaged");
     }
+    const more = !state[4]; // the range is small
+    state[0] = more ? state[5] : state[4];
+    state[1] = more ? 0 : state[5];
+    state[2] = more ? low : high;
+    state[3] = more ? nextWord() : low;
     return symbol;
   };
 
-  /** Whether the code is below the product of a number below 2^40 and one up to 2^24. */
-  function isBelow(scale, number) {
-    const above = highOf(scale, number);
-    return high < above || (high === above && low < lowOf(scale, number));
+  function multiply(scale, number) {
+    const first = Math.floor(scale / 65536), part = first * number, high = Math.floor(part / 65536);
+    const low = (part - high * 65536) * 65536 + (scale - first * 65536) * number, carry = Math.floor(low / WORD);
+    state[4] = high + carry;
+    state[5] = low - carry * WORD;
   }
-}
-
-/** The bits of a product from the 32nd on. */
-function highOf(scale, number) {
-  const first = Math.floor(scale / 65536) * number;
-  return Math.floor(first / 65536) + Math.floor(((first % 65536) * 65536 + (scale % 65536) * number) / WORD);
-}
-
-/** The 32 lowest bits of a product. */
-function lowOf(scale, number) {
-  const first = Math.floor(scale / 65536) * number;
-  return ((first % 65536) * 65536 + (scale % 65536) * number) % WORD;
 }
 
 /** Tables of counts that learn, one row for every context, of numbers up to a magnitude; the last symbol stands for larger ones. */
