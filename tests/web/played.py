@@ -75,7 +75,9 @@ def played(node: Node, folder: Path, coded: CompressedSequence | Path, times: Fl
 
     return Played(
         facts,
-        *(array(name, "<u4") for name in ("counts", "corners", "triangles")),
+        array("counts", "<u4"),
+        array("corners", "<u4"),
+        array("triangles", "<u4"),
         array("times", "<f8"),
         array("uvs", "<f4").reshape(-1, 2),
         [

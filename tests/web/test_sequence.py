@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,13 +23,15 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues, Surface
 from tests.coding.test_golden import stored
-from tests.meshes import bar, grid, joined, rotation, torus, tube
+from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
 from tests.web.conftest import Node
 from tests.web.played import Played, played
 
 pytestmark = pytest.mark.slow
 
 GOLDEN = ("bounded-2", "shapes-2", "long-2", "parts-2")
+
+SHAPES: tuple[Callable[[int, int], Mesh], ...] = (torus, tube, grid)
 
 NEAR = 1e-6
 """Diagonals that positions may be off by, which are float32 here."""
@@ -104,7 +107,7 @@ def random_sequence(seed: int) -> MeshSequence:
     count, bodies = int(rng.integers(1, 40)), []
     for number in range(int(rng.integers(1, 4))):
         sizes = rng.integers(3, 9, 2).tolist()
-        points, faces = [torus, tube, grid][int(rng.integers(3))](*sizes)
+        points, faces = SHAPES[int(rng.integers(3))](*sizes)
         turns = np.cumsum(rng.normal(size=(count, 3)) * 0.2, axis=0)
         wobble = rng.normal(size=(count, 1, 3)) * np.sin(points) * rng.choice([0, 0.1])
         moved = [points @ rotation(tuple(turn)).T + [4.0 * number, 0, 0] for turn in turns]
@@ -130,8 +133,8 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
     sequence = random_sequence(seed)
     if seed % 5 == 0:
         monkeypatch.setattr("mixseq.coding.encoder.candidates.KINDS", ("shapes",))
-    wanted = {"max_error": 2e-3} if seed % 4 else {"kg": 1.0}
-    coded = compress(sequence, **wanted, chunk=16)
+    max_error, kg = (2e-3, None) if seed % 4 else (None, 1.0)
+    coded = compress(sequence, max_error, kg, chunk=16)
     found = plays_as_in_python(node, tmp_path, coded)
     if coded.header.surface.uvs is not None:
         assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
