@@ -8,6 +8,7 @@ import os
 import shutil
 import struct
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,9 +90,9 @@ class Gltf:
         return values
 
 
-def write_glb(path: Path, document: Json, buffer: bytes) -> Path:
-    """Write a binary file."""
-    document = {**document, "buffers": [{"byteLength": len(buffer)}]}
+def write_glb(path: Path, document: Json, buffer: bytes, others: Sequence[Json] = ()) -> Path:
+    """Write a binary file, whose document may have other buffers, too."""
+    document = {**document, "buffers": [{"byteLength": len(buffer)}, *others]}
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     buffer += bytes(-len(buffer) % 4)

@@ -36,10 +36,9 @@ from mixseq_io.gltf.document_edits import (
     detach,
     embed_images,
     prune,
-    used_extensions,
     vacant,
 )
-from mixseq_io.gltf.json_fields import COMPRESSIONS, Fields
+from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
 from mixseq_io.gltf.new_document import add_vertex_numbers, group, upright
 from mixseq_io.gltf.node_tree import Scene, read_scene
@@ -275,7 +274,7 @@ def _without_positions(entry: Json) -> Json:
     attributes = {
         name: accessor for name, accessor in entry["attributes"].items() if not name.startswith(_REPLACED)
     }
-    kept = _uncompressed({key: value for key, value in entry.items() if key != "targets"})
+    kept = {key: value for key, value in entry.items() if key != "targets"}
     return {**kept, "attributes": attributes}
 
 
@@ -292,19 +291,6 @@ def _with_data(carried: Json, document: Document) -> Layout:
         rest = {
             key: value for key, value in view.items() if key not in ("buffer", "byteOffset", "byteLength")
         }
-        layout.add([data], length, **_uncompressed(rest))
+        layout.add([data], length, **rest)
     embed_images(layout, document)
-    unused = set(COMPRESSIONS) - used_extensions(carried)
-    declared = [name for name in carried.pop("extensionsUsed", []) if name not in unused]
-    if declared:
-        carried["extensionsUsed"] = declared
     return layout
-
-
-def _uncompressed(entry: Json) -> Json:
-    """Return a primitive or buffer view without a compressed form of its old data."""
-    extensions = {
-        name: value for name, value in entry.get("extensions", {}).items() if name not in COMPRESSIONS
-    }
-    rest = {key: value for key, value in entry.items() if key != "extensions"}
-    return {**rest, "extensions": extensions} if extensions else rest

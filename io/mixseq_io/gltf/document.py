@@ -9,6 +9,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
-from mixseq_io.gltf.containers import Data, chunks, data_of_file, data_of_uri
+from mixseq_io.gltf.containers import Data, chunks, data_in_memory, data_of_file, data_of_uri
 from mixseq_io.gltf.json_fields import Fields, check_extensions
 from mixseq_io.memory import check_memory
 from mixseq_io.reader import reading
@@ -59,14 +60,24 @@ class Document:
         The binary chunk of a .glb, which is its first buffer.
     size : int
         Bytes of the file.
+    unpacking : mapping of int to callable
+        Of buffers that are nowhere in the file, what makes their bytes.
     """
 
     path: Path
     json: dict[str, Any]
     chunk: Data | None
     size: int
-    _items: dict[str, list[Fields]] = field(default_factory=dict, repr=False)
+    unpacking: Mapping[int, Callable[[], bytes]] = field(default_factory=dict, repr=False)
     _buffers: dict[int, Data] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def _items(self) -> dict[str, list[Fields]]:
+        return {kind: self.top.objects(kind) for kind in _KINDS}
+
+    def edited(self, json: dict[str, Any], unpacking: Mapping[int, Callable[[], bytes]]) -> Document:
+        """Return the file with another JSON, whose further buffers are unpacked when they are read."""
+        return Document(self.path, json, self.chunk, self.size, unpacking)
 
     @property
     def top(self) -> Fields:
@@ -111,7 +122,7 @@ class Document:
             If it is not sound, or longer than the data.
         """
         accessor = self.item("accessors", index)
-        dtype, width = _layout(accessor)
+        dtype, width = layout_of(accessor)
         count = accessor.integer("count")
         if "bufferView" in accessor:
             values = self._numbers(accessor, dtype, (count, width))
@@ -128,7 +139,12 @@ class Document:
     @cached_property
     def data_size(self) -> int:
         """Bytes of the file and its buffers."""
-        return self.size + sum(self.buffer(index).size for index in range(len(self.items("buffers"))))
+        stored = (index for index in range(len(self.items("buffers"))) if self._is_stored(index))
+        return self.size + sum(self.buffer(index).size for index in stored)
+
+    def _is_stored(self, index: int) -> bool:
+        """Whether a buffer is in a file; others are made, or are room for what is unpacked."""
+        return "uri" in self.item("buffers", index) or (index == 0 and self.chunk is not None)
 
     def check_effort(self, numbers: int, what: str) -> None:
         """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count.
@@ -160,7 +176,9 @@ class Document:
     def _read_buffer(self, index: int) -> Data:
         buffer = self.item("buffers", index)
         length = buffer.integer("byteLength")
-        if "uri" in buffer:
+        if index in self.unpacking:
+            data = data_in_memory(self.unpacking[index]())
+        elif "uri" in buffer:
             data = data_of_uri(buffer, buffer.text("uri"))
         elif index == 0 and self.chunk is not None:
             data = self.chunk
@@ -169,6 +187,20 @@ class Document:
         if length > data.size:
             raise buffer.error(f"has {data.size} bytes of {length}; it is truncated")
         return data.part(0, length)
+
+    def part(self, place: Fields) -> bytes:
+        """Return the bytes at a place: an object with ``buffer``, ``byteOffset`` and ``byteLength``.
+
+        Raises
+        ------
+        FormatError
+            If they are not all there.
+        """
+        data = self.buffer(place.integer("buffer"))
+        start, length = place.integer("byteOffset", 0), place.integer("byteLength")
+        if start + length > data.size:
+            raise place.error(f"does not fit its buffer of {data.size} bytes; the file is damaged")
+        return data.read(start, length)
 
     def _numbers(self, owner: Fields, dtype: np.dtype[Any], shape: tuple[int, int]) -> NDArray[Any]:
         """Return the numbers that an accessor, or a part of a sparse one, points at."""
@@ -226,10 +258,19 @@ def load_document(path: Path) -> Document:
             f"{path} is glTF version {version or 'unknown'}; version 2 is read, convert it first"
         )
     check_extensions(top)
-    return Document(path, parsed, chunk, data.size, {kind: top.objects(kind) for kind in _KINDS})
+    document = Document(path, parsed, chunk, data.size)
+    document.items("nodes")  # raises what is wrong with any of the lists
+    return document
 
 
-def _layout(accessor: Fields) -> tuple[np.dtype[Any], int]:
+def layout_of(accessor: Fields) -> tuple[np.dtype[Any], int]:
+    """Return the type of an accessor's components, and how many an element has.
+
+    Raises
+    ------
+    FormatError
+        If meshes and animations have no such accessors.
+    """
     kind, shape = accessor.integer("componentType"), accessor.text("type")
     if kind not in COMPONENTS or shape not in WIDTHS:
         raise accessor.error(

@@ -14,19 +14,15 @@ from mixseq_io.gltf.containers import Data, data_of_uri
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
 
-_DRACO = "KHR_draco_mesh_compression"
 _PRUNED = ("meshes", "accessors", "bufferViews")  # what refers before what is referred to
 
-# Extensions that refer to none of these, or as is known here. (meshopt refers to buffers.)
+# Extensions that refer to none of these, or as is known here.
 _HARMLESS = (
-    _DRACO,
     "KHR_node_",
     "KHR_materials_",
     "KHR_texture_",
     "EXT_texture_",
     "KHR_lights_",
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
     "KHR_xmp",
 )
 
@@ -101,8 +97,6 @@ def _references(document: Json) -> Iterator[tuple[Json, str, str]]:
     for mesh in document.get("meshes", ()):
         for primitive in mesh["primitives"]:
             yield from _members(primitive, {"indices": "accessors"})
-            compressed = primitive.get("extensions", {}).get(_DRACO, {})
-            yield from _members(compressed, {"bufferView": "bufferViews"})
             for attributes in (primitive["attributes"], *primitive.get("targets", ())):
                 yield from _members(attributes, dict.fromkeys(attributes, "accessors"))
     for skin in document.get("skins", ()):

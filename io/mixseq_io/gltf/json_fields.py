@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 
-COMPRESSIONS = {
-    "KHR_draco_mesh_compression": "Draco",
-    "EXT_meshopt_compression": "meshopt",
-    "KHR_meshopt_compression": "meshopt",
-}
-
-_UNDERSTOOD = ("KHR_mesh_quantization",)
+_UNDERSTOOD = (
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_mesh_quantization",
+)
 
 # They change how a mesh looks, not where it is.
 _APPEARANCE = (
@@ -56,11 +55,6 @@ def check_extensions(top: Fields) -> None:
         Naming the extension.
     """
     for name in top.texts("extensionsRequired"):
-        if name in COMPRESSIONS:
-            raise FormatError(
-                f"{top.file} is compressed with {COMPRESSIONS[name]} ({name}), which is not read; decompress it "
-                f"first: gltf-transform cp {top.file.name} decompressed.glb"
-            )
         if name not in (*_UNDERSTOOD, *_HARMLESS) and not name.startswith(_APPEARANCE):
             raise FormatError(
                 f"{top.file} requires the extension {name[:80]}, which is not read; export without it"
@@ -112,6 +106,11 @@ class Fields:
     def integers(self, key: str) -> list[int]:
         """Return a list of non-negative integers, empty if it is not there."""
         return [self._integer(f"{key}[{i}]", value) for i, value in enumerate(self._list(key))]
+
+    def number(self, key: str, default: float) -> float:
+        """Return a finite number, or the default if it is not there."""
+        value = self.values.get(key, default)
+        return float(value) if _is_number(value) else self._unexpected(key, "a finite number")
 
     def numbers(self, key: str, count: int | None = None) -> NDArray[np.float64] | None:
         """Return a list of finite numbers, as many as `count` says; None if it is not there."""

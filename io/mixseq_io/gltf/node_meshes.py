@@ -6,6 +6,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#meshes-
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from mixseq_io.gltf.animation import Channel
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
 from mixseq_io.gltf.primitives import Primitive
+from mixseq_io.gltf.texture_transforms import texture_transform
 from mixseq_io.gltf.world_points import Shape, bearers
 from mixseq_io.labels.markings import Skinning, joined_colours, joined_skinning
 from mixseq_io.scene_meshes import SceneMesh
@@ -96,17 +98,24 @@ def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) 
 
 
 def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
-    """Return TEXCOORD_0, whose v points down in glTF; (0, 0) where only other primitives have it."""
+    """Return TEXCOORD_0, whose v points down in glTF, as materials transform it; (0, 0) where only others have it."""
     found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
     if all(each is None for each in found):
         return None
     flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
     values = [
-        np.zeros((len(each.positions), 2)) if uvs is None else uvs * flip + up
+        np.zeros((len(each.positions), 2)) if uvs is None else _transformed(each, uvs) * flip + up
         for each, uvs in zip(primitives, found, strict=True)
     ]
     rows, indices = np.unique(np.concatenate(values), axis=0, return_inverse=True)
     return CornerValues(rows, indices.reshape(-1)[corners])
+
+
+def _transformed(primitive: Primitive, uvs: NDArray[Any]) -> NDArray[Any]:
+    transform = texture_transform(primitive.document, primitive.fields)
+    if np.array_equal(transform, np.eye(2, 3)):
+        return uvs
+    return (uvs @ transform[:, :2].T + transform[:, 2]).astype(np.float32)
 
 
 def _hard_edges(

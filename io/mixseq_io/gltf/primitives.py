@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import IntArray
 from mixseq_io.gltf.document import Document
-from mixseq_io.gltf.json_fields import COMPRESSIONS, Fields
+from mixseq_io.gltf.json_fields import Fields
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
@@ -95,7 +95,6 @@ def primitives_of(document: Document, mesh: int) -> tuple[list[Primitive], list[
     found: list[Primitive] = []
     others, numbers = [], 0
     for number, fields in enumerate(document.item("meshes", mesh).objects("primitives")):
-        _check_uncompressed(document, fields)
         attributes = fields.object("attributes")
         position, mode = attributes.index("POSITION"), fields.integer("mode", _TRIANGLES)
         if position is None or mode not in (_TRIANGLES, _STRIP, _FAN):
@@ -109,20 +108,6 @@ def primitives_of(document: Document, mesh: int) -> tuple[list[Primitive], list[
         numbers += found[-1].size
         document.check_effort(numbers, f"meshes[{mesh}]")
     return found, others
-
-
-def _check_uncompressed(document: Document, fields: Fields) -> None:
-    for name in fields.object("extensions").values:
-        if name in COMPRESSIONS and not _has_fallback(document, fields):
-            raise fields.error(
-                f"is compressed with {COMPRESSIONS[name]} ({name}), which is not read; decompress the file first: "
-                f"gltf-transform cp {document.path.name} decompressed.glb"
-            )
-
-
-def _has_fallback(document: Document, fields: Fields) -> bool:
-    position = fields.object("attributes").index("POSITION")
-    return position is not None and "bufferView" in document.item("accessors", position)
 
 
 def _triangles(document: Document, fields: Fields, mode: int, vertices: int) -> NDArray[np.int32]:

@@ -25,6 +25,7 @@ from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
 from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_channels, told_by
+from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
 from mixseq_io.gltf.node_meshes import chosen_nodes, colours_of, moving_nodes, scene_mesh_of, skinning_of
@@ -70,7 +71,7 @@ def open_gltf(
     """
     # What is not finite is reported with its vertex, when points are read.
     with naming(path), np.errstate(all="ignore"):
-        document = load_document(path)
+        document = plain(load_document(path))
         scene = read_scene(document)
         nodes = chosen_nodes(document, scene, prim)
         chosen = choose_animation(document, animation)

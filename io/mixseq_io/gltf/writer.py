@@ -18,6 +18,7 @@ from mixseq_io.atomic import replacing
 from mixseq_io.blocks import as_float32, checked, warn
 from mixseq_io.gltf.buffers import Layout, writing_buffer
 from mixseq_io.gltf.carry import lay_over
+from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
@@ -96,7 +97,7 @@ def _overlay(
 
     def opened(file: Path) -> tuple[Layout, list[MovingMesh], OtherMotion]:
         with reading(file, "glTF", *_DAMAGE):
-            return lay_over(load_document(file), header, sources)
+            return lay_over(plain(load_document(file)), header, sources)
 
     return opened_original(path, header, onto, "glTF", opened)
 

@@ -1,0 +1,157 @@
+"""Compressed glTF files as if they were not: views and primitives get buffers that are unpacked when they are read.
+
+``EXT_meshopt_compression``, which ``KHR_meshopt_compression`` continues, packs buffer views (`mixseq_io.meshopt`);
+``KHR_draco_mesh_compression`` packs the triangles of a primitive with all that is on them (`mixseq_io.gltf.draco`).
+A primitive that has both a packed form and a plain one is read plain.
+
+Specification:
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md,
+https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mixseq.errors import FormatError
+from mixseq_io.gltf.document import Document, layout_of
+from mixseq_io.gltf.draco import Wanted, unpacked_primitive
+from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.meshopt.attributes import decode_attributes
+from mixseq_io.meshopt.filters import unfiltered
+from mixseq_io.meshopt.indices import decode_sequence, decode_triangles
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+
+Json = dict[str, Any]
+_ALIGNMENT = 4
+
+
+def plain(document: Document) -> Document:
+    """Return a document without compression; nothing is unpacked yet.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, or what is packed has far more numbers than the file has bytes.
+    """
+    edits = _Edits(document)
+    for number, view in enumerate(document.items("bufferViews")):
+        name = next((each for each in MESHOPT if each in view.object("extensions")), None)
+        if name is not None:
+            edits.unpack_view(number, view, view.object("extensions").object(name))
+    for number, mesh in enumerate(document.items("meshes")):
+        for place, primitive in enumerate(mesh.objects("primitives")):
+            if DRACO in primitive.object("extensions"):
+                edits.unpack_primitive(number, place, primitive)
+    return edits.document()
+
+
+class _Edits:
+    """A document without compression in the making."""
+
+    def __init__(self, document: Document) -> None:
+        self._compressed = document
+        self._json = dict(document.json)
+        for kind in ("accessors", "buffers", "bufferViews", "meshes"):
+            if kind in self._json:
+                self._json[kind] = list(self._json[kind])
+        self._unpacking: dict[int, Callable[[], bytes]] = {}
+        self._placed: dict[int, bool] = {}
+
+    def document(self) -> Document:
+        """Return it."""
+        for member in ("extensionsUsed", "extensionsRequired"):
+            left = [name for name in self._compressed.top.texts(member) if name not in (DRACO, *MESHOPT)]
+            self._json.pop(member, None)
+            if left:
+                self._json[member] = left
+        if "buffers" in self._json:
+            self._json["buffers"] = [
+                {key: value for key, value in each.items() if key != "extensions"}
+                for each in self._json["buffers"]
+            ]
+        return self._compressed.edited(self._json, self._unpacking)
+
+    def unpack_view(self, number: int, view: Fields, packed: Fields) -> None:
+        """Let a view that meshoptimizer packed be a view of what is unpacked."""
+        count, stride = packed.integer("count"), packed.integer("byteStride")
+        if stride < 1 or count * stride != view.integer("byteLength"):
+            raise packed.error(
+                f"has {count} elements of {stride} bytes, which is not the view's length; the file is damaged"
+            )
+        self._compressed.check_effort(-(-count * stride // 4), packed.place)
+        buffer = self._buffer(count * stride, partial(_unpacked_view, self._compressed, packed))
+        kept = {key: value for key, value in view.values.items() if key in ("byteStride", "target", "name")}
+        self._json["bufferViews"][number] = {"buffer": buffer, "byteLength": count * stride, **kept}
+
+    def unpack_primitive(self, mesh: int, place: int, primitive: Fields) -> None:
+        """Let the accessors of a primitive that Draco packed be what is unpacked, unless they have data."""
+        packed = primitive.object("extensions").object(DRACO)
+        names = packed.object("attributes")
+        position = primitive.object("attributes").index("POSITION")
+        if position is not None and "bufferView" not in self._compressed.item("accessors", position):
+            indices = primitive.integer("indices")
+            accessors = {
+                primitive.object("attributes").integer(name): names.integer(name) for name in names.values
+            }
+            wanted = [self._wanted(indices, None), *(self._wanted(*each) for each in accessors.items())]
+            sizes = [-(-each.size // _ALIGNMENT) * _ALIGNMENT for each in wanted]
+            self._compressed.check_effort(sum(sizes) // 2, packed.place)
+            buffer = self._buffer(
+                sum(sizes), partial(unpacked_primitive, self._compressed, packed, wanted, sizes)
+            )
+            starts = np.cumsum([0, *sizes]).tolist()
+            for accessor, each, start in zip((indices, *accessors), wanted, starts, strict=False):
+                if not self._placed.get(accessor):  # primitives may have the same data
+                    self._place(accessor, {"buffer": buffer, "byteOffset": start, "byteLength": each.size})
+        self._replace_primitive(mesh, place)
+
+    def _wanted(self, accessor: int, unique_id: int | None) -> Wanted:
+        fields = self._compressed.item("accessors", accessor)
+        dtype, width = layout_of(fields)
+        return Wanted(unique_id, dtype, fields.integer("count"), width)
+
+    def _place(self, accessor: int, view: Json) -> None:
+        self._placed[accessor] = True
+        self._json.setdefault("bufferViews", []).append(view)
+        entry = {**self._json["accessors"][accessor], "bufferView": len(self._json["bufferViews"]) - 1}
+        self._json["accessors"][accessor] = {**entry, "byteOffset": 0}
+
+    def _replace_primitive(self, mesh: int, place: int) -> None:
+        entry = self._json["meshes"][mesh]
+        primitives = list(entry["primitives"])
+        extensions = {name: each for name, each in primitives[place]["extensions"].items() if name != DRACO}
+        primitives[place] = {key: value for key, value in primitives[place].items() if key != "extensions"}
+        if extensions:
+            primitives[place]["extensions"] = extensions
+        self._json["meshes"][mesh] = {**entry, "primitives": primitives}
+
+    def _buffer(self, length: int, unpack: Callable[[], bytes]) -> int:
+        """Add a buffer that is unpacked when it is read; return its number."""
+        self._json.setdefault("buffers", []).append({"byteLength": length})
+        number = len(self._json["buffers"]) - 1
+        self._unpacking[number] = unpack
+        return number
+
+
+def _unpacked_view(document: Document, packed: Fields) -> bytes:
+    count, stride = packed.integer("count"), packed.integer("byteStride")
+    mode, name = packed.text("mode"), packed.text("filter", "NONE")
+    data = document.part(packed)
+    try:
+        if mode == "ATTRIBUTES":
+            return unfiltered(decode_attributes(data, count, stride), name).tobytes()
+        if mode not in ("TRIANGLES", "INDICES") or stride not in (2, 4):
+            raise packed.error(
+                f"has the mode {mode[:40]!r} of {stride} bytes, which is not known here; the file is damaged"
+            )
+        indices = decode_triangles(data, count) if mode == "TRIANGLES" else decode_sequence(data, count)
+        return np.asarray(indices, dtype="<u2" if stride == 2 else "<u4").tobytes()
+    except FormatError as error:
+        raise error if packed.place in str(error) else packed.error(f"cannot be unpacked: {error}") from None
