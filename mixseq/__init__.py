@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mixseq.correspondence.correspond import correspond
     from mixseq.correspondence.dense import Correspondence
     from mixseq.correspondence.markers import Markers
+    from mixseq.correspondence.suggestions import suggest_markers
     from mixseq.metrics import Comparison, compare
     from mixseq.operations.interpolation import interpolate
     from mixseq.operations.segmenting import segment
@@ -70,6 +71,7 @@ _HOME = {
     "read_markers": "mixseq_io.correspondence.markers",
     "save": "mixseq_io.hdf5.saving",
     "segment": "mixseq.operations.segmenting",
+    "suggest_markers": "mixseq.correspondence.suggestions",
     "transfer": "mixseq.retargeting.transfer",
     "verify": "mixseq_io.verification",
     "write": "mixseq_io",
@@ -107,6 +109,7 @@ __all__ = [
     "read_markers",
     "save",
     "segment",
+    "suggest_markers",
     "transfer",
     "verify",
     "write",

@@ -21,6 +21,8 @@ a right leg, exchanged, 99 % are named, and nothing else; of three such pairs at
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,6 +61,22 @@ most markers whose groups are compared, which takes time by their square."""
 
 NAMED = 6
 """Most markers that a message names."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspicion:
+    """Markers that do not fit the others.
+
+    Attributes
+    ----------
+    numbers : (k,) int64
+        Which.
+    why : str
+        What is wrong with them, and what to do.
+    """
+
+    numbers: Index
+    why: str
 
 
 def check_markers(
@@ -113,15 +131,44 @@ def check_markers(
     for side, chosen, points in (("source", source, own), ("target", target, other)):
         _check_spread(side, chosen, points)
     _check_hand(_normalised(source), _normalised(target))
-    if FEWEST_COMPARED <= len(once) <= MOST_COMPARED:
-        diagonal = float(np.linalg.norm(np.ptp(other, axis=0)))
-        _compare(
-            markers,
-            once,
-            _normalised(source[once]),
-            _normalised(target[once]),
-            _size(target[once]) / diagonal,
-        )
+    for each in suspicions(markers, source, target, float(np.linalg.norm(np.ptp(other, axis=0)))):
+        _warn(each.why)
+
+
+def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
+    """Refuse markers on vertices that two meshes do not have, or that no triangle of theirs uses.
+
+    Raises
+    ------
+    SettingsError
+        If there are any.
+    """
+    for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
+        _check_vertices(markers, side, vertices, topology.vertex_count)
+        _check_used(markers, side, vertices, topology)
+
+
+def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
+    """Find markers that seem wrong among the others: two exchanged, two groups exchanged, single ones.
+
+    Parameters
+    ----------
+    markers : Markers
+    source, target : (n, 3) float64
+        Where they are on the source and on the target, both at rest.
+    diagonal : float
+        That of the target, of which messages tell distances.
+
+    Returns
+    -------
+    list of Suspicion
+        None if there are fewer than eight markers that differ, or more than a thousand.
+    """
+    once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
+    if not FEWEST_COMPARED <= len(once) <= MOST_COMPARED:
+        return []
+    unit = _size(target[once]) / diagonal
+    return list(_compared(markers, once, _normalised(source[once]), _normalised(target[once]), unit))
 
 
 def _check_vertices(markers: Markers, side: str, vertices: Index, count: int) -> None:
@@ -187,31 +234,36 @@ def _check_hand(source: Float, target: Float) -> None:
         )
 
 
-def _compare(markers: Markers, rows: Index, source: Float, target: Float, unit: float) -> None:
-    """Warn of markers that do not fit the others; `unit` is the size of normalised targets in diagonals."""
+def _compared(
+    markers: Markers, rows: Index, source: Float, target: Float, unit: float
+) -> Iterator[Suspicion]:
+    """Yield what does not fit; `unit` is the size of normalised targets in diagonals."""
     bending = Bending.of(source)
     for i, j, straight, exchanged in exchanged_pairs(bending, target):
         target[[i, j]] = target[[j, i]]
-        _warn(
+        yield Suspicion(
+            rows[[i, j]],
             f"{_listed(markers, rows[[i, j]])} seem exchanged: the others say that their targets should be "
             f"{100 * unit * straight:.1f} % of the diagonal away, exchanged {100 * unit * exchanged:.1f} %; if they "
-            "are, exchange the two targets"
+            "are, exchange the two targets",
         )
     if len(source) <= MOST_GROUPED:
         first, second, straight, exchanged = exchanged_groups(bending, source, target)
         typical = float(np.median(bending.left_out(target)[0]))
         if exchanged < GROUPS_EXCHANGED * straight and straight > max(STRIKING * typical, NOTHING):
-            _warn(
+            yield Suspicion(
+                rows[np.concatenate([first, second])],
                 f"{_listed(markers, rows[first])} seem exchanged with {_listed(markers, rows[second])}, left for "
                 f"right: the others say that the centres of their targets should be {100 * unit * straight:.0f} % of "
-                f"the diagonal away, exchanged {100 * unit * exchanged:.0f} %; look at all markers there"
+                f"the diagonal away, exchanged {100 * unit * exchanged:.0f} %; look at all markers there",
             )
             return
     for i, distance, surprise in wrong_markers(source, target):
-        _warn(
+        yield Suspicion(
+            rows[[i]],
             f"{_listed(markers, rows[[i]])} seems wrong: the others say that its target should be "
             f"{100 * unit * distance:.0f} % of the diagonal away ({surprise:.0f} times as striking as their median); "
-            "look at it, or leave it out"
+            "look at it, or leave it out",
         )
 
 

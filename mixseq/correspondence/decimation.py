@@ -28,7 +28,7 @@ ROUND = 0.15
 """Least roundness of a face (1: equilateral), unless it was less round before."""
 
 
-def decimate(points: Float, faces: Index, count: int) -> tuple[Index, Index]:
+def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
     """Thin out a mesh.
 
     Parameters
@@ -39,6 +39,8 @@ def decimate(points: Float, faces: Index, count: int) -> tuple[Index, Index]:
         Triangles.
     count : int
         Number of vertices wanted. More are left where none could go without harm.
+    keep : (k,) int64, optional
+        Vertices that stay.
 
     Returns
     -------
@@ -52,6 +54,8 @@ def decimate(points: Float, faces: Index, count: int) -> tuple[Index, Index]:
     topology = Topology(faces, len(points))
     locked, border = np.zeros((2, len(points)), dtype=bool)
     border[topology.edges[topology.boundary_edges]] = True
+    if keep is not None:
+        locked[keep] = True
     locked[topology.edges[topology.non_manifold_edges]] = True
     locked[faces[(faces == np.roll(faces, 1, axis=1)).any(axis=1)]] = True
     x = points - points.mean(axis=0)

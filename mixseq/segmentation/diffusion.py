@@ -17,6 +17,7 @@ Neither the signs of eigenvectors nor the choice of a basis where eigenvalues co
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.topology import Topology
 
 if TYPE_CHECKING:
@@ -102,6 +103,27 @@ class Diffusion:
             Number of eigenvectors.
         """
         result = np.zeros((self.topology.vertex_count, count))
+        for component, values, vectors in self._spectra(count):
+            result[component, : len(values)] = vectors * np.exp(-time * values)
+        return result
+
+    def heat_kernel(self, times: Float, count: int) -> Float:
+        """Return how much heat ``(V, n)`` is still where it was, less what is then everywhere.
+
+        Parameters
+        ----------
+        times : (n,) float64
+            Half the times that have passed, in squared units of the points.
+        count : int
+            Number of eigenvectors of every component.
+        """
+        result = np.zeros((self.topology.vertex_count, len(times)))
+        for component, values, vectors in self._spectra(count):
+            result[component] = vectors**2 @ np.exp(-2 * np.outer(values, times))
+        return result
+
+    def _spectra(self, count: int) -> Iterator[tuple[Index, Float, Float]]:
+        """Yield vertices ``(n,)``, lowest eigenvalues ``(k,)``, and eigenvectors ``(n, k)`` of every component."""
         roots = 1.0 / np.sqrt(self.areas)
         scaled = sparse.csr_array(self.laplacian.multiply(roots[:, None]).multiply(roots[None, :]))
         number = self.topology.component_of_vertex
@@ -110,8 +132,7 @@ class Diffusion:
         for start, end in zip(np.append(0, ends[:-1]), ends, strict=True):
             component = order[start:end]
             values, vectors = _lowest(blocks[start:end, start:end], min(count, len(component) - 1))
-            result[component, : len(values)] = vectors * roots[component, None] * np.exp(-time * values)
-        return result
+            yield component, values, vectors * roots[component, None]
 
 
 def _lowest(matrix: sparse.csr_array, count: int) -> tuple[Float, Float]:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import errno
-import socket
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from mixseq.errors import MissingExtraError, SettingsError
 from mixseq.scene.colours import SceneColours
 from mixseq.viewing.live.bridge import add_bridge
 from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
 from mixseq.viewing.live.editing import Editor
+from mixseq.viewing.live.server import served
 from mixseq.viewing.live.stage import LiveStage
 from mixseq.viewing.messages import Drawn, Message
 from mixseq.viewing.picking import Picked
@@ -184,22 +181,6 @@ class Viewer:
             notify(client, title, text, good)
 
 
-def check_viser() -> None:
-    """Refuse to go on without viser.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
-    try:
-        import viser  # noqa: F401
-    except ImportError:
-        raise MissingExtraError(
-            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
-        ) from None
-
-
 @contextmanager
 def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterator[Viewer]:
     """Run a viewer in the background, as long as the context lasts.
@@ -220,60 +201,10 @@ def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterato
     SettingsError
         If it cannot listen at the address.
     """
-    check_viser()
-    import viser
-
-    from mixseq.viewing.live.access import Access
-    from mixseq.viewing.live.guard import Guard
-
-    port = free_port(settings.host, settings.port)
-    guard = Guard(Access(settings.host))
-
     with ExitStack() as stack:
-        with redirect_stdout(StringIO()), guard.posted():  # viser has a greeting
-            server = viser.ViserServer(settings.host, port, label="mixseq", verbose=False)
-            stack.callback(_stop, server)
-        guard.unhook(server)
-        running = Viewer(server, guard.access.address, colours, settings, save, stack)
+        server, address = stack.enter_context(served(settings.host, settings.port))
+        running = Viewer(server, address, colours, settings, save, stack)
         stack.enter_context(
             warnings_heard(lambda text: running.tell("Please note", text))
         )  # of threads of ours
         yield running
-
-
-def _stop(server: Any) -> None:
-    with redirect_stdout(StringIO()):
-        server.stop()
-
-
-FIRST_PORT, PORTS = 8080, 100
-"""Where a free port is looked for."""
-
-
-def free_port(host: str, wanted: int | None) -> int:
-    """Return a port at which one may listen: the one that is wanted, or else the first that is free.
-
-    Raises
-    ------
-    SettingsError
-        If there is none; viser would go on to look for others, for minutes and whatever the reason is.
-    """
-    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
-        try:
-            with socket.create_server((host, port), family=_family(host)):
-                return port
-        except OSError as error:
-            if wanted is None and error.errno == errno.EADDRINUSE:
-                continue
-            why = str(error.strerror or error).partition(" (")[0]
-            cure = (
-                "give another --port"
-                if error.errno in (errno.EADDRINUSE, errno.EACCES)
-                else "give another --host"
-            )
-            raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
-    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET

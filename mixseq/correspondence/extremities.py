@@ -1,0 +1,131 @@
+r"""Extremities of a body: tips of limbs, tail, nose and ears, where the mean distance along the surface is largest.
+
+The mean of the distances along the surface to all of it, by area (Hilaga et al. 2001), is least in the trunk and has a
+maximum at every tip, in any pose. How prominent a maximum is tells its *prominence*, as of a summit: by how much one
+has to go down before one can go up to a higher one (0-dimensional persistence; Edelsbrunner, Letscher and Zomorodian
+2002). What surrounds an extremity on the surface is told by how much heat is still there after some times (heat kernel
+signature; Sun, Ovsjanikov and Guibas 2009),
+
+.. math:: h_t(v) = \sum_{i \ge 1} e^{-2 t \lambda_i} \phi_i(v)^2 .
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.correspondence.coarse_surface import CoarseSurface
+from mixseq.segmentation.diffusion import Diffusion
+
+SAMPLES = 100
+"""Points, far from each other, to which the mean distance is taken."""
+
+LEAST = 0.004
+"""Prominence, in roots of the area, below which a maximum may be noise; ours. Ears have 0.006 to 0.05."""
+
+HEAT_TIMES = np.geomspace(0.002, 0.1, 6)
+"""Times after which heat is looked at, in units of the area: from ears to limbs."""
+
+EIGENVECTORS = 80
+"""Of the Laplacian, of which signatures are made; later ones have decayed at the first of the times."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extremities:
+    """Extremities of a surface, the most prominent first.
+
+    Attributes
+    ----------
+    vertices : (e,) int64
+        Where they are, as numbered in the mesh.
+    points : (e, 3) float64
+        The same, in the unit of the coarse surface.
+    prominences : (e,) float64
+        How prominent they are; all lengths are in roots of the area.
+    distances : (e, e) float64
+        Distances along the surface between them.
+    signatures : (e, 6) float64
+        Logarithms of their heat kernel signatures.
+    """
+
+    vertices: Index
+    points: Float
+    prominences: Float
+    distances: Float
+    signatures: Float
+
+    @classmethod
+    def of(cls, surface: CoarseSurface) -> Extremities:
+        """Find the extremities of a surface."""
+        peaks, prominences = maxima(mean_distance(surface), surface)
+        peaks, prominences = peaks[prominences >= LEAST], prominences[prominences >= LEAST]
+        diffusion = Diffusion(surface.points, surface.mesh.topology)
+        signatures = np.log(diffusion.heat_kernel(HEAT_TIMES, EIGENVECTORS)[peaks])
+        distances = surface.distances(peaks)[:, peaks]
+        return cls(surface.vertices[peaks], surface.points[peaks], prominences, distances, signatures)
+
+    def mirrored(self) -> Extremities:
+        """Return the extremities of the mirrored surface."""
+        points = self.points * [-1.0, 1.0, 1.0]
+        return Extremities(self.vertices, points, self.prominences, self.distances, self.signatures)
+
+
+def far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:
+    """Choose vertices of a surface that are far from each other (Gonzalez 1985).
+
+    Returns
+    -------
+    samples : (k,) int64
+        The vertices.
+    distances : (k, n) float64
+        Their distances along the surface to all.
+    """
+    sample = int(surface.distances(np.array([0]))[0].argmax())
+    samples: list[int] = []
+    rows: list[Float] = []
+    nearest = np.full(len(surface.vertices), np.inf)
+    for _ in range(min(count, len(surface.vertices))):
+        samples.append(sample)
+        rows.append(surface.distances(np.array([sample]))[0])
+        nearest = np.minimum(nearest, rows[-1])
+        sample = int(nearest.argmax())
+    return np.array(samples), np.array(rows)
+
+
+def mean_distance(surface: CoarseSurface) -> Float:
+    """Return the mean distance ``(n,)`` of every vertex along a surface to all of it."""
+    distances = far_apart(surface, SAMPLES)[1]
+    areas = np.bincount(distances.argmin(axis=0), surface.mesh.vertex_areas, len(distances))
+    return np.asarray(areas @ distances / areas.sum())
+
+
+def maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
+    """Find the maxima of values ``(n,)`` on a surface.
+
+    Returns
+    -------
+    vertices : (m,) int64
+        Where they are, the most prominent first.
+    prominences : (m,) float64
+        Their prominences; that of the highest is down to the least value.
+    """
+    adjacency = surface.mesh.topology.vertex_adjacency.tocsr()
+    peak = np.full(len(values), -1)  # of the island that a vertex is on, while the sea falls
+    islands: dict[int, list[int]] = {}
+    found: list[tuple[int, float]] = []
+    for vertex in np.argsort(-values, kind="stable").tolist():
+        around = adjacency.indices[adjacency.indptr[vertex] : adjacency.indptr[vertex + 1]]
+        joined = sorted({int(each) for each in peak[around] if each >= 0}, key=lambda each: -values[each])
+        highest = joined[0] if joined else vertex
+        islands.setdefault(highest, []).append(vertex)
+        peak[vertex] = highest
+        for lower in joined[1:]:
+            found.append((lower, float(values[lower] - values[vertex])))
+            members = islands.pop(lower)
+            peak[members] = highest
+            islands[highest] += members
+    found += [(highest, float(values[highest] - values.min())) for highest in islands]
+    found.sort(key=lambda each: (-each[1], each[0]))
+    return np.array([vertex for vertex, _ in found]), np.array([prominence for _, prominence in found])

@@ -1,0 +1,207 @@
+r"""Which point of a body is which on its other side: left and right of a body with two alike sides, in any pose.
+
+Bodies are mirrored along their surface, where distances hardly depend on the pose. First the extremities: of all ways
+to exchange some of them in pairs, :math:`\pi`, the one that changes their distances d and heat kernel signatures h
+least is taken, where every exchanged pair may cost something, because a leg that is bent is a little unlike the other,
+and a body whose hind legs alone are exchanged would be none:
+
+.. math::
+    \operatorname{mean}_{ij} |d_{ij} - d_{\pi(i)\pi(j)}| + w \operatorname{mean}_i |h_i - h_{\pi(i)}| - p\, |\pi| .
+
+Then all vertices: v is mirrored to the vertex u whose distances to the partners of the extremities are those of v to
+the extremities. Points far from each other, with their partners of now, take the place of the extremities in a few more
+rounds, in which those nearby count most. Mirrored twice, a point should be where it was: how far it is from there tells
+how good its partner is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from mixseq.arrays import Float, FloatArray, Index
+from mixseq.correspondence.coarse_surface import CoarseSurface
+from mixseq.correspondence.extremities import SAMPLES, Extremities, far_apart
+from mixseq.correspondence.extremity_matching import HEAT, MOST, PROMINENT
+from mixseq.correspondence.triangle_mesh import TriangleMesh
+from mixseq.geometry.rigid import kabsch
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+PAIRED = 0.04
+"""What an exchanged pair may cost, in roots of the area; ours, as all numbers here."""
+
+FEWEST = 4
+"""Prominent extremities that a body with sides has."""
+
+UNLIKE = 0.15
+"""The cost of exchanging that is none between alike sides; those of the bodies tried are 0.03 to 0.09."""
+
+ROUNDS = 3
+"""How often points far from each other take the place of the extremities."""
+
+NEAR = 0.4
+"""Points that are nearer count most, in roots of the area."""
+
+TRUSTED = 0.06
+"""A point that is mirrored twice is nearer to itself, in roots of the area."""
+
+MIDDLE = 0.04
+"""So near to their partners are points in the middle, which have none."""
+
+RINGS = 2
+"""Vertices around a point that tell how its neighbourhood is turned."""
+
+FACING = 0.5
+"""Least cosine between the normal of a partner and the mirrored one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror:
+    """Partners of the points of a body on its other side.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        The body.
+    surface : CoarseSurface
+        The same, thinned out.
+    partners : (n,) int64
+        The vertex of the coarse surface that every other one is.
+    """
+
+    mesh: TriangleMesh
+    surface: CoarseSurface
+    partners: Index
+
+    @classmethod
+    def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:
+        """Find which point is which on the other side; None if no two sides are alike.
+
+        Parameters
+        ----------
+        points : (V, 3) float
+            A body in any pose.
+        topology : Topology
+            Its faces.
+
+        Raises
+        ------
+        SettingsError
+            If no triangle has an area.
+        """
+        with one_blas_thread():
+            surface = CoarseSurface.of(points, topology)
+            partners = _partners(surface)
+        mesh = TriangleMesh(np.asarray(points, np.float64), topology)
+        return None if partners is None else cls(mesh, surface, partners)
+
+    def partner(self, vertex: int) -> int | None:
+        """Return the vertex that is a vertex of the body on the other side.
+
+        None in the middle, on other components than the largest, and where it is not sure.
+        """
+        surface = self.surface
+        if self.mesh.topology.component_of_vertex[vertex] != self._component:
+            return None
+        place = (self.mesh.points[vertex] - surface.centre) / surface.size
+        own = int(self._search.query(place)[1])
+        twice = surface.points[self.partners[self.partners[own]]] - surface.points[own]
+        apart = surface.points[self.partners[own]] - surface.points[own]
+        if np.linalg.norm(twice) > TRUSTED or np.linalg.norm(apart) < MIDDLE:
+            return None
+        mirrored, turned = self._mirrored(own, place, self.mesh.vertex_normals[vertex])
+        candidates = np.flatnonzero(self.mesh.topology.component_of_vertex == self._component)
+        facing = self.mesh.vertex_normals[candidates] @ turned >= FACING
+        candidates = candidates[facing] if facing.any() else candidates
+        away = self.mesh.points[candidates] - (surface.centre + surface.size * mirrored)
+        return int(candidates[np.einsum("vi,vi->v", away, away).argmin()])
+
+    def _mirrored(self, own: int, place: Float, normal: Float) -> tuple[Float, Float]:
+        """Mirror a point near a coarse vertex, and its normal, as the neighbourhood of that is."""
+        around = np.array([own])
+        for _ in range(RINGS):
+            around = np.unique(np.concatenate([around, self._adjacency[around].indices]))
+        before, after = self.surface.points[around], self.surface.points[self.partners[around]]
+        rotation, shift = kabsch(-before, after)
+        return rotation @ -place + shift, rotation @ -normal
+
+    @cached_property
+    def _component(self) -> int:
+        return int(self.mesh.topology.component_of_vertex[self.surface.vertices[0]])
+
+    @cached_property
+    def _search(self) -> cKDTree:
+        return cKDTree(self.surface.points)
+
+    @cached_property
+    def _adjacency(self) -> sparse.csr_array:
+        return self.surface.mesh.topology.vertex_adjacency.tocsr()
+
+
+def _partners(surface: CoarseSurface) -> Index | None:
+    """The partner ``(n,)`` of every vertex of a coarse surface."""
+    extremities = Extremities.of(surface)
+    exchanged = _exchanged(extremities)
+    if exchanged is None:
+        return None
+    count = len(exchanged)
+    rows = np.searchsorted(surface.vertices, extremities.vertices[:count])
+    table = surface.distances(rows).T
+    partners = _alike(table, table[:, exchanged], np.ones_like(table))
+    samples = far_apart(surface, SAMPLES)[0]
+    table = surface.distances(samples).T
+    weights = np.exp(-((table / NEAR) ** 2))
+    for _ in range(ROUNDS):
+        partners = _alike(table, surface.distances(partners[samples]).T, weights)
+    return partners
+
+
+def _exchanged(extremities: Extremities) -> Index | None:
+    """The partner of every prominent extremity, itself in the middle; None if no two sides are alike."""
+    count = min(int((extremities.prominences >= PROMINENT).sum()), MOST)
+    distances, signatures = extremities.distances[:count, :count], extremities.signatures[:count]
+    if count < FEWEST:
+        return None
+    best, least = None, np.inf
+    for exchange in _exchanges(range(count)):
+        partners = np.array(exchange, dtype=np.int64)
+        pairs = int((partners != np.arange(count)).sum()) // 2
+        if not pairs:
+            continue
+        cost = np.abs(distances - distances[np.ix_(partners, partners)]).mean()
+        cost += HEAT * np.abs(signatures - signatures[partners]).mean()
+        if cost <= UNLIKE and cost - PAIRED * pairs < least:
+            best, least = partners, float(cost) - PAIRED * pairs
+    return best if least < 0 else None
+
+
+def _exchanges(numbers: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Yield all ways to exchange some numbers 0 to n in pairs, as where each goes.
+
+    >>> list(_exchanges(range(3)))
+    [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)]
+    """
+
+    def assigned(left: list[int], done: dict[int, int]) -> Iterator[tuple[int, ...]]:
+        if not left:
+            yield tuple(done[number] for number in numbers)
+            return
+        first, rest = left[0], left[1:]
+        yield from assigned(rest, done | {first: first})
+        for other in rest:
+            without = [each for each in rest if each != other]
+            yield from assigned(without, done | {first: other, other: first})
+
+    yield from assigned(list(numbers), {})
+
+
+def _alike(own: Float, other: Float, weights: Float) -> Index:
+    """The row ``(n,)`` of a table ``(n, k)`` that is most like every row of another, weighted as the latter is."""
+    distances = weights @ (other**2).T - 2 * (weights * own) @ other.T
+    return np.asarray(distances.argmin(axis=1), dtype=np.int64)

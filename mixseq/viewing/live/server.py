@@ -1,0 +1,93 @@
+"""A guarded server of viser, at an address that it prints for those whom it lets in."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from io import StringIO
+from typing import Any
+
+from mixseq.errors import MissingExtraError, SettingsError
+
+
+def check_viser() -> None:
+    """Refuse to go on without viser.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise MissingExtraError(
+            "the viewer needs viser, which is not installed; run: pip install 'mixseq[viewer]'"
+        ) from None
+
+
+@contextmanager
+def served(host: str, wanted: int | None) -> Iterator[tuple[Any, str]]:
+    """Run a server as long as the context lasts; yields it, and its address with the token that lets one in.
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    SettingsError
+        If it cannot listen at the address.
+    """
+    check_viser()
+    import viser
+
+    from mixseq.viewing.live.access import Access
+    from mixseq.viewing.live.guard import Guard
+
+    port = free_port(host, wanted)
+    guard = Guard(Access(host))
+    with ExitStack() as stack:
+        with redirect_stdout(StringIO()), guard.posted():  # viser has a greeting
+            server = viser.ViserServer(host, port, label="mixseq", verbose=False)
+            stack.callback(_stop, server)
+        guard.unhook(server)
+        yield server, guard.access.address
+
+
+def _stop(server: Any) -> None:
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+FIRST_PORT, PORTS = 8080, 100
+"""Where a free port is looked for."""
+
+
+def free_port(host: str, wanted: int | None) -> int:
+    """Return a port at which one may listen: the one that is wanted, or else the first that is free.
+
+    Raises
+    ------
+    SettingsError
+        If there is none; viser would go on to look for others, for minutes and whatever the reason is.
+    """
+    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + PORTS):
+        try:
+            with socket.create_server((host, port), family=_family(host)):
+                return port
+        except OSError as error:
+            if wanted is None and error.errno == errno.EADDRINUSE:
+                continue
+            why = str(error.strerror or error).partition(" (")[0]
+            cure = (
+                "give another --port"
+                if error.errno in (errno.EADDRINUSE, errno.EACCES)
+                else "give another --host"
+            )
+            raise SettingsError(f"cannot listen at {host}:{port}: {why}; {cure}") from None
+    raise SettingsError(f"the ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1} are all taken; give a --port")
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
