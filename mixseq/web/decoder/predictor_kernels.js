@@ -57,29 +57,37 @@ export function learn(signals, trusts, { width, neighbours, counts }, gram) {
   }
 }
 
-/** Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one, by Cholesky's factors. */
+/**
+ * Write the weights that minimise w G w + ridge |w - start|^2, with a sum of one, by Cholesky's factors.
+ *
+ * A row of the factors is found from the left: what is known of it is taken from all that follows. So every number comes
+ * from the operations of the specification in their order, but none waits for the one before.
+ */
 export function solve(ridge, { width, counts }, gram, start, weights) {
-  const lower = new Float64Array(entries(width) + 1), inverse = new Float64Array(width), found = new Float64Array(width);
+  const columns = new Float64Array(width * width), row = new Float64Array(width);
+  const inverse = new Float64Array(width), found = new Float64Array(width);
   for (let node = 0, place = 0; node < counts.length; node++) {
     const last = counts[node] - 1, first = node * width;
     if (last < 1) continue;
     let pull = ridge;
     for (let i = 0; i < last; i++) pull += LEAST * gram[place + (i * (i + 3)) / 2];
-    for (let i = 0, row = 0; i <= last; row += ++i) {
-      for (let j = 0, column = 0; j <= i && j < last; column += ++j) {
-        // The ridge of the first weight, too, which is one minus the others.
-        let entry = gram[place++] + pull;
-        if (i === last) entry += pull * (start[first + j + 1] - start[first]);
-        else if (i === j) entry += pull;
-        for (let k = 0; k < j; k++) entry -= lower[row + k] * lower[column + k];
-        if (i === j) inverse[i] = 1 / Math.sqrt(entry > pull ? entry : pull);
-        else lower[row + j] = entry * inverse[j];
+    for (let i = 0; i <= last; i++) {
+      const end = i < last ? i + 1 : last; // of the row; the last one is the right side
+      for (let j = 0; j < end; j++) row[j] = gram[place++] + pull; // the ridge of the first weight, one minus the others
+      if (i < last) row[i] += pull;
+      else for (let j = 0; j < last; j++) row[j] += pull * (start[first + j + 1] - start[first]);
+      for (let k = 0; k < last && k < i; k++) {
+        const share = row[k] * inverse[k], column = k * width;
+        columns[column + i] = share;
+        for (let j = k + 1; j < end; j++) row[j] -= share * columns[column + j];
       }
+      if (i < last) inverse[i] = 1 / Math.sqrt(row[i] > pull ? row[i] : pull);
     }
     let left = 1;
-    for (let i = last - 1, row = (last * (last + 1)) / 2; i >= 0; i--) {
-      let entry = lower[row + i];
-      for (let k = i + 1; k < last; k++) entry -= lower[(k * (k + 1)) / 2 + i] * found[k];
+    for (let i = last - 1; i >= 0; i--) {
+      const column = i * width;
+      let entry = columns[column + last];
+      for (let k = i + 1; k < last; k++) entry -= columns[column + k] * found[k];
       found[i] = entry * inverse[i] + ROUNDING - ROUNDING;
       left -= found[i];
     }
@@ -93,58 +101,63 @@ export function solve(ridge, { width, counts }, gram, start, weights) {
  * nearest first, and how many were `found` (N). The first `exhaustive` nodes look at all nodes before them.
  */
 export function nearest(signals, { width, neighbours, counts }, exhaustive, most) {
-  const size = counts.length, first = Math.min(size, exhaustive), dim = signals.length;
-  const similar = new Int32Array(size * most), found = new Int32Array(size);
-  const apart = new Float64Array(most), distances = new Float64Array(first);
-  const insert = (node, other, distance) => {
-    let place = most - 1;
-    for (; place > 0 && apart[place - 1] > distance; place--) {
-      apart[place] = apart[place - 1];
-      similar[node * most + place] = similar[node * most + place - 1];
-    }
-    apart[place] = distance;
-    similar[node * most + place] = other;
-    if (found[node] < most) found[node]++;
-  };
-  for (let node = 0; node < first; node++) {
-    distances.fill(0, 0, node);
-    for (const signal of signals) {
-      const here = signal[node];
-      for (let other = 0; other < node; other++) {
-        const one = signal[other] - here;
-        distances[other] += one * one;
-      }
-    }
-    for (let i = 0; i < counts[node]; i++) distances[neighbours[node * width + i]] = Infinity;
-    apart.fill(Infinity);
-    for (let other = 0; other < node; other++) if (distances[other] < apart[most - 1]) insert(node, other, distances[other]);
-  }
-  if (size === first) return { similar, found };
+  const size = counts.length, dim = signals.length, similar = new Int32Array(size * most), found = new Int32Array(size);
   const points = new Float64Array(size * dim), seen = new Int32Array(size).fill(-1); // the last that looked at a node
-  signals.forEach((signal, axis) => {
-    for (let node = 0; node < size; node++) points[node * dim + axis] = signal[node];
-  });
+  const apart = new Float64Array(most), distances = new Float64Array(Math.min(size, exhaustive));
+  for (let axis = 0; axis < dim; axis++) {
+    for (let node = 0; node < size; node++) points[node * dim + axis] = signals[axis][node];
+  }
   const look = (node, other) => {
     if (seen[other] === node) return;
     seen[other] = node;
     const farthest = apart[most - 1];
     let distance = 0;
-    for (let axis = 0; axis < dim; axis++) {
-      const one = points[node * dim + axis] - points[other * dim + axis];
+    for (let a = node * dim, b = other * dim, end = a + dim; a < end; a++, b++) {
+      const one = points[a] - points[b];
       distance += one * one;
       if (distance >= farthest) return;
     }
     insert(node, other, distance);
   };
-  for (let node = first; node < size; node++) {
-    const row = node * width;
+  const insert = (node, other, distance) => {
+    const row = node * most;
+    let place = most - 1;
+    for (; place > 0 && apart[place - 1] > distance; place--) {
+      apart[place] = apart[place - 1];
+      similar[row + place] = similar[row + place - 1];
+    }
+    apart[place] = distance;
+    similar[row + place] = other;
+    if (found[node] < most) found[node]++;
+  };
+  for (let node = 0; node < size; node++) {
+    const first = node * width, end = first + counts[node];
     apart.fill(Infinity);
-    for (let i = 0; i < counts[node]; i++) seen[neighbours[row + i]] = node;
-    for (let i = 0; i < counts[node]; i++) {
-      const beside = neighbours[row + i];
+    for (let at = first; at < end; at++) seen[neighbours[at]] = node;
+    if (node < exhaustive) {
+      distancesBefore(signals, node, distances);
+      for (let other = 0; other < node; other++) {
+        if (distances[other] < apart[most - 1] && seen[other] !== node) insert(node, other, distances[other]);
+      }
+      continue;
+    }
+    for (let at = first; at < end; at++) {
+      const beside = neighbours[at];
       for (let j = 0; j < counts[beside]; j++) look(node, neighbours[beside * width + j]);
       for (let j = 0; j < found[beside]; j++) look(node, similar[beside * most + j]);
     }
   }
   return { similar, found };
+}
+
+/** Write the squared distances of a node from all nodes before it, signal by signal. */
+function distancesBefore(signals, node, distances) {
+  distances.fill(0, 0, node);
+  for (const signal of signals) {
+    const here = signal[node];
+    for (let other = 0; other < node; other++) {
+      const one = signal[other] - here;
+      distances[other] += one * one;
+    }
+  }
 }

@@ -57,9 +57,12 @@ function addConstant({ owners, norms }, { vertices, fields }, owner) {
 function addVector({ shapes, parts, owners, norms }, part, coder, reader, unit) {
   let squares = 0;
   const mean = shapes && !owners.length, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
-    const values = coder.read(reader);
-    for (let i = 0; i < values.length; i++) squares += values[i] * values[i];
-    return Float32Array.from(values, (value) => value * unit);
+    const values = coder.read(reader), field = new Float32Array(values.length);
+    for (let i = 0; i < values.length; i++) {
+      squares += values[i] * values[i];
+      field[i] = values[i] * unit;
+    }
+    return field;
   });
   if (!squares && !mean) return;
   parts[part].fields.push(...fields);
