@@ -11,7 +11,7 @@ SEQUENCE = "decoder/sequence.js"
 """The module that opens compressed sequences: all of the decoder is under it."""
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|class|const|let) (\w+))", re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
 _AGAIN = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
 _TOKEN = re.compile(
     r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
@@ -70,7 +70,10 @@ def _as_function(path: str, source: str, names: dict[str, str]) -> str:
 
 
 def _exported(source: str) -> str:
-    return ", ".join([*_EXPORT.findall(source), *_AGAIN.findall(source)])
+    names = []
+    for what, first, rest in _EXPORT.findall(source):
+        names += [first, *(re.findall(r", (\w+) = ", rest) if what in ("const", "let") else [])]
+    return ", ".join([*names, *_AGAIN.findall(source)])
 
 
 def stripped(source: str) -> str:

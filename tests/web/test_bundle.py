@@ -57,10 +57,10 @@ def test_modules_become_one(node: Node, tmp_path: Path) -> None:
     bundled_file.write_text(text, encoding="utf-8")
     said = node(
         "const all = await import(process.argv[2]);\n"
-        "console.log(JSON.stringify([Object.keys(all), (await all.all().next()).value, all.last]));",
+        "console.log(JSON.stringify([Object.keys(all), (await all.all().next()).value, all.last, all.kind]));",
         bundled_file,
     )
-    assert said.strip() == '[["add","all","last"],"// no comment\\n    3",9]'
+    assert said.strip() == '[["add","all","kind","last"],"// no comment\\n    3",9,"Told"]'
 
 
 def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
