@@ -144,11 +144,12 @@ class BasisSpace(ShapeSpace):
 
 def _pieces(used: Mask) -> Index:
     """Number the pieces ``(K,)`` of basis vectors, of which `used` ``(K, V)`` tells the vertices they share."""
-    none = np.int32(len(used))
     lowest = np.arange(len(used), dtype=np.int32)
     while True:
-        of_vertices = np.where(used, lowest[:, None], none).min(axis=0, initial=none)
-        joined = np.where(used, of_vertices, none).min(axis=1)
+        of_vertices = np.full(used.shape[1], len(used), dtype=np.int32)
+        for row, number in zip(used, lowest, strict=True):  # row by row: there may be a gigabyte of vectors
+            np.minimum(of_vertices, number, out=of_vertices, where=row)
+        joined = np.array([of_vertices[row].min(initial=len(used)) for row in used], dtype=np.int32)
         if np.array_equal(joined, lowest):
             return np.unique(lowest, return_inverse=True)[1].astype(np.int64)
         lowest = joined[joined]

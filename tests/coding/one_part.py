@@ -9,7 +9,7 @@ import numpy as np
 from mixseq.arrays import Float
 from mixseq.coding.bitstream import spatial_basis
 from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
-from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis, whole
+from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis
 from mixseq.coding.encoder import trial
 from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
 from mixseq.coding.encoder.trial import Candidate, in_order
@@ -45,7 +45,7 @@ def read_basis(
 
 
 def basis_of(kind: BasisKind, vectors: Float, frame_count: int) -> SpatialBasis:
-    return spatial_basis.assemble_basis(kind, [vectors], whole(path_graph(vectors.shape[2])), frame_count)
+    return spatial_basis.assemble_basis(kind, [vectors], [np.arange(vectors.shape[2])], frame_count)
 
 
 def least_squares(basis: SpatialBasis, sequence: FrameStore) -> Float:

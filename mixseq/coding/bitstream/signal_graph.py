@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.coding.bitstream.signal_graph_kernels import adjacency, collapse, independent
+from mixseq.coding.bitstream.signal_graph_kernels import adjacency, collapse, independent, renumbered
 from mixseq.polygons import frozen
 
 MOST = 12
@@ -107,13 +107,12 @@ def mesh_graph(faces: NDArray[np.integer], vertex_count: int) -> SignalGraph:
     vertex_count : int
         Number V of vertices; those without faces are nodes without neighbours.
     """
-    edges = _unique(faces.astype(np.int64).T, np.roll(faces, -1, axis=1).astype(np.int64).T, vertex_count)
-    ring_starts, ring = adjacency(edges, vertex_count)
+    ring_starts, ring = mesh_neighbours(faces, vertex_count)
     neighbours = np.zeros((vertex_count, MOST), dtype=np.int64)
     counts = np.zeros(vertex_count, dtype=np.int64)
     left = np.ones(vertex_count, dtype=bool)
     levels: list[Index] = []
-    for level in coarser_levels(edges, vertex_count, neighbours, counts):
+    for level in coarser_levels(ring_starts, ring, neighbours, counts):
         left[level.gone] = False
         levels.append(level.gone)
     roots = np.flatnonzero(left)
@@ -150,26 +149,36 @@ class Level(NamedTuple):
     new_beside: Index
 
 
-def coarser_levels(edges: Index, count: int, neighbours: Index, counts: Index) -> Iterator[Level]:
+def mesh_neighbours(faces: NDArray[np.integer], vertex_count: int) -> tuple[Index, Index]:
+    """Return the neighbours of all vertices of triangles ``(F, 3)``, as `signal_graph_kernels.adjacency` lists them."""
+    sides = np.empty((3, len(faces), 2), dtype=np.int64)
+    for corner, side in enumerate(sides):
+        side[:, 0], side[:, 1] = faces[:, corner], faces[:, (corner + 1) % 3]
+    return neighbours_of(sides.reshape(-1, 2), vertex_count)
+
+
+def neighbours_of(edges: Index, count: int) -> tuple[Index, Index]:
+    """Return the neighbours of so many nodes, as `signal_graph_kernels.adjacency` lists them, of edges ``(E, 2)``."""
+    none = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    return adjacency(*none, np.ones(count, dtype=bool), edges)
+
+
+def coarser_levels(starts: Index, beside: Index, neighbours: Index, counts: Index) -> Iterator[Level]:
     """Take nodes away until no edge is left, and yield the levels; fine to coarse.
 
-    Edges ``(E, 2)`` are sorted, each once, from the lower node to the higher. Neighbours ``(N, MOST)`` and counts
-    ``(N,)`` of the nodes that go are written.
+    Starts ``(N + 1,)`` and beside ``(2 E,)`` are the neighbours of all nodes, as `signal_graph_kernels.adjacency` lists
+    them. Neighbours ``(N, MOST)`` and counts ``(N,)`` of the nodes that go are written.
     """
-    left = np.ones(count, dtype=bool)
-    starts, beside = adjacency(edges, count)
-    while len(edges):
+    left = np.ones(len(counts), dtype=bool)
+    while len(beside):
         degrees = np.diff(starts)
-        nodes = np.flatnonzero(left & (degrees > 0))
-        nodes = nodes[np.argsort(degrees[nodes], kind="stable")]
-        gone = independent(nodes, starts, beside, max(WIDEST, int(degrees[nodes[0]])))
+        nodes = np.flatnonzero(degrees)
+        fewest = int(degrees[nodes].min())
+        gone = independent(nodes, starts, beside, fewest, max(WIDEST, fewest))
         new = collapse(gone, starts, beside, neighbours, counts)
         left[gone] = False
-        kept = left[edges[:, 0]] & left[edges[:, 1]]
-        both = np.concatenate([edges[kept], new])
-        edges = _unique(both[:, 0], both[:, 1], count)
         before = starts, beside
-        starts, beside = adjacency(edges, count)
+        starts, beside = adjacency(*before, left, new)
         yield Level(gone, *before, new, starts, beside)
 
 
@@ -208,7 +217,7 @@ def path_graph(count: int) -> SignalGraph:
         levels.append(new)
     frames = np.arange(count)
     pairs = np.stack([frames[:-1], frames[1:]], axis=1)
-    ring_starts, ring = adjacency(pairs, count)
+    ring_starts, ring = neighbours_of(pairs, count)
     return replace(
         _graph(levels, neighbours, counts, weights, ring, ring_starts, FEWEST_FRAMES), over_time=True
     )
@@ -247,17 +256,8 @@ def _graph(
     batches = tuple(slice(a, b) for a, b in pairwise(ends))
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    sizes = np.diff(ring_starts)[order]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    ring = place[ring[np.repeat(ring_starts[:-1][order] - starts[:-1], sizes) + np.arange(starts[-1])]]
+    starts, ring = renumbered(ring_starts, ring, order, place)
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)
     return SignalGraph(order, batches, neighbours, counts, weights[order], ring, starts)
-
-
-def _unique(ends: Index, others: Index, count: int) -> Index:
-    """Return edges ``(E, 2)`` between nodes, each once and from the lower node to the higher, sorted."""
-    keys = np.sort((np.minimum(ends, others) * count + np.maximum(ends, others)).reshape(-1))
-    edges = np.stack(np.divmod(keys[np.diff(keys, prepend=-1) > 0], count), axis=1)
-    return np.asarray(edges[edges[:, 0] != edges[:, 1]])

@@ -6,6 +6,7 @@ Frozen: changing their results breaks old files (golden: ``tests/coding/golden/*
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.compiled import compiled
@@ -13,46 +14,94 @@ from mixseq.compiled import compiled
 _HUB = 32
 """Neighbours that are so many times more are searched for what is shared, not gone through. Free: a matter of time."""
 
+Bools = NDArray[np.bool_]
+
 
 @compiled
-def adjacency(edges: Index, count: int) -> tuple[Index, Index]:
-    """Return starts ``(N + 1,)`` and neighbours ``(2 E,)``, ascending, of all nodes.
+def adjacency(starts: Index, beside: Index, left: Bools, edges: Index) -> tuple[Index, Index]:
+    """Return the neighbours of all nodes of a graph, with more edges ``(E, 2)``, and of nodes that are left ``(N,)``.
 
-    Edges ``(E, 2)`` int64 are sorted, each once, from the lower node to the higher.
+    Neighbours are starts ``(N + 1,)`` and ``beside[starts[node] : starts[node + 1]]``, ascending, each once. Edges
+    stand in any order, some twice, or there already, or from a node to itself; both ends are left.
     """
-    starts = np.zeros(count + 1, dtype=np.int64)
-    for edge in range(len(edges)):
-        starts[edges[edge, 0] + 1] += 1
-        starts[edges[edge, 1] + 1] += 1
+    count = len(left)
+    rows = np.zeros(count + 1, dtype=np.int64)
     for node in range(count):
-        starts[node + 1] += starts[node]
-    places = starts.copy()
-    beside = np.empty(2 * len(edges), dtype=np.int64)
-    for one, other in ((1, 0), (0, 1)):  # lower neighbours of all nodes first
-        for edge in range(len(edges)):
-            node = edges[edge, one]
-            beside[places[node]] = edges[edge, other]
-            places[node] += 1
-    return starts, beside
+        if left[node]:
+            for place in range(starts[node], starts[node + 1]):
+                rows[node + 1] += left[beside[place]]
+    for edge in range(len(edges)):
+        if edges[edge, 0] != edges[edge, 1]:
+            rows[edges[edge, 0] + 1] += 1
+            rows[edges[edge, 1] + 1] += 1
+    for node in range(count):
+        rows[node + 1] += rows[node]
+    mixed = np.empty(rows[count], dtype=np.int32)
+    places = rows[:-1].copy()
+    for node in range(count):
+        if left[node]:
+            for place in range(starts[node], starts[node + 1]):
+                if left[beside[place]]:
+                    mixed[places[node]] = beside[place]
+                    places[node] += 1
+    for edge in range(len(edges)):
+        one, other = edges[edge]
+        if one != other:
+            mixed[places[one]], mixed[places[other]] = other, one
+            places[one] += 1
+            places[other] += 1
+    # Nodes enter the rows of their neighbours in their order, so that rows are ascending.
+    ascending = np.empty(len(mixed), dtype=np.int32)
+    places[:] = rows[:-1]
+    for node in range(count):
+        for place in range(rows[node], rows[node + 1]):
+            other = mixed[place]
+            if places[other] == rows[other] or ascending[places[other] - 1] != node:
+                ascending[places[other]] = node
+                places[other] += 1
+    new_starts = np.zeros(count + 1, dtype=np.int64)
+    for node in range(count):
+        new_starts[node + 1] = new_starts[node] + places[node] - rows[node]
+    new_beside = np.empty(new_starts[count], dtype=np.int64)
+    for node in range(count):
+        for place in range(new_starts[node + 1] - new_starts[node]):
+            new_beside[new_starts[node] + place] = ascending[rows[node] + place]
+    return new_starts, new_beside
 
 
 @compiled
-def independent(nodes: Index, starts: Index, beside: Index, most: int) -> Index:
-    """Return nodes, first come first served, no two of which are neighbours, with at most so many neighbours.
+def renumbered(starts: Index, beside: Index, order: Index, place: Index) -> tuple[Index, Index]:
+    """Return the neighbours of nodes in another order ``(N,)``: node i becomes ``place[i]``, the inverse of it."""
+    new_starts = np.empty(len(order) + 1, dtype=np.int64)
+    new_beside = np.empty(len(beside), dtype=np.int64)
+    count = 0
+    for new, node in enumerate(order):
+        new_starts[new] = count
+        for at in range(starts[node], starts[node + 1]):
+            new_beside[count] = place[beside[at]]
+            count += 1
+    new_starts[len(order)] = count
+    return new_starts, new_beside
 
-    Nodes ``(n,)`` int64 are looked at in their order; those beside a node are
-    ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
+
+@compiled
+def independent(nodes: Index, starts: Index, beside: Index, fewest: int, most: int) -> Index:
+    """Return nodes, no two of which are neighbours, with at most so many neighbours: those with fewest come first.
+
+    Of nodes ``(n,)`` int64 that have equally many, `fewest` or more, the first ones in their order; those beside a node
+    are ``beside[starts[node] : starts[node + 1]]``, with starts ``(N + 1,)``.
     """
     blocked = np.zeros(len(starts) - 1, dtype=np.bool_)
     chosen = np.empty(len(nodes), dtype=np.int64)
     count = 0
-    for node in nodes:
-        if blocked[node] or starts[node + 1] - starts[node] > most:
-            continue
-        chosen[count] = node
-        count += 1
-        for place in range(starts[node], starts[node + 1]):
-            blocked[beside[place]] = True
+    for degree in range(fewest, most + 1):
+        for node in nodes:
+            if blocked[node] or starts[node + 1] - starts[node] != degree:
+                continue
+            chosen[count] = node
+            count += 1
+            for place in range(starts[node], starts[node + 1]):
+                blocked[beside[place]] = True
     return chosen[:count].copy()
 
 

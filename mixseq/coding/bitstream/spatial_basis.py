@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,12 +62,21 @@ def whole(graph: SignalGraph) -> tuple[Part, ...]:
 
 def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
-    found = []
-    for part in range(int(labels.max(initial=-1)) + 1):
-        vertices = np.flatnonzero(labels == part)
-        inside = faces[(labels[faces] == part).all(axis=1)]
-        found.append(Part(vertices, mesh_graph(np.searchsorted(vertices, inside), len(vertices))))
-    return tuple(found)
+    return tuple(
+        Part(vertices, part_graph(part, vertices, labels, faces))
+        for part, vertices in enumerate(vertices_of(labels))
+    )
+
+
+def vertices_of(labels: Index) -> list[Index]:
+    """Return the vertices of every part, increasing."""
+    return [np.flatnonzero(labels == part) for part in range(int(labels.max(initial=-1)) + 1)]
+
+
+def part_graph(part: int, vertices: Index, labels: Index, faces: NDArray[np.integer]) -> SignalGraph:
+    """Return the graph over the vertices ``(n,)`` of a part."""
+    inside = faces[(labels[faces] == part).all(axis=1)]
+    return mesh_graph(np.searchsorted(vertices, inside), len(vertices))
 
 
 class Block(NamedTuple):
@@ -169,41 +178,50 @@ def read_basis(
     faces: NDArray[np.integer],
     graph: SignalGraph,
     revision: int = 2,
-) -> tuple[list[Float], tuple[Part, ...]]:
-    """Return the basis vectors ``(K, c, n)`` of every part, and the parts; groups may be missing at the end.
+) -> tuple[list[Float], list[Index]]:
+    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices; groups may be missing at the end.
 
     Raises
     ------
     FormatError
         If the streams are damaged.
     """
-    signals, labels = (older_signals, older_labels) if revision == 1 else (signal_coder, part_labels)
-    models, parts = signals.NumberModels(), whole(graph)
+    signals, labelled = (older_signals, older_labels) if revision == 1 else (signal_coder, part_labels)
+    models, labels = signals.NumberModels(), np.zeros(graph.size, dtype=np.int64)
     readers = [signals.Reader(stream) for stream in streams]
     if len(ranks) > 1:
         if not readers:
             raise FormatError(
                 "the first group of the basis is missing, with the parts of the mesh; the file is damaged"
             )
-        parts = parts_of(labels.read_labels(readers[0], len(ranks), graph), faces)
-    coders = [signals.SignalCoder(part.graph, coordinates, models) for part in parts]
-    vectors: list[list[Float]] = [[] for _ in parts]
+        labels = labelled.read_labels(readers[0], len(ranks), graph)
+    parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
+    coders: dict[
+        int, Any
+    ] = {}  # a coder takes more than a kilobyte a vertex: there is none before or after it is needed
     for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=False):
         for place, group in of_parts:
+            coder = coders.pop(place, None)
+            if coder is None:
+                own = part_graph(place, parts[place], labels, faces) if len(ranks) > 1 else graph
+                coder = signals.SignalCoder(own, coordinates, models)
             for _ in range(group.start, group.stop):
-                vectors[place].append(np.stack([coders[place].read(reader) for _ in range(coordinates)]))
+                vectors[place].append(np.stack([coder.read(reader) for _ in range(coordinates)]))
+            if group.stop < ranks[place]:
+                coders[place] = coder
+            del coder
         reader.finish()
     decoded = [
-        step * np.array(some).reshape(-1, coordinates, part.graph.size)
-        for some, part in zip(vectors, parts, strict=True)
+        step * np.array(some).reshape(-1, coordinates, len(vertices))
+        for some, vertices in zip(vectors, parts, strict=True)
     ]
     return decoded, parts
 
 
 def assemble_basis(
-    kind: BasisKind, vectors: Sequence[Float], parts: Sequence[Part], frame_count: int
+    kind: BasisKind, vectors: Sequence[Float], parts: Sequence[Index], frame_count: int
 ) -> SpatialBasis:
-    """Return the basis of coded vectors ``(K, c, n)`` of all parts, without those that are zero.
+    """Return the basis of coded vectors ``(K, c, n)`` of all parts, without those that are zero; parts are vertices.
 
     These have no coefficients. Coefficients are in the order of the groups, so that those of the first groups come
     first.
@@ -212,10 +230,10 @@ def assemble_basis(
     if kind == "shapes":
         kept[0][:1] = True  # the mean, which may be zero
     blocks, owners = [], [np.arange(len(parts) if kind == "trajectories" else 0)]
-    for part, some, there in zip(parts, vectors, kept, strict=True):
-        constant = np.full((1, 1, len(part.vertices)), 1 / np.sqrt(len(part.vertices)))
+    for vertices, some, there in zip(parts, vectors, kept, strict=True):
+        constant = np.full((1, 1, len(vertices)), 1 / np.sqrt(len(vertices)))
         stacked = some[there] if kind == "shapes" else np.concatenate([constant, some[there]])
-        blocks.append(Block(part.vertices, stacked))
+        blocks.append(Block(vertices, stacked))
     for of_parts in groups_of_parts([len(some) for some in vectors]):
         owners += [np.full(np.count_nonzero(kept[place][group]), place) for place, group in of_parts]
     return SpatialBasis(kind, tuple(blocks), np.concatenate(owners), frame_count)

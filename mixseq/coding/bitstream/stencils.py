@@ -23,6 +23,7 @@ import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.signal_graph import MOST, SignalGraph, coarser_levels
+from mixseq.coding.bitstream.signal_graph_kernels import renumbered
 from mixseq.compiled import compiled
 
 WIDEST = 16
@@ -71,12 +72,10 @@ def _stencils(graph: SignalGraph) -> Stencils:
     # Levels are those of vertices' numbers.
     place = np.empty(graph.size, dtype=np.int64)
     place[graph.order] = np.arange(graph.size)
-    ends = np.stack([graph.order[graph.ring], graph.order.repeat(np.diff(graph.ring_starts))], axis=1)
-    edges = ends[ends[:, 0] < ends[:, 1]]
-    edges = edges[np.lexsort(edges.T[::-1])]
-    lengths = np.ones(2 * len(edges))
+    starts, beside = renumbered(graph.ring_starts, graph.ring, place, graph.order)
+    lengths = np.ones(len(beside))
     nodes = np.zeros((graph.size, MOST), dtype=np.int64), np.zeros(graph.size, dtype=np.int64)
-    for level in coarser_levels(edges, graph.size, *nodes):
+    for level in coarser_levels(starts, beside, *nodes):
         left = _lengths(*level, lengths)
         before = level.starts, level.beside, lengths
         _bend(level.gone, *before, level.new_starts, level.new_beside, left, place, *found)

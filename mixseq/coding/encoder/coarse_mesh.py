@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.signal_graph import MOST, coarser_levels
+from mixseq.coding.bitstream.signal_graph import MOST, coarser_levels, mesh_neighbours
 
 
 def coarse_mesh(faces: NDArray[np.integer], vertex_count: int, most: int) -> tuple[Index, Index]:
@@ -32,20 +32,15 @@ def coarse_mesh(faces: NDArray[np.integer], vertex_count: int, most: int) -> tup
     faces : (E, 3) int64
         The edges between them, as triangles with two corners at one vertex.
     """
-    ends = np.sort(
-        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1
-    )
-    keys = np.unique(ends[ends[:, 0] < ends[:, 1]] @ np.array([vertex_count, 1]))
-    edges = np.stack(np.divmod(keys, vertex_count), axis=1)
+    starts, beside = mesh_neighbours(faces, vertex_count)
     left = np.ones(vertex_count, dtype=bool)
     scratch = np.zeros((vertex_count, MOST), dtype=np.int64), np.zeros(vertex_count, dtype=np.int64)
-    for level in coarser_levels(edges, vertex_count, *scratch):
+    for level in coarser_levels(starts, beside, *scratch):
         left[level.gone] = False
-        edges = np.stack(
-            [np.repeat(np.arange(vertex_count), np.diff(level.new_starts)), level.new_beside], axis=1
-        )
+        starts, beside = level.new_starts, level.new_beside
         if np.count_nonzero(left) <= most:
             break
+    edges = np.stack([np.repeat(np.arange(vertex_count), np.diff(starts)), beside], axis=1)
     vertices = np.flatnonzero(left)
     edges = np.searchsorted(vertices, edges[edges[:, 0] < edges[:, 1]])
     return vertices, edges[:, [0, 1, 1]]

@@ -15,7 +15,7 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.residuals import width
 from mixseq.coding.encoder.search import ROUNDS, Search
-from mixseq.coding.encoder.trial import CHUNK, FEWEST, Trial
+from mixseq.coding.encoder.trial import CHUNK, FEWEST
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
@@ -89,16 +89,9 @@ def compress(
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
         unit = bounding_diagonal(frames.points[:1][0]) or 1.0
-        graph = mesh_graph(sequence.header.faces, sequence.header.vertex_count)
-        search = Search(frames, graph, stages, chunk)
-        if max_error is not None:
-            best = search.within(_with_margin(max_error * unit, frames))
-        elif kg is not None:
-            best = search.with_error(kg / 100 * _deviation(frames))
-        else:
-            best = search.with_size(int(size or 0), _deviation(frames))
+        coded = _found(frames, stages, chunk, unit, max_error, kg, size)
         stages.at(1 + ROUNDS)(0, 1, "checking")
-        coded = replace(_checked(frames, best, unit, max_error, kg), order=numbering.order)
+        coded = replace(_checked(frames, coded, max_error, kg), order=numbering.order)
     if uv_steps is None:
         return replace(coded, header=replace(coded.header, surface=header.surface))
     parameters = replace(coded.parameters, uv_steps=uv_steps, uv_error=float(uv_error))
@@ -145,29 +138,45 @@ def _deviation(sequence: FrameStore) -> float:
     return float(np.sqrt(squares))
 
 
+def _found(
+    frames: FrameStore,
+    stages: Stages,
+    chunk: int,
+    unit: float,
+    max_error: float | None,
+    kg: float | None,
+    size: int | None,
+) -> CompressedSequence:
+    """Return the streams that a search finds. What else it has found, some kB a vertex, goes with it."""
+    search = Search(frames, mesh_graph(frames.header.faces, frames.header.vertex_count), stages, chunk)
+    if max_error is not None:
+        best = search.within(_with_margin(max_error * unit, frames))
+    elif kg is not None:
+        best = search.with_error(kg / 100 * _deviation(frames))
+    else:
+        best = search.with_size(int(size or 0), _deviation(frames))
+    parameters = CodingParameters(
+        factors=best.basis.kind,
+        rank=sum(best.ranks),
+        frame_count=len(frames.points),
+        step=best.step,
+        diagonal=unit,
+        max_error=0.0,
+        kg_percent=0.0,
+        promised=max_error is not None,
+        correction=0.0 if best.bound is None else width(best.bound),
+        ranks=best.ranks if len(best.ranks) > 1 else (),
+        revision=2,
+    )
+    return CompressedSequence(frames.header, parameters, best.basis_streams, best.chunks)
+
+
 def _checked(
-    sequence: FrameStore, best: Trial, unit: float, bound: float | None, kg: float | None
+    sequence: FrameStore, coded: CompressedSequence, bound: float | None, kg: float | None
 ) -> CompressedSequence:
     """Decode what was coded, and measure its errors: nothing is promised that was not observed."""
-    coded = CompressedSequence(
-        sequence.header,
-        CodingParameters(
-            factors=best.basis.kind,
-            rank=sum(best.ranks),
-            frame_count=len(sequence.points),
-            step=best.step,
-            diagonal=unit,
-            max_error=0.0,
-            kg_percent=0.0,
-            promised=bound is not None,
-            correction=0.0 if best.bound is None else width(best.bound),
-            ranks=best.ranks if len(best.ranks) > 1 else (),
-            revision=2,
-        ),
-        best.basis_streams,
-        best.chunks,
-    )
     model, between = decode(coded)
+    unit = coded.parameters.diagonal
     squares = variation = largest = 0.0
     done = 0
     for block in model.blocks(model.times):

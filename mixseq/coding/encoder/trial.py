@@ -145,7 +145,7 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
         A chunk has about so many frames.
     """
     vectors, basis_streams = write_basis(candidate, step)
-    parts = [one.part for one in candidate.parts]
+    parts = [one.part.vertices for one in candidate.parts]
     basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
     fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
     scales, owners = _varying(basis)
@@ -186,16 +186,23 @@ def write_basis(candidate: Candidate, step: float) -> tuple[list[Float], tuple[b
         Streams of the groups.
     """
     parts, models, streams = candidate.parts, NumberModels(), []
-    coders = [SignalCoder(one.part.graph, one.coordinates, models) for one in parts]
+    ranks, coders = [one.rank(step) for one in parts], dict[int, SignalCoder]()
     vectors: list[list[Float]] = [[] for _ in parts]
-    for number, of_parts in enumerate(groups_of_parts([one.rank(step) for one in parts])):
+    for number, of_parts in enumerate(groups_of_parts(ranks)):
         writer = Writer()
         if number == 0 and len(parts) > 1:
             write_labels(writer, candidate.labels, candidate.graph)
         for place, group in of_parts:
+            one = parts[place]
+            coder = coders.pop(place, None) or SignalCoder(one.part.graph, one.coordinates, models)
             for row in range(group.start, group.stop):
-                numbers = parts[place].vector(row) / step
-                vectors[place].append(np.stack([coders[place].write(writer, one) for one in numbers]))
+                numbers = one.vector(row) / step
+                vectors[place].append(np.stack([coder.write(writer, each) for each in numbers]))
+            if (
+                group.stop < ranks[place]
+            ):  # a coder takes more than a kilobyte a vertex: none is kept that is done
+                coders[place] = coder
+            del coder
         streams.append(writer.finish())
     return [step * np.array(some) for some in vectors], tuple(streams)
 

@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 
 from mixseq.arrays import Index
-from mixseq.coding.bitstream.signal_graph import FEWEST, MOST, SignalGraph, mesh_graph, path_graph
-from mixseq.coding.bitstream.signal_graph_kernels import adjacency
+from mixseq.coding.bitstream.signal_graph import (
+    FEWEST,
+    MOST,
+    SignalGraph,
+    mesh_graph,
+    neighbours_of,
+    path_graph,
+)
+from mixseq.coding.bitstream.signal_graph_kernels import adjacency, renumbered
 from mixseq.topology import Topology
 from tests.meshes import SEQUENCES, joined, pages, tetrahedron, torus
 
@@ -164,10 +171,31 @@ def test_frames_are_predicted_from_both_sides() -> None:
         assert beside.min() < graph.order[node] < beside.max()
 
 
-def test_adjacency_is_sorted() -> None:
-    starts, beside = adjacency(np.array([[0, 1], [0, 3], [1, 2], [1, 3], [3, 5]]), 6)
-    around = [beside[a:b].tolist() for a, b in pairwise(starts)]
-    assert around == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
-    starts, beside = adjacency(np.zeros((0, 2), dtype=np.int64), 2)
+def test_neighbours_are_sorted() -> None:
+    edges = np.array([[3, 5], [1, 0], [1, 2], [3, 1], [1, 3], [4, 4], [0, 3], [0, 1]])
+    starts, beside = neighbours_of(edges, 6)
+    assert rows(starts, beside) == [[1, 3], [0, 2, 3], [1], [0, 1, 5], [], [3]]
+    left = np.array([True, False, True, True, True, True])
+    assert rows(*adjacency(starts, beside, left, np.array([[2, 0], [3, 2], [0, 3]]))) == [
+        [2, 3],
+        [],
+        [0, 3],
+        [0, 2, 5],
+        [],
+        [3],
+    ]
+    starts, beside = neighbours_of(np.zeros((0, 2), dtype=np.int64), 2)
     assert starts.tolist() == [0, 0, 0]
     assert beside.size == 0
+
+
+def test_nodes_are_renumbered() -> None:
+    order, place = np.array([2, 0, 3, 1]), np.array([1, 3, 0, 2])
+    starts, beside = neighbours_of(np.array([[0, 1], [1, 2], [2, 3]]), 4)
+    other = renumbered(starts, beside, order, place)
+    assert rows(*other) == [[3, 2], [3], [0], [1, 0]]
+    assert rows(*renumbered(*other, place, order)) == rows(starts, beside)
+
+
+def rows(starts: Index, beside: Index) -> list[list[int]]:
+    return [beside[a:b].tolist() for a, b in pairwise(starts)]

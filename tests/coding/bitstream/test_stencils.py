@@ -9,7 +9,14 @@ import pytest
 
 from mixseq.arrays import Float
 from mixseq.coding.bitstream import stencils as module
-from mixseq.coding.bitstream.signal_graph import MOST, SignalGraph, coarser_levels, mesh_graph, path_graph
+from mixseq.coding.bitstream.signal_graph import (
+    MOST,
+    SignalGraph,
+    coarser_levels,
+    mesh_graph,
+    mesh_neighbours,
+    path_graph,
+)
 from mixseq.coding.bitstream.stencils import HUB, WIDEST, Stencils, stencils
 from tests.meshes import Mesh, grid, joined, tetrahedron, torus, tube
 
@@ -76,9 +83,8 @@ def test_the_mesh_is_bent_least(monkeypatch: pytest.MonkeyPatch) -> None:
     count, graph = len(points), mesh_graph(faces, len(points))
     values = np.random.default_rng(0).normal(size=count)
     found = predicted(stencils(graph), values[graph.order])
-    edges = np.unique(np.sort(np.concatenate([faces[:, :2], faces[:, 1:], faces[:, ::2]]), axis=1), axis=0)
     unused = np.zeros((count, MOST), dtype=np.int64), np.zeros(count, dtype=np.int64)
-    first = next(coarser_levels(edges, count, *unused))
+    first = next(coarser_levels(*mesh_neighbours(faces, count), *unused))
     ring = [set(first.beside[a:b].tolist()) for a, b in pairwise(first.starts)]
     left = [set(first.new_beside[a:b].tolist()) for a, b in pairwise(first.new_starts)]
     for vertex in first.gone.tolist():
