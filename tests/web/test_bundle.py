@@ -8,6 +8,7 @@ import pytest
 
 from mixseq.web import bundle
 from mixseq.web.bundle import SEQUENCE, bundled
+from tests.web.conftest import WEB
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -70,3 +71,21 @@ def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
     assert node(names, bundled_file) == node(
         f'import * as all from "{SEQUENCE}";\nconsole.log(Object.keys(all).join());'
     )
+
+
+def test_every_module_exports_the_same_in_a_bundle(node: Node, tmp_path: Path) -> None:
+    """Also what other modules import of it: names that the bundle does not see would be undefined there."""
+    paths = [
+        path.relative_to(WEB).as_posix() for path in sorted(WEB.glob("*/*.js")) if "three" not in path.parts
+    ]
+    for number, path in enumerate(paths):
+        (tmp_path / f"bundle{number}.mjs").write_text(bundled(path), encoding="utf-8")
+    script = """
+    const [root, folder, ...paths] = process.argv.slice(2);
+    for (const [number, path] of paths.entries()) {
+      const names = async (file) => Object.keys(await import(file)).sort().join();
+      const [own, bundled] = [await names(`${root}/${path}`), await names(`${folder}/bundle${number}.mjs`)];
+      if (own !== bundled) throw new Error(`${path} exports ${own}; bundled ${bundled}`);
+    }
+    """
+    node(script, WEB, tmp_path, *paths)

@@ -2,8 +2,11 @@
 import { INPUTS, spread } from "./bit_mixing.js";
 import { INTO, OUT_OF } from "./half_edges.js";
 
-/** Number of guesses at a corner, and of vertices from which one that no guess had is counted. */
-export const GUESSES = 16, BASES = 9;
+/** Number of guesses at a corner. */
+export const GUESSES = 16;
+
+/** Number of vertices from which one that no guess had is counted. */
+export const BASES = 9;
 
 const REPEATS = 1 << 16, FACTOR = 1000003, WORD = 2 ** 32;
 

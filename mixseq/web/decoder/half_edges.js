@@ -2,10 +2,13 @@
 // as none runs the other way, and has the number of the corner that it starts from.
 
 /** States of vertices. */
-export const UNUSED = 0, OPEN = 1, CLOSED = 2;
+export const UNUSED = 0;
+export const OPEN = 1;
+export const CLOSED = 2;
 
 /** Half-edges that end, or start, at a vertex. */
-export const INTO = 0, OUT_OF = 1;
+export const INTO = 0;
+export const OUT_OF = 1;
 
 const LOOKED_AT = 33;
 

@@ -8,7 +8,9 @@ const AGES = 8; // levels of how many signals were before
 const LONGEST = 24, MOST = 55; // bits of a number that have models; at most
 const LARGEST = 2 ** 40; // larger sizes count as this
 
-export const INPUTS = 5, CONTEXTS = LEVELS * LEVELS, POSITIONS = 2 * LONGEST;
+export const INPUTS = 5;
+export const CONTEXTS = LEVELS * LEVELS;
+export const POSITIONS = 2 * LONGEST;
 
 const POWERS = new Float64Array(MOST).fill(1);
 for (let bits = 1; bits < MOST; bits++) POWERS[bits] = 2 * POWERS[bits - 1];

@@ -1,7 +1,11 @@
 // Guesses at the texture coordinates of a node from those around it, as in mixseq/coding/bitstream/uv_guesses.py.
 
 /** What a guess is made of. */
-export const COPIED = 0, AROUND = 1, BEYOND = 2, BESIDE = 3, ANYWHERE = 4;
+export const COPIED = 0;
+export const AROUND = 1;
+export const BEYOND = 2;
+export const BESIDE = 3;
+export const ANYWHERE = 4;
 
 /** Room for a guess; the names are those of the Python module, but for `facts`, which are `kind`, `count` and `spread`. */
 export const noGuess = () => ({ at: [0, 0], back: [0, 0], low: [0, 0], high: [0, 0], kind: ANYWHERE, count: 0, spread: 0 });

@@ -1,7 +1,10 @@
 // Which corners at a vertex share texture coordinates, or normals, as mixseq/coding/bitstream/uv_seams.py decodes it.
 
-/** Kinds of bits with weights of their own; nodes of a vertex that are looked at. */
-export const SEAM_KINDS = 4, MOST_NODES = 32;
+/** Kinds of bits with weights of their own. */
+export const SEAM_KINDS = 4;
+
+/** So many nodes of a vertex are looked at. */
+export const MOST_NODES = 32;
 
 const INTO = 0, OUT = 1, OTHER = 2, BOTH = 3;
 

@@ -6,8 +6,11 @@ import { SEAM_KINDS } from "./uv_seams.js";
 
 const GROUPS = 4, LARGEST = 1 << 26, TOLERATED = 8, BACK = 2 * GROUPS, PLACE = 2 * GROUPS + 1;
 
-/** Kinds of bits with weights of their own, after those of seams; bits of the largest numbers. */
-export const VALUE_KINDS = 2 * GROUPS + 2, LONGEST = 40;
+/** Kinds of bits with weights of their own, after those of seams. */
+export const VALUE_KINDS = 2 * GROUPS + 2;
+
+/** Bits of the largest numbers. */
+export const LONGEST = 40;
 
 /** The values `Int32Array(2N)` of all nodes. */
 export function walkValues(bits, corners, order, count) {

@@ -1,0 +1,164 @@
+// Frames on the graphics card (WebGL 2): fields are textures, a frame is weights, and vertex shaders do the rest.
+import { MixseqError } from "../decoder/errors.js";
+import { WIDTH, fieldLayout, inRows, ringLayout, weightRows } from "./field_layout.js";
+
+const HEAD = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp isampler2D;
+ivec2 at(int texel) { return ivec2(texel % ${WIDTH}, texel / ${WIDTH}); }
+`;
+
+const POSITIONS = `${HEAD}
+in ivec4 place; // first texel, texels to the next, number of texels, first row of weights
+in int vertex;
+uniform sampler2D fields, weights, residuals;
+uniform int displaced;
+out vec3 result;
+void main() {
+  result = displaced == 0 ? vec3(0.0) : texelFetch(residuals, at(vertex), 0).xyz;
+  for (int k = 0; k < place.z; k++) {
+    vec4 field = texelFetch(fields, at(place.x + k * place.y), 0);
+    int row = place.w + k;
+    result += vec3(dot(field, texelFetch(weights, ivec2(0, row), 0)), dot(field, texelFetch(weights, ivec2(1, row), 0)), dot(field, texelFetch(weights, ivec2(2, row), 0)));
+  }
+}`;
+
+const NORMALS = `${HEAD}
+in ivec2 place; // first pair, number of pairs
+uniform sampler2D positions;
+uniform isampler2D pairs;
+out vec3 result;
+void main() {
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < place.y; k++) {
+    ivec2 pair = texelFetch(pairs, at(place.x + k), 0).xy;
+    vec3 here = texelFetch(positions, at(gl_VertexID), 0).xyz;
+    sum += cross(texelFetch(positions, at(pair.x), 0).xyz - here, texelFetch(positions, at(pair.y), 0).xyz - here);
+  }
+  float size = length(sum);
+  result = size > 0.0 ? sum / size : vec3(0.0, 0.0, 1.0);
+}`;
+
+const NOTHING = `#version 300 es
+void main() {}`;
+
+/**
+ * Positions and normals of vertices as buffers of the graphics card, three floats for each of them, and `evaluate`, which
+ * writes them for weights, and what is to be added, as `Sequence.weights` and `Sequence.residuals` have them.
+ *
+ * `fields` are those of the sequence. `vertices` tells which of its vertices each vertex is, if they are not the same, as where
+ * they are cut along seams; `triangles` are of these vertices. Those of one of the `groups` share a normal, by default
+ * those that are the same vertex of the sequence. Programs, textures and buffers that were in use no longer are
+ * after `evaluate`.
+ */
+export function fieldTextures(gl, fields, triangles, vertices = null, groups = vertices) {
+  const known = fields.parts.reduce((sum, part) => sum + part.vertices.length, 0), { texels, places, order } = fieldLayout(fields, known);
+  const named = Int32Array.from(vertices ?? { length: known }, (vertex, k) => vertex ?? k), count = named.length;
+  const own = Int32Array.from({ length: 4 * count }, (_, k) => places[4 * named[k >> 2] + (k & 3)]), ring = ringLayout(triangles, groups ?? named);
+  const rows = order.length / 4, weightTexels = new Float32Array(12 * rows), largest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  if (Math.max(rows, texels.length / (4 * WIDTH), ring.pairs.length / (2 * WIDTH)) > largest) {
+    throw new MixseqError("the sequence is too large for textures of this graphics card; take its positions from Sequence.at");
+  }
+
+  const textures = {
+    fields: newTexture(gl.RGBA32F, WIDTH, texels.length / (4 * WIDTH)), weights: newTexture(gl.RGBA32F, 3, rows), residuals: newTexture(gl.RGB32F, WIDTH, inRows(known) / WIDTH),
+    positions: newTexture(gl.RGB32F, WIDTH, inRows(count) / WIDTH), pairs: newTexture(gl.RG32I, WIDTH, ring.pairs.length / (2 * WIDTH)),
+  };
+  const positions = newBuffer(new Float32Array(3 * inRows(count))), normals = newBuffer(new Float32Array(3 * count)), added = new Float32Array(3 * inRows(known));
+  const place = newPass(POSITIONS, ["fields", "weights", "residuals"], { place: [4, own], vertex: [1, named] }, positions);
+  const turn = newPass(NORMALS, ["positions", "pairs"], { place: [2, ring.places] }, normals);
+  fill("fields", gl.RGBA, gl.FLOAT, texels);
+  fill("pairs", gl.RG_INTEGER, gl.INT, ring.pairs);
+
+  function evaluate(weights, residuals = null) {
+    fill("weights", gl.RGBA, gl.FLOAT, weightRows(order, weights, weightTexels));
+    if (residuals) {
+      added.set(residuals);
+      fill("residuals", gl.RGB, gl.FLOAT, added);
+    }
+    place(residuals ? 1 : 0);
+    gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, positions); // shaders read buffers at their own vertex only, textures anywhere
+    fill("positions", gl.RGB, gl.FLOAT, 0);
+    gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
+    turn(0);
+  }
+
+  function newTexture(format, width, height) {
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    return { texture, width, height };
+  }
+
+  function fill(name, format, type, data) {
+    const { texture, width, height } = textures[name];
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
+    gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, false);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, format, type, data);
+  }
+
+  function newBuffer(data) {
+    const buffer = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_COPY);
+    return buffer;
+  }
+
+  /** A shader over all vertices, with attributes of whole numbers, whose results go to a buffer. */
+  function newPass(vertexShader, samplers, attributes, target) {
+    const program = newProgram(vertexShader), array = gl.createVertexArray(), displaced = gl.getUniformLocation(program, "displaced");
+    const feedback = gl.createTransformFeedback();
+    gl.bindVertexArray(array);
+    for (const [name, [size, data]] of Object.entries(attributes)) {
+      const location = gl.getAttribLocation(program, name);
+      newBuffer(data);
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribIPointer(location, size, gl.INT, 0, 0);
+    }
+    gl.bindVertexArray(null);
+    gl.useProgram(program);
+    samplers.forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(program, name), unit));
+    return (given) => {
+      gl.useProgram(program);
+      gl.uniform1i(displaced, given);
+      samplers.forEach((name, unit) => {
+        gl.activeTexture(gl.TEXTURE0 + unit);
+        gl.bindTexture(gl.TEXTURE_2D, textures[name].texture);
+      });
+      gl.bindVertexArray(array);
+      gl.bindBuffer(gl.ARRAY_BUFFER, null); // where the target may be
+      gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, feedback);
+      gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, target);
+      gl.enable(gl.RASTERIZER_DISCARD);
+      gl.beginTransformFeedback(gl.POINTS);
+      gl.drawArrays(gl.POINTS, 0, count);
+      gl.endTransformFeedback();
+      gl.disable(gl.RASTERIZER_DISCARD);
+      gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, null); // others may read it then
+      gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, null);
+      gl.bindVertexArray(null);
+      gl.activeTexture(gl.TEXTURE0);
+    };
+  }
+
+  function newProgram(vertexShader) {
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertexShader], [gl.FRAGMENT_SHADER, NOTHING]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
+    }
+    gl.transformFeedbackVaryings(program, ["result"], gl.INTERLEAVED_ATTRIBS);
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(program));
+    return program;
+  }
+
+  return { count, positions, normals, evaluate };
+}

@@ -1,0 +1,55 @@
+// A sequence that is decoded in a Worker, while the page goes on.
+import { MixseqError } from "../decoder/errors.js";
+import { COPIED, GIVEN_AWAY, NAME } from "./worker.js";
+
+/**
+ * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module that has `player/worker.js`
+ * in it, by default this one.
+ *
+ * What is returned has the facts of a `Sequence` and its methods, and `uvs`, which return promises here. `decode(told)` decodes all
+ * there is, fields first, then chunk by chunk, and tells which share is done; other calls are answered in between.
+ * `close()` ends the Worker.
+ */
+export async function openRemote(text, streams, address = import.meta.url) {
+  const worker = new Worker(address, { type: "module", name: NAME }), waiting = new Map();
+  let last = 0, ended = null;
+
+  const call = (method, ...given) => new Promise((resolve, reject) => {
+    if (ended) throw ended;
+    waiting.set(++last, { resolve, reject });
+    worker.postMessage({ number: last, method, given });
+  });
+
+  function close(reason = "the sequence was closed") {
+    ended = new MixseqError(reason);
+    worker.terminate();
+    waiting.forEach(({ reject }) => reject(ended));
+    waiting.clear();
+  }
+
+  worker.onmessage = ({ data: { number, result, error } }) => {
+    const { resolve, reject } = waiting.get(number);
+    waiting.delete(number);
+    if (error === undefined) resolve(result);
+    else reject(new MixseqError(error));
+  };
+  worker.onerror = ({ message }) => close(message || "the decoder did not start");
+
+  try {
+    const { facts, sizes } = await call("open", text, streams);
+    const methods = Object.fromEntries([...COPIED, ...GIVEN_AWAY].map((method) => [method, (...given) => call(method, ...given)]));
+    return { ...facts, ...methods, decode: (told) => decodeAll(call, sizes, told), close };
+  } catch (error) {
+    close();
+    throw error;
+  }
+}
+
+async function decodeAll(call, sizes, told = () => {}) {
+  const whole = sizes.reduce((sum, size) => sum + size, 0);
+  let done = 0;
+  for (let k = 0; k < sizes.length; k++) {
+    await call(...(k ? ["load", k - 1] : ["begin"]));
+    told((done += sizes[k]) / whole);
+  }
+}

@@ -1,0 +1,38 @@
+// The decoder in a Worker: does what `player/remote.js` asks it for, one thing after the other.
+import { open } from "../decoder/sequence.js";
+import { uvsOf } from "../decoder/surface.js";
+
+/** The name of Workers that decode. */
+export const NAME = "mixseq";
+
+/** Methods of a sequence that can be called. */
+export const COPIED = ["polygons", "triangles", "fields", "load"];
+
+/** Those whose results are made anew, and given away. */
+export const GIVEN_AWAY = ["uvs", "weights", "residuals", "at", "frame"];
+
+/** Answer the messages {number, method, given} of a port with {number, result}, or {number, error}. */
+export function serve(port) {
+  let sequence;
+
+  function answer(method, given) {
+    if (method === "open") sequence = open(...given);
+    if (method === "begin") sequence.fields();
+    if (method === "uvs") return uvsOf(sequence);
+    if (COPIED.includes(method) || GIVEN_AWAY.includes(method)) return sequence[method](...given);
+    const { streams, ...facts } = sequence, sizes = streams.chunks.map(({ coefficients }) => coefficients.length);
+    const first = streams.basis.reduce((sum, group) => sum + group.length, streams.connectivity.length);
+    return method === "open" ? { facts, sizes: [first, ...sizes] } : null;
+  }
+
+  port.onmessage = ({ data: { number, method, given } }) => {
+    try {
+      const result = answer(method, given);
+      port.postMessage({ number, result }, GIVEN_AWAY.includes(method) && result ? [result.buffer] : []);
+    } catch (error) {
+      port.postMessage({ number, error: error.message });
+    }
+  };
+}
+
+if (typeof WorkerGlobalScope !== "undefined" && globalThis.name === NAME) serve(globalThis);
