@@ -3,7 +3,7 @@ import { MixseqError } from "./errors.js";
 
 const ORDER = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
 
-/** The `size` bytes that were compressed; the checksum at their end is left to others. */
+/** The `size` bytes that were compressed. */
 export function inflated(data, size) {
   const found = new Uint8Array(size);
   let place = 2, bit = 0, count = 0, last = 0;
@@ -63,8 +63,18 @@ export function inflated(data, size) {
       for (let k = 0; k < length; k++) put(found[count - distance]);
     }
   }
-  if (count !== size) throw damaged();
+  const end = new DataView(data.buffer, data.byteOffset, data.length), checked = place + (bit ? 1 : 0);
+  if (count !== size || checked + 4 > data.length || end.getUint32(checked) !== adler32(found)) throw damaged();
   return found;
+}
+
+function adler32(bytes) {
+  let low = 1, high = 0;
+  for (const byte of bytes) {
+    low = (low + byte) % 65521;
+    high = (high + low) % 65521;
+  }
+  return high * 65536 + low;
 }
 
 const FIXED = {
@@ -94,7 +104,7 @@ function codes(bits, symbol, damaged) {
     if (one < 16) lengths.push(one);
     else {
       if (one === 16 && !lengths.length) throw damaged();
-      const again = one === 16 ? lengths[lengths.length - 1] : 0, times = one === 18 ? bits(7) + 11 : bits(one - 14 + (one === 16 ? 0 : 0)) + 3;
+      const again = one === 16 ? lengths[lengths.length - 1] : 0, times = one === 18 ? bits(7) + 11 : bits(one - 14) + 3;
       for (let k = 0; k < times; k++) lengths.push(again);
     }
   }

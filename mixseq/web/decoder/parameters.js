@@ -22,6 +22,10 @@ export function readFacts(text) {
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null } = given, shapes = factors === "shapes";
   const parts = Array.isArray(ranks) ? ranks : [0];
   const checks = {
+    vertex_count: isCount(vertices),
+    polygon_count: Number.isInteger(polygons) && polygons >= 0,
+    corner_count: Number.isInteger(corners) && corners >= 3 * polygons,
+    frame_count: isCount(frames) && frames === given.frame_count,
     factors: shapes || factors === "trajectories",
     revision: given.revision === 2,
     rank: isCount(rank) && rank <= 3 * Math.min(Math.max(parts.length, 1) * frames, vertices) + Math.max(parts.length, 1),
@@ -33,10 +37,6 @@ export function readFacts(text) {
     promised: typeof given.promised === "boolean",
     correction: isSize(given.correction ?? 0),
     uv_steps: steps === null ? error === null : isCount(steps) && steps <= LARGEST_STEPS && isSize(error),
-    vertex_count: isCount(vertices),
-    polygon_count: Number.isInteger(polygons) && polygons >= 0,
-    corner_count: Number.isInteger(corners) && corners >= 3 * polygons,
-    frame_count: isCount(frames) && frames === given.frame_count,
     fps: isSize(fps) && fps > 0,
     first_time: Number.isFinite(facts.first_time),
   };

@@ -1,7 +1,7 @@
 // What is added to decoded frames to bring every vertex below a bound. Mirrors coding/bitstream/residual_layer.py, and its
 // loops.
 import { BitModels } from "./bit_models.js";
-import { MixseqError } from "./errors.js";
+import { MixseqError, guarded } from "./errors.js";
 import { placeIn } from "./operator.js";
 import { Reader } from "./signal_coder.js";
 import { MOST as NEIGHBOURS } from "./signal_graph.js";
@@ -40,7 +40,7 @@ export class ResidualLayer {
     const number = Math.floor((frame - chunk.first) / RUN), key = chunk.first + number * RUN;
     let run = this.runs.get(key);
     if (!run) {
-      run = readResiduals(chunk, number, this.graph);
+      run = guarded(`the residuals of frames ${key} and on`, () => readResiduals(chunk, number, this.graph));
       this.runs.set(key, run);
       if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
     }

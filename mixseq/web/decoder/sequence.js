@@ -113,8 +113,9 @@ export class Sequence {
   }
 
   #decoded() {
+    const triangles = this.triangles();
     return (this.#basis ??= guarded("the basis vectors", () => {
-      const triangles = this.triangles(), mesh = meshGraph(triangles, this.vertexCount), { chunks, basis: groups } = this.streams;
+      const mesh = meshGraph(triangles, this.vertexCount), { chunks, basis: groups } = this.streams;
       const basis = readBasis(groups, this.parameters, triangles, mesh), width = widthOf(basis);
       const displaced = chunks.some(({ residuals }) => residuals.length);
       return {

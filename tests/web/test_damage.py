@@ -1,0 +1,172 @@
+"""Damage ends in one error: flipped bits, also where all checksums are right, and texts that ask for too much."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mixseq.coding.encoder.compress import compress
+from mixseq.sequence import MeshSequence
+from tests.coding.test_golden import stored
+from tests.meshes import rotation, torus
+from tests.web.conftest import Node
+from tests.web.played import write_container
+
+pytestmark = pytest.mark.slow
+
+DAMAGE = """
+import { readFileSync } from "node:fs";
+import { crc32 } from "decoder/crc32.js";
+import { MixseqError, open } from "decoder/sequence.js";
+import { uvsOf } from "decoder/surface.js";
+const folder = process.argv[2], rounds = Number(process.argv[3]), texts = JSON.parse(process.argv[4]);
+const text = readFileSync(`${folder}/text`, "latin1"), whole = new Uint8Array(readFileSync(`${folder}/streams`));
+let state = Number(process.argv[5]);
+const random = (below) => {
+  state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+  return Math.floor((state / 2 ** 32) * below);
+};
+
+/** All that a sequence has, as one checksum. */
+function all(text, bytes) {
+  const sequence = open(text, bytes), { times } = sequence, moments = [...times, (times[0] + 2 * times[1]) / 3];
+  const found = moments.map((time) => crc32(new Uint8Array(sequence.at(time).buffer)));
+  return JSON.stringify([found, uvsOf(sequence)?.length]);
+}
+
+/** The same streams with the checksums of what they are now. */
+function repaired(text, bytes, { byteOffset: start, byteLength: size }) {
+  const view = new DataView(bytes.buffer), word = (at) => view.getUint32(at, true);
+  const middle = 16 + word(4), end = middle + word(8);
+  view.setUint32(middle, crc32(new TextEncoder().encode(text)), true);
+  const old = crc32(whole.subarray(start, start + size)), own = new DataView(whole.buffer, whole.byteOffset);
+  for (let at = middle + 4; size && at < end; at += 4) {
+    if (own.getUint32(at, true) === old) view.setUint32(at, crc32(bytes.subarray(start, start + size)), true);
+  }
+  view.setUint32(12, crc32(bytes.subarray(16, end)), true);
+  return bytes;
+}
+
+function outcome(text, bytes) {
+  const start = performance.now();
+  let told = "";
+  try {
+    told = all(text, bytes) === sound ? "the same" : "other frames";
+  } catch (error) {
+    if (!(error instanceof MixseqError)) throw error;
+    told = error.message;
+  }
+  longest = Math.max(longest, performance.now() - start);
+  return told;
+}
+
+let longest = 0;
+const sound = all(text, whole), told = [], { streams } = open(text, whole);
+const parts = [streams.connectivity, streams.times, streams.uvs, ...streams.basis];
+parts.push(...streams.chunks.flatMap(({ coefficients, residuals }) => [coefficients, residuals]));
+const some = parts.filter((part) => part?.length).map(({ byteOffset, byteLength }) =>
+  ({ byteOffset: byteOffset - whole.byteOffset, byteLength }));
+for (let round = 0; round < rounds; round++) {
+  const bytes = whole.slice(), anywhere = { byteOffset: 0, byteLength: bytes.length };
+  const part = round % 4 ? some[random(some.length)] : anywhere;
+  for (let flips = 1 + random(3); flips > 0; flips--) {
+    bytes[part.byteOffset + random(part.byteLength)] ^= 1 << random(8);
+  }
+  told.push(outcome(text, round % 4 ? repaired(text, bytes, part) : bytes));
+}
+const nothing = { byteOffset: 0, byteLength: 0 };
+for (const changed of texts) told.push(outcome(changed, repaired(changed, whole.slice(), nothing)));
+console.log(JSON.stringify({ told, longest }));
+"""
+
+
+def outcomes(node: Node, folder: Path, rounds: int, texts: list[str], seed: int = 1) -> dict[str, Any]:
+    told: dict[str, Any] = json.loads(node(DAMAGE, folder, str(rounds), json.dumps(texts), str(seed)))
+    return told
+
+
+@pytest.mark.parametrize("name", ["bounded-2", "parts-2", "shapes-2"])
+def test_flipped_bits_end_in_one_error(node: Node, tmp_path: Path, name: str) -> None:
+    write_container(tmp_path, stored(name)[0])
+    told = outcomes(node, tmp_path, 200, [])["told"]
+    assert set(told) >= {"the sequence: the index is damaged, so nothing can be read"}
+    assert "other frames" not in told
+    assert sum(each == "the same" for each in told) < 4  # the last bits of a stream may not matter
+
+
+def test_damage_is_named(node: Node, tmp_path: Path) -> None:
+    points, faces = torus(5, 4)
+    frames = [points @ rotation((0.2, frame / 5, 0.0)).T for frame in range(40)]
+    times = np.cumsum(np.linspace(0.01, 0.1, 40))
+    sequence = MeshSequence.from_arrays(np.stack(frames), faces, times)
+    write_container(tmp_path, compress(sequence, kg=1, chunk=16))
+    told = " ".join(outcomes(node, tmp_path, 200, [])["told"])
+    for name in ("the connectivity", "the basis vectors", "the coefficients of frames 0 to 19", "the times"):
+        assert f"{name}" in told
+
+
+def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
+    write_container(tmp_path, stored("parts-2")[0])
+    facts = json.loads((tmp_path / "text").read_text())
+
+    def changed(**keys: Any) -> str:
+        return json.dumps(facts | keys)
+
+    def coded(**keys: Any) -> str:
+        return json.dumps(facts | {"coding": facts["coding"] | keys})
+
+    cases = {
+        changed(vertex_count=10**9, corner_count=10**9): "GiB",
+        changed(vertex_count=0): "vertex_count",
+        changed(vertex_count=241): "damaged",
+        changed(vertex_count="240"): "vertex_count",
+        changed(polygon_count=1): "damaged",
+        changed(frame_count=10**6): "frame_count",
+        changed(fps=-1): "fps",
+        changed(fps=None): "fps",
+        changed(first_time="0"): "first_time",
+        changed(between={"length": 0.1, "cubic": [0, 1]}): "between",
+        changed(between={"length": None, "cubic": [0]}): "between",
+        changed(between=[]): "between",
+        coded(rank=10**6): "rank",
+        coded(ranks=[2, 9]): "ranks",
+        coded(ranks="ten"): "ranks",
+        coded(ranks=[1] * 200): "ranks",
+        coded(step=0): "step",
+        coded(step=1e308): "finite",
+        coded(promised=1): "promised",
+        coded(uv_steps=4): "uv_steps",
+        coded(factors="both"): "factors",
+        coded(revision=3): "revision",
+        coded(revision=1): "save it again",
+        coded(speed=1): "does not know the parameter speed",
+        "[]": "the text",
+        '{"coding": []}': "the text",
+        "{": "the text",
+        "": "the text",
+    }
+    found = outcomes(node, tmp_path, 0, list(cases))
+    for (text, expected), told in zip(cases.items(), found["told"], strict=True):
+        assert expected in told, text[-200:]
+
+
+def test_files_of_older_versions_are_told_apart(node: Node, tmp_path: Path) -> None:
+    golden = Path(__file__).parents[1] / "formats/golden"
+    write_container(tmp_path, golden / "model-v7-coded.h5")
+    source = """
+import { readFileSync } from "node:fs";
+import { open } from "decoder/sequence.js";
+try {
+  open(readFileSync(`${process.argv[2]}/text`, "latin1"), new Uint8Array(readFileSync(`${process.argv[2]}/streams`)));
+} catch (error) {
+  console.log(error.name, error.message);
+}
+"""
+    assert (
+        node(source, tmp_path).strip()
+        == "MixseqError the sequence: it was compressed by an older mixseq; save it again with this one"
+    )
