@@ -46,15 +46,15 @@ DRAWN = """([times, vertices, groups]) => {
   const named = vertices && new Map(vertices.map((vertex, k) => [vertex, k]));
   const triangles = vertices ? sequence.triangles().map((vertex) => named.get(vertex)) : sequence.triangles();
   const card = mixseq.fieldTextures(gl, sequence.fields(), triangles, ...(vertices ? [vertices, groups] : []));
-  const read = (buffer) => {
-    const values = new Float32Array(3 * card.count);
+  const read = (buffer, size) => {
+    const values = new Float32Array(size * card.count);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.getBufferSubData(gl.ARRAY_BUFFER, 0, values);
     return packed(values);
   };
   const frames = times.map((time) => {
     card.evaluate(sequence.weights(time), sequence.residuals(time));
-    return [read(card.positions), read(card.normals)];
+    return [read(card.positions, 4), read(card.normals, 3)];
   });
   return { frames, error: gl.getError() };
 }"""
@@ -82,9 +82,12 @@ def drawn(page: Page, times: Float, *vertices: list[int]) -> tuple[FloatArray, F
     """Positions and normals ``(T, V, 3)`` that the graphics card has."""
     told = page.evaluate(DRAWN, [times.tolist(), *(vertices or (None, None))])
     assert told["error"] == 0
-    found = np.array([[np.frombuffer(b64decode(each), "<f4") for each in frame] for frame in told["frames"]])
-    positions, normals = found.reshape(len(times), 2, -1, 3).swapaxes(0, 1)
-    return positions, normals
+    positions, normals = (
+        np.array([np.frombuffer(b64decode(each), "<f4").reshape(-1, size) for each in frames])
+        for frames, size in zip(zip(*told["frames"], strict=True), (4, 3), strict=True)
+    )
+    assert (positions[..., 3] == 1).all()
+    return positions[..., :3], normals
 
 
 def times_of(coded: CompressedSequence) -> Float:

@@ -15,14 +15,15 @@ in ivec4 place; // first texel, texels to the next, number of texels, first row 
 in int vertex;
 uniform sampler2D fields, weights, residuals;
 uniform int displaced;
-out vec3 result;
+out vec4 result;
 void main() {
-  result = displaced == 0 ? vec3(0.0) : texelFetch(residuals, at(vertex), 0).xyz;
+  vec3 sum = displaced == 0 ? vec3(0.0) : texelFetch(residuals, at(vertex), 0).xyz;
   for (int k = 0; k < place.z; k++) {
     vec4 field = texelFetch(fields, at(place.x + k * place.y), 0);
     int row = place.w + k;
-    result += vec3(dot(field, texelFetch(weights, ivec2(0, row), 0)), dot(field, texelFetch(weights, ivec2(1, row), 0)), dot(field, texelFetch(weights, ivec2(2, row), 0)));
+    sum += vec3(dot(field, texelFetch(weights, ivec2(0, row), 0)), dot(field, texelFetch(weights, ivec2(1, row), 0)), dot(field, texelFetch(weights, ivec2(2, row), 0)));
   }
+  result = vec4(sum, 1.0);
 }`;
 
 const NORMALS = `${HEAD}
@@ -45,8 +46,9 @@ const NOTHING = `#version 300 es
 void main() {}`;
 
 /**
- * Positions and normals of vertices as buffers of the graphics card, three floats for each of them, and `evaluate`, which
- * writes them for weights, and what is to be added, as `Sequence.weights` and `Sequence.residuals` have them.
+ * Positions and normals of vertices as buffers of the graphics card, four floats for each position, the last one 1, and
+ * three for each normal; and `evaluate`, which writes them for weights, and what is to be added, as `Sequence.weights` and
+ * `Sequence.residuals` have them.
  *
  * `fields` are those of the sequence. `vertices` tells which of its vertices each vertex is, if they are not the same, as where
  * they are cut along seams; `triangles` are of these vertices. Those of one of the `groups` share a normal, by default
@@ -64,9 +66,9 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
 
   const textures = {
     fields: newTexture(gl.RGBA32F, WIDTH, texels.length / (4 * WIDTH)), weights: newTexture(gl.RGBA32F, 3, rows), residuals: newTexture(gl.RGB32F, WIDTH, inRows(known) / WIDTH),
-    positions: newTexture(gl.RGB32F, WIDTH, inRows(count) / WIDTH), pairs: newTexture(gl.RG32I, WIDTH, ring.pairs.length / (2 * WIDTH)),
+    positions: newTexture(gl.RGBA32F, WIDTH, inRows(count) / WIDTH), pairs: newTexture(gl.RG32I, WIDTH, ring.pairs.length / (2 * WIDTH)),
   };
-  const positions = newBuffer(new Float32Array(3 * inRows(count))), normals = newBuffer(new Float32Array(3 * count)), added = new Float32Array(3 * inRows(known));
+  const positions = newBuffer(new Float32Array(4 * inRows(count))), normals = newBuffer(new Float32Array(3 * count)), added = new Float32Array(3 * inRows(known));
   const place = newPass(POSITIONS, ["fields", "weights", "residuals"], { place: [4, own], vertex: [1, named] }, positions);
   const turn = newPass(NORMALS, ["positions", "pairs"], { place: [2, ring.places] }, normals);
   fill("fields", gl.RGBA, gl.FLOAT, texels);
@@ -80,7 +82,7 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
     }
     place(residuals ? 1 : 0);
     gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, positions); // shaders read buffers at their own vertex only, textures anywhere
-    fill("positions", gl.RGB, gl.FLOAT, 0);
+    fill("positions", gl.RGBA, gl.FLOAT, 0);
     gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
     turn(0);
   }
