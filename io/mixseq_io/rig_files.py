@@ -17,7 +17,7 @@ RIG_EXTENSIONS = (".glb", ".gltf")
 
 
 @public
-def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
+def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | None = None) -> None:
     """Write a skin or a morph as glTF, which engines play: ``.glb`` is binary, ``.gltf`` text with everything in it.
 
     Texture coordinates, hard edges and names of materials go along, pictures do not. Numbers are float32. The file
@@ -30,12 +30,17 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     rig : Skin or Morph
         What to write, made by `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled``
         moves them.
+    meshopt : float, optional
+        Quantise and pack everything (``EXT_meshopt_compression``), points off by at most so many diagonals of their
+        mesh, each target, too; weights and bones are exact.
 
     Raises
     ------
     OutputError
         If the name does not end in .glb or .gltf, the file cannot be written or would be too large, or a skin has
         more than 65535 bones.
+    SettingsError
+        If `meshopt` is not between 0 and 1.
     TypeError
         If `rig` is something else.
     InvalidSequenceError
@@ -50,14 +55,15 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     check_rig_target(file)
     from mixseq.rigging.rigs import Skin
     from mixseq_io.atomic import replacing
-    from mixseq_io.gltf.buffers import writing_buffer
     from mixseq_io.gltf.morph_rig import morphed_scene
+    from mixseq_io.gltf.packing import check_error, writing_document
     from mixseq_io.gltf.skin_rig import skinned_scene
     from mixseq_io.gltf.writer import lost_alone, warn_of_changes
 
+    check_error(meshopt)
     layout = skinned_scene(rig) if isinstance(rig, Skin) else morphed_scene(rig)
     warn_of_changes(file, rig.header, lost_alone(rig.header))
-    with replacing(file) as temporary, writing_buffer(file, temporary, layout):
+    with replacing(file) as temporary, writing_document(file, temporary, layout, meshopt):
         pass  # all of it is in the layout already
 
 

@@ -147,7 +147,7 @@ def command(
             sequence = _sequence(source, salvage, chosen, progress, work)
             check_origin(target, sequence)
             rig = settings.fit(sequence, progress)
-            mixseq.write_rig(target, rig)
+            mixseq.write_rig(target, rig, writing.get("meshopt"))
         if not quiet:
             print_table(rows(target, rig, sequence))
         announce(target)

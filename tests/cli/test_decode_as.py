@@ -139,3 +139,18 @@ def test_the_file_that_a_sequence_came_from_stays(run: Run) -> None:
     assert result.exit_code == 2
     assert "is the file that the sequence came from, which would be lost; give another name" in result.stderr
     assert Path("origin.glb").read_bytes() == before
+
+
+def test_a_packed_skin_tells_how_far_it_is_off(run: Run, bent_bar: MeshSequence) -> None:
+    told = succeed(
+        run("decode", "model.h5", "bar.glb", "--as", "skin", "--bones", "2", "--set", "meshopt=1e-4")
+    )
+    assert number(rows(told)["max error"]) == pytest.approx(
+        mixseq.compare(bent_bar, mixseq.read("bar.glb")).max_error, rel=1e-3
+    )
+    assert re.search(r"wrote bar.glb \(.*\), points off by up to \d.*e-05 diagonals", told)
+
+
+def test_a_packed_sequence_tells_how_far_it_is_off(run: Run) -> None:
+    told = succeed(run("convert", "bar.usdc", "bar.glb", "--flatten", "--set", "meshopt=1e-3"))
+    assert re.search(r"points off by up to 0.000\d+ diagonals", told)

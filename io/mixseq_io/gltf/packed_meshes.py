@@ -11,6 +11,7 @@ Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Ven
 from __future__ import annotations
 
 from math import floor, log2, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,7 @@ from mixseq_io.meshopt.indices import encode_triangles
 
 _SIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT = 5120, 5123, 5125
 _NORMAL_BITS = 8
+_LARGEST_BYTE = 127
 _LARGEST_SHORT = 2**16 - 1
 UV_EXPONENT = -15
 """Texture coordinates are wrong by at most 1/65536: a sixteenth of a texel of 4096."""
@@ -85,6 +87,15 @@ def add_normals(layout: Layout, normals: ArrayLike) -> int:
     return accessor
 
 
+def add_normal_changes(layout: Layout, changes: ArrayLike) -> int:
+    """Add what a morph target adds to normals ``(n, 3)``, from -1 to 1, as signed bytes; return their accessor."""
+    steps = np.rint(np.asarray(changes, dtype=np.float64) * _LARGEST_BYTE).astype(np.int8)
+    require(layout.document, "KHR_mesh_quantization")
+    accessor = add_rows(layout, steps, "VEC3", _SIGNED_BYTE)
+    layout.document["accessors"][accessor]["normalized"] = True
+    return accessor
+
+
 def add_triangles(layout: Layout, triangles: NDArray[np.integer]) -> int:
     """Add triangles ``(F, 3)``; return their accessor."""
     short = triangles.max(initial=0) < _LARGEST_SHORT
@@ -92,6 +103,20 @@ def add_triangles(layout: Layout, triangles: NDArray[np.integer]) -> int:
     data = encode_triangles(triangles)
     view = layout.add_packed(data, triangles.size, stride, {"target": INDICES}, mode="TRIANGLES")
     return layout.accessor(view, triangles.size, "SCALAR", component=component)
+
+
+def add_rows(layout: Layout, values: NDArray[Any], kind: str, component: int) -> int:
+    """Add numbers ``(n, k)`` of a type of glTF as they are; return their accessor.
+
+    Rows are filled up to a multiple of four bytes, as attributes must be.
+    """
+    data = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+    width = -(-data.shape[1] // 4) * 4
+    padded = np.pad(data, ((0, 0), (0, width - data.shape[1])))
+    # Other data than attributes have no stride, and no need of it.
+    properties = {} if width == data.shape[1] else {"byteStride": width}
+    view = layout.add_packed(encode_attributes(padded), len(data), width, properties, mode="ATTRIBUTES")
+    return layout.accessor(view, len(data), kind, component=component)
 
 
 def _add_attribute(layout: Layout, rows: NDArray[np.uint8], name: str) -> int:
