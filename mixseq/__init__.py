@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from mixseq.unit_conversion import convert_units
     from mixseq_io import open_sequence, read, write, write_blocks, write_rig
     from mixseq_io.correspondence.markers import read_markers
-    from mixseq_io.hdf5.loading import load
-    from mixseq_io.hdf5.saving import save
+    from mixseq_io.loading import load
+    from mixseq_io.saving import save
     from mixseq_io.verification import Verification, verify
 
 _HOME = {
@@ -65,11 +65,11 @@ _HOME = {
     "fit_morph": "mixseq.rigging",
     "fit_skin": "mixseq.rigging",
     "interpolate": "mixseq.operations.interpolation",
-    "load": "mixseq_io.hdf5.loading",
+    "load": "mixseq_io.loading",
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "read_markers": "mixseq_io.correspondence.markers",
-    "save": "mixseq_io.hdf5.saving",
+    "save": "mixseq_io.saving",
     "segment": "mixseq.operations.segmenting",
     "suggest_markers": "mixseq.correspondence.suggestions",
     "transfer": "mixseq.retargeting.transfer",

@@ -36,6 +36,10 @@ OrderName = Literal["keep", "vertices", "free"]
 ORDERS: tuple[OrderName, ...] = get_args(OrderName)
 """What keeps its numbers in a compressed file: vertices and faces, vertices only, or neither."""
 
+StillName = Literal["draco", "plain", "none"]
+STILLS: tuple[StillName, ...] = get_args(StillName)
+"""The first frame in a .glb with a compressed model: compressed by Draco, as float32, or left out."""
+
 PictureKind = Literal[
     "embedding", "coefficients", "singular-values", "parts", "error-frames", "error-vertices"
 ]

@@ -32,20 +32,16 @@ def _sequence(path: str, _: Given) -> Any:
 
 
 def _model(path: str, _: Given) -> Any:
-    from mixseq_io.hdf5.loading import load
+    from mixseq_io.loading import load
 
     return load(path)
 
 
 def _motion(path: str, given: Given) -> Any:
     """Load a model, or read a sequence."""
-    from mixseq_io.hdf5.contents import read_attributes
-    from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+    from mixseq_io.loading import is_model
 
-    is_model = Path(path).suffix.lower() in (".h5", ".hdf5") and Path(path).is_file()
-    if is_model and read_attributes(Path(path)).kind == MODEL_FORMAT:
-        return _model(path, given)
-    return read(path)
+    return _model(path, given) if is_model(Path(path)) else read(path)
 
 
 def _mesh(path: str, _: Given) -> Any:

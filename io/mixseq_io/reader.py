@@ -243,6 +243,15 @@ def read_whole(path: Path, text: bool = False) -> bytes:
     return path.read_bytes()
 
 
+def refuse_newer(path: Path, version: int, known: int) -> None:
+    """Refuse a version of a file that is above the one that is known."""
+    if version > known:
+        raise FormatError(
+            f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
+            "upgrade with pip install --upgrade mixseq"
+        )
+
+
 def check_regular(path: Path | str, what: str) -> None:
     """Refuse a pipe, a socket or a device: reading it may never end.
 

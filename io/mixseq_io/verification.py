@@ -29,9 +29,10 @@ from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
-from mixseq_io.hdf5.compressed_reader import decoded, read_container, sequence_of
-from mixseq_io.hdf5.salvage import explain_damage
+from mixseq_io.coded.reading import decoded, sequence_of
+from mixseq_io.compressed_files import read_container
 from mixseq_io.registry import PathLike
+from mixseq_io.salvage import explain_damage
 
 _ROUNDING = 1e-9
 """A largest error that was only measured, and not asked for, may differ by so much of itself."""
@@ -95,7 +96,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     Parameters
     ----------
     path : path-like
-        A file that `mixseq.save` wrote of what `mixseq.compress` returned.
+        A file that `mixseq.save` wrote of what `mixseq.compress` returned, HDF5 or GLB.
     original : MeshSequence or SequenceReader, optional
         What was compressed; every vertex of every frame is compared with it, also if it has another number there.
     progress : callable, optional

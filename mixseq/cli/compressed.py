@@ -18,6 +18,7 @@ from mixseq.cli.settings import setting
 from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
+    from mixseq.choices import StillName
     from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
     from mixseq.progress import Progress
     from mixseq.sequence import Frames, SequenceHeader
@@ -112,12 +113,18 @@ def aim_options(command: Callable[..., None]) -> Callable[..., None]:
     return with_options
 
 
-def compressed(frames: Frames, aim: Mapping[str, Any], progress: Progress) -> CompressedSequence:
-    """Compress a sequence to an aim, of which a size is that of the file."""
-    from mixseq_io.hdf5.compressed_writer import room_for_signals
+def compressed(
+    frames: Frames, aim: Mapping[str, Any], progress: Progress, still: StillName | None = None
+) -> CompressedSequence:
+    """Compress a sequence to an aim, of which a size is that of the file: a .glb if a `still` is given."""
+    from mixseq_io.coded.packing import room_for_signals
 
     if "size" in aim:
         others = {name: value for name, value in aim.items() if name in ("uv_error", "uvs", "order")}
+        if still is not None:
+            from mixseq_io.gltf.sequence_writer import other_bytes
+
+            others["container"] = other_bytes(frames.header, next(iter(frames.blocks(1)))[0], still)
         aim = {**aim, "size": room_for_signals(frames.header, aim["size"], **others)}
     return mixseq.compress(frames, **aim, progress=progress)
 
@@ -139,7 +146,7 @@ def coding_facts(path: Path, coded: CompressedSequence) -> dict[str, Any]:
     """Return bytes, rates and errors of a compressed model that is in a file."""
     from dataclasses import asdict
 
-    from mixseq_io.hdf5.compressed_writer import compressed_sizes
+    from mixseq_io.compressed_files import compressed_sizes
 
     sizes = compressed_sizes(path)
     return {
@@ -168,6 +175,7 @@ def coding_rows(facts: dict[str, Any]) -> Rows:
         ("connectivity", "faces"),
         ("uvs", "texture coordinates"),
         ("surface", f"{'texture coordinates' if coding['uv_error'] is None else 'face sets'} and the like"),
+        ("still", "first frame and textures"),
         ("container", "container"),
     ]
     rates = [

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mixseq
-from mixseq.choices import POSE_FORMS, PoseForm
+from mixseq.choices import POSE_FORMS, STILLS, PoseForm, StillName
 from mixseq.cli.compressed import aim_options, coding_facts, coding_rows, compressed
 from mixseq.cli.console import announce, format_bytes, print_table, progress_bar
-from mixseq.cli.files import Decoded, check_model_name
+from mixseq.cli.files import GLB, Decoded, check_model_name, is_model
 from mixseq.cli.info import dimension_rows
 from mixseq.cli.labelled import parts_given
 from mixseq.cli.options import (
@@ -27,6 +27,7 @@ from mixseq.cli.options import (
 )
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
+from mixseq.errors import SettingsError
 
 if TYPE_CHECKING:
     from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
         "mixseq encode man.glb man.h5 --source skeleton",
         "mixseq encode walk.usdc small.h5 --max-error 0.001",
         "mixseq encode walk.usdc small.h5 --size 200kB",
+        "mixseq encode walk.usdz walk.glb --max-error 0.001",
     ),
 )
 @click.argument("source", type=FILE)
@@ -65,6 +67,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Key shapes: the mean and modes, or frames of the sequence.",
 )
+@setting(
+    "--still",
+    type=click.Choice(STILLS),
+    help="Of a .glb: the first frame for other viewers, by Draco, as float32, or left out.  [default: draco]",
+)
 @click.option(
     "--check/--no-check",
     default=False,
@@ -84,6 +91,7 @@ def command(
     label_source: str | None,
     knots: int | None,
     pose: PoseForm,
+    still: StillName | None,
     check: bool,
     workers: AbstractContextManager[Executor],
     reading: dict[str, Any],
@@ -92,15 +100,23 @@ def command(
 ) -> None:
     """Turn a sequence into a model.
 
-    SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file, reproduces
+    SOURCE is a sequence in any format, and may be larger than memory. The model in TARGET, an HDF5 file (compressed
+    also a .glb), reproduces
     its frames within the tolerance and can be decoded at any time in between.
 
     With --max-error, --kg or --size the model is compressed: as few bytes as that error takes, or as small an error as
     fits into that many bytes. An error that --max-error asks for is guaranteed, the
-    others are measured; see "mixseq verify".
+    others are measured; see "mixseq verify". As a .glb it plays on the web (see "mixseq web"); a compressed model that
+    SOURCE is already becomes one as it is.
     """
-    check_model_name(target)
+    web = target.suffix.lower() == GLB
+    check_model_name(target, compressed=bool(aim) or (web and is_model(source)))
+    if still is not None and not web:
+        raise SettingsError("--still is for .glb files; leave it out")
+    still = still or "draco"
     claim(target)
+    from mixseq_io.compressed_files import read_compressed
+
     start = perf_counter()
     error: Comparison | None = None
     with (
@@ -110,14 +126,16 @@ def command(
     ):
         model: Model | CompressedSequence
         if aim:
-            model = compressed(reader, aim, progress)
+            model = compressed(reader, aim, progress, still if web else None)
+        elif web:
+            model = read_compressed(source)
         else:
             if labels is not None or label_source is not None:
                 fitting = fitting | {
                     "parts": parts_given(reader, fitting.get("parts"), labels, label_source, reading)
                 }
             model = mixseq.fit(reader, **fitting, knots=knots, pose=pose, progress=progress, workers=work)
-        mixseq.save(target, model)
+        mixseq.save(target, model, still=still)
         seconds = perf_counter() - start
         if check:
             error = mixseq.compare(reader, Decoded(mixseq.load(target), progress, work))

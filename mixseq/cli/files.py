@@ -23,23 +23,14 @@ if TYPE_CHECKING:
     from mixseq.signals import Model
     from mixseq_io.reader import SequenceReader
 
-MODEL_EXTENSIONS = (".h5", ".hdf5")
+MODEL_EXTENSIONS, GLB = (".h5", ".hdf5"), ".glb"
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model.
+    """Whether a file is a model, see `mixseq_io.loading.is_model`."""
+    from mixseq_io.loading import is_model
 
-    Raises
-    ------
-    FormatError
-        If it should be HDF5, and cannot be read.
-    """
-    if path.suffix.lower() not in MODEL_EXTENSIONS or not path.is_file():
-        return False
-    from mixseq_io.hdf5.contents import read_attributes
-    from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-
-    return read_attributes(path).kind == MODEL_FORMAT
+    return is_model(path)
 
 
 def read_sequence(path: Path, reading: Mapping[str, Any], progress: Progress) -> MeshSequence:
@@ -155,10 +146,15 @@ def _share_files(target: Path, source: Path) -> bool:
     return not ours.isdisjoint(file.resolve() for file in of_source)
 
 
-def check_model_name(path: Path) -> None:
+def check_model_name(path: Path, compressed: bool) -> None:
     """Refuse what is no name of a model; a model named .usdc would only confuse."""
-    if path.suffix.lower() not in MODEL_EXTENSIONS:
-        raise OutputError(f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}")
+    suffix = path.suffix.lower()
+    if suffix == GLB and not compressed:
+        raise OutputError(f"{path}: a .glb holds compressed models; give --max-error, --kg or --size, too")
+    if suffix not in (*MODEL_EXTENSIONS, GLB):
+        raise OutputError(
+            f"{path}: models are HDF5 files; end the name in {' or '.join(MODEL_EXTENSIONS)}, or in {GLB} for the web"
+        )
 
 
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
 
 def _coding(path: Path) -> dict[str, Any]:
     """Return what is to say of a compressed model, nothing of others."""
-    from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
+    from mixseq_io.compressed_files import is_compressed, read_compressed
 
     return coding_facts(path, read_compressed(path)) if is_compressed(path) else {}
 

@@ -18,7 +18,7 @@ import numpy as np
 import mixseq
 from mixseq.choices import ORDERS
 from mixseq.sequence import MeshSequence
-from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.compressed_files import compressed_sizes
 
 KG = 0.1
 

@@ -69,6 +69,10 @@ def _compressed(folder: Path) -> None:
     mixseq.save(folder / "model.h5", mixseq.compress(arm(6), max_error=1e-4))
 
 
+def _compressed_glb(folder: Path) -> None:
+    mixseq.save(folder / "model.glb", mixseq.compress(arm(6), max_error=1e-4), still="plain")
+
+
 def _golden(folder: Path) -> None:
     shutil.copy(GOLDEN / f"{folder.name}.h5", folder / "model.h5")
 
@@ -185,6 +189,7 @@ MAKERS: dict[str, Maker] = {
     "model-edge": _model(space="edge"),
     **{file.stem: _golden for file in sorted(GOLDEN.glob("*.h5"))},
     "compressed": _compressed,
+    "compressed-glb": _compressed_glb,
     "abc": _written("walk.abc", velocities=True),
     "glb": _written("walk.glb", flatten=True),
     "gltf": _written("walk.gltf", flatten=True),

@@ -113,6 +113,12 @@ READERS: Mapping[str, Reader] = {
         _H5,
         checksums=True,
     ),
+    "compressed-glb": Reader(
+        uses.decode_compressed,
+        (Sample("compressed-glb", "model.glb"),),
+        ((damage_bytes, 1), (damage_gltf, 2)),
+        checksums=True,
+    ),
     "usd": Reader(
         uses.convert_usd,
         (

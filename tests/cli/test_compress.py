@@ -17,8 +17,8 @@ import mixseq
 from mixseq.cli.limits import as_bytes
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues
-from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
+from mixseq_io.coded.stream_index import Stream, StreamIndex, read_index
+from mixseq_io.compressed_files import read_compressed
 from tests.coding.encoder.test_numbering import shuffled
 from tests.meshes import bar
 
@@ -50,7 +50,7 @@ def damage(path: Path, stream: Callable[[StreamIndex], Stream]) -> None:
     """Flip a bit in the middle of a stream."""
     import h5py
 
-    from mixseq_io.hdf5.compressed_reader import read_container
+    from mixseq_io.compressed_files import read_container
 
     chosen = stream(read_index(path, read_container(path)))
     with h5py.File(path) as file:

@@ -155,12 +155,12 @@ def test_faces_out_of_range(path: Path, plain: MeshSequence) -> None:
 def test_a_model_is_sampled(path: Path, plain: MeshSequence, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(path, "w") as file:
         file.attrs["format"] = "mixseq-model"
-    stub = ModuleType("mixseq_io.hdf5.loading")
+    stub = ModuleType("mixseq_io.loading")
     model = SimpleNamespace(
         header=plain.header, times=plain.times, blocks=lambda times, size: plain.blocks(size)
     )
     stub.load = lambda path: model  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mixseq_io.hdf5.loading", stub)
+    monkeypatch.setitem(sys.modules, "mixseq_io.loading", stub)
     np.testing.assert_array_equal(read(path).points, plain.points)
 
 

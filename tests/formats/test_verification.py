@@ -13,8 +13,7 @@ import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, InvalidSequenceError
 from mixseq.sequence import MeshSequence
-from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.compressed_files import compressed_sizes, read_compressed
 
 pytestmark = pytest.mark.slow
 

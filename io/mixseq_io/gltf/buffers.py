@@ -31,8 +31,8 @@ Bounds = tuple[list[float], list[float]]
 Chunk = bytes | memoryview | NDArray[Any]
 
 GENERATOR = f"mixseq {__version__}"
-FLOAT = 5126
-_COMPONENTS = {"f4": FLOAT, "u4": 5125, "u2": 5123, "u1": 5121}
+FLOAT, UNSIGNED = 5126, 5125
+_COMPONENTS = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
 VERTICES, INDICES = 34962, 34963
 MESHOPT = "EXT_meshopt_compression"
 

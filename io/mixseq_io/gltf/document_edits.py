@@ -10,8 +10,9 @@ from mixseq.errors import FormatError
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
 from mixseq_io.gltf.buffers import Json, Layout, append
-from mixseq_io.gltf.containers import Data, data_of_uri
+from mixseq_io.gltf.containers import data_of_uri
 from mixseq_io.gltf.document import Document
+from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.node_tree import Scene
 
 _PRUNED = ("meshes", "accessors", "bufferViews")  # what refers before what is referred to
@@ -211,10 +212,7 @@ def embed_images(layout: Layout, document: Document) -> None:
         if uri.startswith("data:"):
             continue
         try:
-            data = _content(data_of_uri(image, uri))
-            mime_type = _type_of(data)
-            if not mime_type:
-                raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
+            data, mime_type = content_of_image(image)
         except FormatError as error:
             warn(f"{error}; the image is not taken along, only the reference to it")
             continue
@@ -222,8 +220,21 @@ def embed_images(layout: Layout, document: Document) -> None:
         entry.update(bufferView=layout.add([data], len(data)), mimeType=mime_type)
 
 
-def _content(data: Data) -> bytes:
-    return data.read(0, data.size)
+def content_of_image(image: Fields) -> tuple[bytes, str]:
+    """Return the bytes that an image's URI refers to, and their MIME type.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, of an unknown type, or not in the folder of the file.
+    """
+    uri = image.text("uri")
+    file = data_of_uri(image, uri)
+    data = file.read(0, file.size)
+    mime_type = _type_of(data)
+    if not mime_type:
+        raise image.error(f"is in {uri[:80]!r}, which is no PNG, JPEG, WebP or KTX2 image")
+    return data, mime_type
 
 
 def _type_of(data: bytes) -> str:

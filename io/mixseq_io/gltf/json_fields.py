@@ -16,11 +16,15 @@ from numpy.typing import NDArray
 
 from mixseq.errors import FormatError
 
+SEQUENCE_EXTENSION = "MIXSEQ_mesh_sequence"
+"""A mesh whose frames are streams, see `mixseq_io.gltf.sequence_extension`."""
+
 _UNDERSTOOD = (
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
+    SEQUENCE_EXTENSION,
 )
 
 # They change how a mesh looks, not where it is.

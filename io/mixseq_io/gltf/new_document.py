@@ -220,20 +220,24 @@ def _new_primitive(
 ) -> MovingPrimitive:
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
-        upside_down = (primitive.uvs * (1, -1) + (0, 1)).astype(np.float32)
-        attributes["TEXCOORD_0"] = layout.add_array(upside_down, target=VERTICES)
+        attributes["TEXCOORD_0"] = layout.add_array(upside_down(primitive.uvs), target=VERTICES)
     entry: Json = {
         "attributes": attributes,
-        "indices": layout.add_array(_narrow(primitive.triangles.reshape(-1)), target=INDICES),
+        "indices": layout.add_array(narrow(primitive.triangles.reshape(-1)), target=INDICES),
     }
     if primitive.face_set is not None:
-        entry["material"] = _material(layout.document, material_name(primitive.face_set), materials)
+        entry["material"] = material(layout.document, material_name(primitive.face_set), materials)
     moving = MovingPrimitive(entry, primitive.vertices, primitive.normals)
     add_vertex_numbers(layout, moving, scene_mesh.vertex_count)
     return moving
 
 
-def _narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
+def upside_down(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return texture coordinates ``(n, 2)`` with v downwards, as glTF has them."""
+    return (uvs * (1, -1) + (0, 1)).astype(np.float32)
+
+
+def narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:
     """Return indices with two bytes each where that is enough; glTF keeps the largest number for itself."""
     return indices.astype(np.uint16) if indices.max(initial=0) < _LARGEST_SHORT else indices
 
@@ -248,7 +252,7 @@ def add_vertex_numbers(layout: Layout, primitive: MovingPrimitive, vertex_count:
         primitive.entry["attributes"]["_VERTEX"] = layout.add_array(numbers, target=VERTICES)
 
 
-def _material(document: Json, name: str, materials: dict[str, int]) -> int:
+def material(document: Json, name: str, materials: dict[str, int]) -> int:
     """Return the number of the material of that name, a new one if need be; `materials` are those that are there."""
     if name in materials:
         return materials[name]

@@ -6,6 +6,8 @@ file is played are added in the gaps between keys (`mixseq_io.gltf.frame_times.p
 that are on the grid of the frame rate but for that rounding are exactly there, in float64. Vertices that glTF splits
 are welded (`mixseq_io.gltf.welding`). Points are computed in float64 and rounded to float32.
 
+A .glb with a mesh sequence (`mixseq_io.gltf.sequence_extension`) is a compressed model, whose frames are decoded.
+
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
@@ -19,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, FloatArray
-from mixseq.errors import FormatError, InvalidSequenceError
+from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
@@ -31,10 +33,12 @@ from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rat
 from mixseq_io.gltf.node_meshes import chosen_nodes, colours_of, moving_nodes, scene_mesh_of, skinning_of
 from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
+from mixseq_io.gltf.sequence_extension import has_sequence, is_glb
 from mixseq_io.gltf.welding import Weld, weld
 from mixseq_io.gltf.world_points import Shape, bearers, read_shape
 from mixseq_io.key_times import on_grid
 from mixseq_io.labels.markings import Markings
+from mixseq_io.model_reader import ModelReader
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
 
@@ -65,10 +69,12 @@ def open_gltf(
     AmbiguousError
         If several nodes have the name `prim`.
     SettingsError
-        If there is no such animation, or `fps` is not positive.
+        If there is no such animation, or `fps` is not positive, or one of them is given for a compressed model.
     InvalidSequenceError
         If a mesh is mirrored in some frames only.
     """
+    if is_glb(path) and has_sequence(path):
+        return _frames_of_model(path, {"prim": prim, "animation": animation, "fps": fps})
     # What is not finite is reported with its vertex, when points are read.
     with naming(path), np.errstate(all="ignore"):
         document = plain(load_document(path))
@@ -87,6 +93,15 @@ def open_gltf(
         mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
         start = told_by(chosen, "start") or 0.0
         return _GltfReader(document, name, shapes, mirrored, channels, times, rate, start)
+
+
+def _frames_of_model(path: Path, options: Mapping[str, object]) -> SequenceReader:
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise SettingsError(
+            f"{path} holds a compressed model, which has no {given[0]} to choose; leave it out"
+        )
+    return ModelReader(path)
 
 
 def _frames(

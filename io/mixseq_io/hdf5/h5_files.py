@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixseq.errors import FormatError
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.hdf5.contents import Contents
+from mixseq_io.reader import refuse_newer
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
@@ -20,15 +20,6 @@ MODEL_FORMAT = "mixseq-model"
 def check_version(path: Path, file: Contents, known: int) -> None:
     """Refuse a file that a newer mixseq wrote."""
     refuse_newer(path, int(file.attrs["version"]), known)
-
-
-def refuse_newer(path: Path, version: int, known: int) -> None:
-    """Refuse a version of a file that is above the one that is known."""
-    if version > known:
-        raise FormatError(
-            f"{path} has version {version}, this mixseq reads up to {known}; a newer mixseq wrote it: "
-            "upgrade with pip install --upgrade mixseq"
-        )
 
 
 def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:

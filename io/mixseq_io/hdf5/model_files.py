@@ -17,7 +17,7 @@
     /signals/shape/            what vectors consist of, see `shape_blocks`
     /signals/placement/        times, rotations, translations
 
-Compressed models have a layout of their own: `mixseq_io.hdf5.compressed_reader`.
+Compressed models have a layout of their own: `mixseq_io.coded.reading`.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from mixseq_io.hdf5.h5_files import MODEL_FORMAT, check_version, read_header
 from mixseq_io.hdf5.h5_writing import CHECKED, Store, creating_h5, put_array, put_text, write_header
 from mixseq_io.hdf5.unpacking import contents_of, opened_h5
 from mixseq_io.isolation import open_isolated
+from mixseq_io.model_reader import ModelReader
 from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
@@ -55,7 +56,7 @@ def open_h5(path: Path) -> SequenceReader:
     """
     found = read_attributes(path)
     if found.kind == MODEL_FORMAT:
-        return _ModelReader(path)  # decoded here, where nobody limits how long it takes
+        return ModelReader(path)  # decoded here, where nobody limits how long it takes
     if found.kind != FORMAT:
         raise FormatError(f"{path} is an HDF5 file, but not one of mixseq's (format = {found.kind!r})")
     with reading_h5(path):
@@ -86,21 +87,6 @@ def _header(path: Path, file: h5py.File) -> SequenceHeader:
     if len(times) != shape[0]:
         raise FormatError(f"{path}: {shape[0]} frames of points for {len(times)} times; it is damaged")
     return read_header(path, contents, vertex_count=shape[1], times=times)
-
-
-class _ModelReader(SequenceReader):
-    """Decodes the frames of a model as they are asked for."""
-
-    def __init__(self, path: Path) -> None:
-        from mixseq.signals.decoding import FRAMES
-        from mixseq_io.hdf5.loading import load  # models build on formats, not formats on models
-
-        self._model = load(path)
-        self._most = FRAMES
-        super().__init__(path, self._model.header)
-
-    def _read_blocks(self, size: int) -> Iterator[FloatArray]:
-        return self._model.blocks(self._model.times, min(size, self._most))
 
 
 class _H5Reader(SequenceReader):

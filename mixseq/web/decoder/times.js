@@ -1,4 +1,4 @@
-// The times of frames, which need not be regular. Mirrors io/mixseq_io/hdf5/lossless.py.
+// The times of frames, which need not be regular. Mirrors io/mixseq_io/coded/lossless.py.
 import { MixseqError } from "./errors.js";
 import { inflated } from "./inflate.js";
 

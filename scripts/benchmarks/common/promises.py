@@ -21,7 +21,7 @@ from mixseq.arrays import FloatArray, Index
 from mixseq.errors import MixseqError
 from mixseq.sequence import MeshSequence
 from mixseq.signals.tolerance import EXACT
-from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.compressed_files import read_compressed
 
 Way = Literal["fit", "compress", "exact"]
 WAYS: tuple[Way, ...] = ("fit", "compress", "exact")

@@ -17,8 +17,7 @@ from mixseq.errors import SettingsError
 from mixseq.polygon_matching import matched
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
-from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.compressed_writer import compressed_sizes
+from mixseq_io.compressed_files import compressed_sizes, read_compressed
 from tests.coding.test_renumbering import partition, scrambled, seen
 from tests.meshes import bar, grid
 
@@ -86,7 +85,7 @@ def test_a_compressed_grid_is_the_same_mesh(order: OrderName, tmp_path: Path) ->
 
 
 def test_a_size_counts_the_bytes_of_the_order(tmp_path: Path) -> None:
-    from mixseq_io.hdf5.compressed_writer import room_for_signals
+    from mixseq_io.coded.packing import room_for_signals
 
     tube = shuffled(bar(8, 30, 4))
     sizes = {}

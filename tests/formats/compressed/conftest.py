@@ -9,6 +9,8 @@ import pytest
 
 import mixseq
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from mixseq_io.coded.packing import pack
+from mixseq_io.gltf.sequence_writer import write_container
 from tests.formats.compressed.stream_cases import BETWEEN, PARAMETERS, any_bytes
 from tests.meshes import bar
 
@@ -27,7 +29,22 @@ def coded() -> CompressedSequence:
 
 
 @pytest.fixture
-def path(tmp_path: Path, coded: CompressedSequence) -> Path:
+def h5(tmp_path: Path, coded: CompressedSequence) -> Path:
     file = tmp_path / "small.h5"
     mixseq.save(file, coded)
+    return file
+
+
+@pytest.fixture
+def glb(tmp_path: Path, coded: CompressedSequence) -> Path:
+    """The same as a .glb; what is decoded of any bytes would be no still."""
+    file = tmp_path / "small.glb"
+    write_container(file, pack(coded), coded.header, bar(5, 15, 14).points[0], "none")
+    return file
+
+
+@pytest.fixture(params=["h5", "glb"])
+def path(request: pytest.FixtureRequest) -> Path:
+    """Files of both kinds."""
+    file: Path = request.getfixturevalue(request.param)
     return file

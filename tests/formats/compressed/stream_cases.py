@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, CodingParameters, CompressedSequence
-from mixseq_io.hdf5.compressed_reader import read_container
-from mixseq_io.hdf5.stream_index import Stream, StreamIndex, read_index
+from mixseq_io.coded.stream_index import MAGIC, Stream, StreamIndex, read_index
+from mixseq_io.compressed_files import read_container
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -46,9 +45,8 @@ def index_of(path: Path) -> StreamIndex:
 
 
 def place_of(path: Path) -> int:
-    """Where the dataset begins in the file."""
-    with h5py.File(path) as file:
-        return int(file["streams"].id.get_offset())
+    """Where the streams begin in the file."""
+    return path.read_bytes().index(MAGIC)
 
 
 def flip(path: Path, at: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import mixseq
 from mixseq.sequence import MeshSequence
 from mixseq.surface import FaceSet, Surface
-from mixseq_io.hdf5.compressed_reader import read_compressed
+from mixseq_io.compressed_files import read_compressed
 from tests.formats.compressed.stream_cases import GOLDEN
 from tests.meshes import bar
 

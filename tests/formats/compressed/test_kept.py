@@ -17,9 +17,8 @@ from mixseq.coding.bitstream.compressed_sequence import BetweenFrames, Chunk, Co
 from mixseq.errors import FormatError, MixseqWarning, OutputError
 from mixseq.sequence import MeshSequence
 from mixseq.spaces.basis import BasisSpace
-from mixseq_io.hdf5.compressed_reader import is_compressed, read_compressed
-from mixseq_io.hdf5.compressed_writer import compressed_sizes
-from mixseq_io.hdf5.stream_index import COMPRESSED_VERSION
+from mixseq_io.coded.stream_index import COMPRESSED_VERSION
+from mixseq_io.compressed_files import compressed_sizes, is_compressed, read_compressed
 from tests.formats.compressed.stream_cases import PARAMETERS, any_bytes, assert_same
 from tests.meshes import bar
 
@@ -31,13 +30,13 @@ def test_everything_comes_back(path: Path, coded: CompressedSequence) -> None:
     assert got.header.surface.origin is None
 
 
-def test_saving_twice_makes_the_same_file(path: Path, coded: CompressedSequence, tmp_path: Path) -> None:
+def test_saving_twice_makes_the_same_file(h5: Path, coded: CompressedSequence, tmp_path: Path) -> None:
     mixseq.save(tmp_path / "again.hdf5", coded)
-    assert (tmp_path / "again.hdf5").read_bytes() == path.read_bytes()
+    assert (tmp_path / "again.hdf5").read_bytes() == h5.read_bytes()
 
 
-def test_the_file_says_what_it_is(path: Path) -> None:
-    with h5py.File(path) as file:
+def test_the_file_says_what_it_is(h5: Path) -> None:
+    with h5py.File(h5) as file:
         assert file.attrs["format"] == b"mixseq-model"
         assert file.attrs["version"] == COMPRESSED_VERSION
         assert list(file) == ["streams"]
@@ -50,17 +49,17 @@ def test_the_file_says_what_it_is(path: Path) -> None:
     assert facts["between"] == {"length": 2.8, "cubic": [1 / 3, 0.1 + 0.2]}
 
 
-def test_infinite_lengths_come_back(path: Path, coded: CompressedSequence) -> None:
+def test_infinite_lengths_come_back(h5: Path, coded: CompressedSequence) -> None:
     endless = replace(coded, between=BetweenFrames(inf, (0, 1)))
-    mixseq.save(path, endless)
-    with h5py.File(path) as file:
+    mixseq.save(h5, endless)
+    with h5py.File(h5) as file:
         assert json.loads(file.attrs["coding"])["between"] == {"length": None, "cubic": [0, 1]}
-    assert_same(read_compressed(path), endless)
+    assert_same(read_compressed(h5), endless)
 
 
-def test_sizes_add_up_and_hdf5_takes_few_bytes(path: Path, coded: CompressedSequence) -> None:
-    sizes = compressed_sizes(path)
-    assert sizes["total"] == path.stat().st_size
+def test_sizes_add_up_and_hdf5_takes_few_bytes(h5: Path, coded: CompressedSequence) -> None:
+    sizes = compressed_sizes(h5)
+    assert sizes["total"] == h5.stat().st_size
     assert sizes["total"] == sizes["connectivity"] + sizes["container"] + sizes["signals"]
     streams = sum(map(len, coded.basis)) + sum(
         len(each.coefficients + each.residuals) for each in coded.chunks

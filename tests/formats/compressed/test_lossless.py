@@ -17,9 +17,8 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface, by_first_use
-from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.compressed_writer import compressed_sizes
-from mixseq_io.hdf5.lossless import pack_surface, pack_times, unpack_surface, unpack_times
+from mixseq_io.coded.lossless import pack_surface, pack_times, unpack_surface, unpack_times
+from mixseq_io.compressed_files import compressed_sizes, read_compressed
 from tests.formats.compressed.stream_cases import any_bytes
 from tests.meshes import tube
 

@@ -15,8 +15,8 @@ import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.errors import FormatError, MixseqWarning
 from mixseq.surface import Surface
-from mixseq_io.hdf5.salvage import salvage_compressed
-from mixseq_io.hdf5.stream_index import Stream, StreamIndex
+from mixseq_io.coded.stream_index import Stream, StreamIndex
+from mixseq_io.salvage import salvage_compressed
 from tests.formats.compressed.stream_cases import assert_same, damage, flip, index_of, place_of
 
 
@@ -30,7 +30,7 @@ def salvaged(path: Path, *told: str) -> CompressedSequence:
         messages = [str(each.message) for each in caught]
         assert len(messages) == len(told), messages
         for message, expected in zip(messages, told, strict=True):
-            assert re.search(rf"small\.h5: .*{expected}", message)
+            assert re.search(rf"small\.(h5|glb): .*{expected}", message)
     assert rest is not None
     return rest
 
@@ -39,12 +39,12 @@ def test_of_whole_files_nothing_is_left_out(path: Path, coded: CompressedSequenc
     assert_same(salvaged(path), coded)
 
 
-def test_damage_of_hdf5_alone_costs_nothing(path: Path, coded: CompressedSequence) -> None:
-    whole = path.read_bytes()
-    flip(path, 30)
-    assert_same(salvaged(path), coded)
-    path.write_bytes(whole + b"more")
-    assert_same(salvaged(path), coded)
+def test_damage_of_hdf5_alone_costs_nothing(h5: Path, coded: CompressedSequence) -> None:
+    whole = h5.read_bytes()
+    flip(h5, 30)
+    assert_same(salvaged(h5), coded)
+    h5.write_bytes(whole + b"more")
+    assert_same(salvaged(h5), coded)
 
 
 def test_damaged_tracks_cost_their_frames(path: Path, coded: CompressedSequence) -> None:

@@ -16,10 +16,10 @@ from mixseq.coding.encoder.uv_quantisation import UV_ERROR
 from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues, FaceSet, Surface
-from mixseq_io.hdf5.compressed_reader import read_compressed
-from mixseq_io.hdf5.compressed_writer import compressed_sizes, room_for_signals
-from mixseq_io.hdf5.salvage import salvage_compressed
-from mixseq_io.hdf5.stream_index import CHECKED_VERSION
+from mixseq_io.coded.packing import room_for_signals
+from mixseq_io.coded.stream_index import CHECKED_VERSION
+from mixseq_io.compressed_files import compressed_sizes, read_compressed
+from mixseq_io.salvage import salvage_compressed
 from tests.formats.compressed.stream_cases import GOLDEN, damage, index_of
 from tests.meshes import bar
 

@@ -1,22 +1,16 @@
-"""Write compressed models to HDF5, and count their bytes. `mixseq_io.hdf5.compressed_reader` describes the layout.
-
-Attributes are strings of fixed length (strings of any length would cost 4 KiB).
-"""
+"""Lay a compressed sequence out as files have it, a text and streams; see `mixseq_io.coded.reading`."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from math import inf
-from pathlib import Path
 from zlib import crc32
 
-import h5py
 import numpy as np
 
 from mixseq.choices import OrderName
-from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.coding.bitstream.connectivity import encode_polygons
 from mixseq.coding.bitstream.decoded_check import check_of, with_check
 from mixseq.coding.bitstream.entropy import pack_leb128
@@ -26,91 +20,38 @@ from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.coding.encoder.uv_regions import encode_uvs
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
-from mixseq.version import __version__
-from mixseq_io.hdf5.compressed_reader import read_container
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-from mixseq_io.hdf5.lossless import pack_surface, pack_times
-from mixseq_io.hdf5.stream_index import (
+from mixseq_io.coded.lossless import pack_surface, pack_times
+from mixseq_io.coded.stream_index import (
     CHECKED_VERSION,
     COMPRESSED_VERSION,
     HEAD,
     MAGIC,
     TEXTURED_VERSION,
     Container,
-    read_index,
 )
 
-_CONTAINER, _INDEX = 1200, 64
+_HDF5, _INDEX = 1200, 64
 """Bytes that HDF5 and the attributes take at most, and the index for 64 frames."""
 
 
-def write_compressed(file: h5py.File, coded: CompressedSequence) -> None:
-    """Store a compressed sequence in a new HDF5 file."""
+def pack(coded: CompressedSequence) -> Container:
+    """Lay an index and the streams of a compressed sequence one after the other."""
     steps, revision = coded.parameters.uv_steps, coded.parameters.revision
-    container = pack_streams(_json(coded), _ground(coded.header, steps, revision), coded.basis, coded.chunks)
-    for name, text in (
-        ("format", MODEL_FORMAT.encode()),
-        ("created_by", f"mixseq {__version__}".encode()),
-        ("coding", container.text),
-    ):
-        file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
     older = COMPRESSED_VERSION if steps is None else TEXTURED_VERSION
-    file.attrs["version"] = older if revision == 1 else CHECKED_VERSION
-    file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)
-
-
-def pack_streams(
-    text: bytes, ground: Sequence[bytes], basis: Sequence[bytes], chunks: Sequence[Chunk]
-) -> Container:
-    """Lay an index and streams one after the other.
-
-    Parameters
-    ----------
-    text : bytes
-        The attribute ``coding``.
-    ground : sequence of bytes
-        Connectivity, surface, times; texture coordinates, if they are coded.
-    basis, chunks
-        As in `CompressedSequence`.
-    """
-    of_chunks = [stream for chunk in chunks for stream in (chunk.coefficients, chunk.residuals)]
-    streams = [*ground, *basis, *of_chunks]
-    counts = [chunk.count for chunk in chunks]
-    lengths = pack_leb128([len(basis), len(chunks), *counts, *map(len, streams)])
+    text = _json(coded)
+    of_chunks = [stream for chunk in coded.chunks for stream in (chunk.coefficients, chunk.residuals)]
+    streams = [*_ground(coded.header, steps, revision), *coded.basis, *of_chunks]
+    counts = [chunk.count for chunk in coded.chunks]
+    lengths = pack_leb128([len(coded.basis), len(counts), *counts, *map(len, streams)])
     checksums = np.array(
         [crc32(text), *(crc32(stream) for stream in streams if stream)], dtype="<u4"
     ).tobytes()
     head = HEAD.pack(MAGIC, len(lengths), len(checksums), crc32(lengths + checksums))
-    return Container(text, b"".join([head, lengths, checksums, *streams]))
-
-
-def compressed_sizes(path: Path) -> dict[str, int]:
-    """Count the bytes of a compressed model.
-
-    Returns
-    -------
-    dict
-        ``total``: the file; ``connectivity``: the faces; ``container``: HDF5's own, and its attributes; ``signals``:
-        everything else; and of these ``uvs``: texture coordinates that are coded, ``surface``: face sets and the like,
-        and texture coordinates as they were, ``index``: lengths and checksums.
-
-    Raises
-    ------
-    FormatError
-        As `read_compressed`, but streams are not looked at.
-    """
-    container = read_container(path)
-    index = read_index(path, container)
-    total, connectivity = path.stat().st_size, index.ground["connectivity"].size
-    return {
-        "total": total,
-        "connectivity": connectivity,
-        "container": total - len(container.streams),
-        "signals": len(container.streams) - connectivity,
-        "uvs": index.ground["uvs"].size if "uvs" in index.ground else 0,
-        "surface": index.ground["surface"].size,
-        "index": index.size,
-    }
+    return Container(
+        text,
+        b"".join([head, lengths, checksums, *streams]),
+        older if revision == 1 else CHECKED_VERSION,
+    )
 
 
 def room_for_signals(
@@ -120,10 +61,12 @@ def room_for_signals(
     uv_error: float = UV_ERROR,
     uvs: bool = True,
     order: OrderName = "keep",
+    container: int = _HDF5,
 ) -> int:
     """Return how many bytes of a file of some size are left for basis, coefficients and residual layer.
 
-    Texture coordinates and order are told as to `mixseq.compress`.
+    Texture coordinates and order are told as to `mixseq.compress`; `container` are the bytes that text and file take,
+    by default of HDF5.
 
     Raises
     ------
@@ -134,7 +77,7 @@ def room_for_signals(
     ground = _ground(*with_quantised_uvs(header, uv_error, uvs))
     connectivity, surface, times, *textures = map(len, ground)
     surface += sum(textures)
-    container = _CONTAINER + times + _INDEX * (1 + header.frame_count // 64)
+    container += times + _INDEX * (1 + header.frame_count // 64)
     taken = connectivity + surface + container
     if size <= taken:
         parts = f"faces take {connectivity}, texture coordinates and the like {surface}, the container {container}"

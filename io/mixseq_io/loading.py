@@ -1,18 +1,20 @@
 """Load models, whatever they were stored as, at once: only what a file needs is imported, and while it is read.
 
-`mixseq_io.hdf5.compressed_reader` decodes compressed models; `mixseq_io.hdf5.model_files` makes those with signals,
-which may be in any shape space.
+`mixseq_io.coded.reading` makes compressed models of HDF5 and GLB files; `mixseq_io.hdf5.model_files` those with
+signals, which may be in any shape space.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mixseq.errors import FormatError
 from mixseq.public import public
-from mixseq_io.hdf5.contents import read_contents, reading_h5
+from mixseq_io.hdf5.contents import read_attributes, read_contents, reading_h5
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT
 from mixseq_io.memory import check_memory, memory_limit
 from mixseq_io.registry import PathLike
@@ -20,13 +22,34 @@ from mixseq_io.registry import PathLike
 if TYPE_CHECKING:
     from mixseq.signals.model import Model
 
+GLB, HDF5 = ".glb", (".h5", ".hdf5")
+"""How names of models end."""
+
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """What HDF5 files begin with."""
 
 
+def is_model(path: Path) -> bool:
+    """Whether a file is a model, and not a sequence.
+
+    Raises
+    ------
+    FormatError
+        If its name says that it may be one, and it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (GLB, *HDF5) or not path.is_file():
+        return False
+    if suffix == GLB:
+        from mixseq_io.gltf.sequence_extension import has_sequence
+
+        return has_sequence(path)
+    return read_attributes(path).kind == MODEL_FORMAT
+
+
 @public
 def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = None) -> Model:
-    """Load a model from an HDF5 file.
+    """Load a model from an HDF5 file, or from a GLB file with a mesh sequence.
 
     Parameters
     ----------
@@ -55,24 +78,35 @@ def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = No
 def _load(source: Path, salvage: bool) -> Model:
     if salvage and (rest := _salvaged(source)) is not None:
         return rest
+    return _load_glb(source) if source.suffix.lower() == GLB else _load_h5(source)
+
+
+def _load_glb(source: Path) -> Model:
+    from mixseq_io.coded.reading import decoded, sequence_of
+    from mixseq_io.gltf.sequence_extension import read_container
+
+    with _explained(source):
+        container = read_container(source)
+    return decoded(source, sequence_of(source, container))
+
+
+def _load_h5(source: Path) -> Model:
     if source.is_file() and source.stat().st_size and not _is_hdf5(source):
-        raise FormatError(f"{source} is not a model, which is an HDF5 file; make one with mixseq encode")
+        raise FormatError(
+            f"{source} is not a model, which is an HDF5 or GLB file; make one with mixseq encode"
+        )
     if source.is_file():
         check_memory(source, source.stat().st_size, "the file itself")
-    try:
+    with _explained(source):
         file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
-    except FormatError as error:
-        from mixseq_io.hdf5.salvage import explain_damage
-
-        explain_damage(source, error)
-        raise
     if file.kind != MODEL_FORMAT:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
         )
     with reading_h5(source):
         if "coding" in file.attrs:
-            from mixseq_io.hdf5.compressed_reader import container_of, decoded, sequence_of
+            from mixseq_io.coded.reading import decoded, sequence_of
+            from mixseq_io.hdf5.coded_files import container_of
 
             return decoded(source, sequence_of(source, container_of(source, file)))
         from mixseq_io.hdf5.model_files import read_model
@@ -80,9 +114,21 @@ def _load(source: Path, salvage: bool) -> Model:
         return read_model(source, file)
 
 
+@contextmanager
+def _explained(source: Path) -> Iterator[None]:
+    """Say more of a file whose own structure cannot be read."""
+    try:
+        yield
+    except FormatError as error:
+        from mixseq_io.salvage import explain_damage
+
+        explain_damage(source, error)
+        raise
+
+
 def _salvaged(source: Path) -> Model | None:
-    from mixseq_io.hdf5.compressed_reader import decoded
-    from mixseq_io.hdf5.salvage import salvage_compressed
+    from mixseq_io.coded.reading import decoded
+    from mixseq_io.salvage import salvage_compressed
 
     rest = salvage_compressed(source)
     return None if rest is None else decoded(source, rest)
@@ -95,4 +141,4 @@ def _is_hdf5(path: Path) -> bool:
 
 def _import_decoder() -> None:
     """Import what decodes compressed models: that takes as long as the other process takes to read one."""
-    import_module("mixseq_io.hdf5.compressed_reader")
+    import_module("mixseq_io.coded.reading")

@@ -12,8 +12,8 @@ surface, texture coordinates  everything else
 connectivity, times, index   nothing
 =============================  =========================================================================
 
-HDF5 does not open files that are not all there, or whose own structure is damaged. Index and streams follow each other
-in one run of bytes, and the attribute stands before them, so both are found without HDF5 too.
+Files that are not all there, or whose own structure (HDF5, glTF) is damaged, do not open. But index and streams follow
+each other in one run of bytes, and so does the text, so both are found without that structure too.
 """
 
 from __future__ import annotations
@@ -28,25 +28,23 @@ from pathlib import Path
 import numpy as np
 
 from mixseq.coding.bitstream.compressed_sequence import Chunk, CompressedSequence
-from mixseq.errors import FormatError, MixseqWarning
+from mixseq.errors import AmbiguousError, FormatError, MixseqWarning
 from mixseq.sequence_header import SequenceHeader
-from mixseq_io.hdf5.compressed_reader import (
-    container_of,
+from mixseq_io.coded.reading import (
     read_between,
     read_header,
     read_order,
     read_parameters,
     sequence_of,
 )
-from mixseq_io.hdf5.contents import read_contents
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-from mixseq_io.hdf5.stream_index import MAGIC, ChunkStreams, Container, StreamIndex, read_index
+from mixseq_io.coded.stream_index import MAGIC, ChunkStreams, Container, StreamIndex, read_index
+from mixseq_io.compressed_files import is_compressed, read_container
 
 _TEXT = b'{"coding":{'
-"""What the attribute begins with."""
+"""What the text begins with."""
 
 _LONGEST = 1 << 16
-"""Attributes are not longer than this."""
+"""Texts are not longer than this."""
 
 
 def salvage_compressed(path: Path) -> CompressedSequence | None:
@@ -161,26 +159,27 @@ def _ranges(chunks: list[ChunkStreams], header: SequenceHeader) -> str:
 
 
 def explain_damage(path: Path, error: FormatError) -> None:
-    """Say more of a file that HDF5 cannot read, if it was a compressed model; do nothing if it was not.
+    """Say more of a file whose own structure cannot be read, if it was a compressed model; do nothing if it was not.
 
     Raises
     ------
     FormatError
         Names the first stream that is damaged, or says that all are whole.
     """
-    container = _search_bytes(path) if path.is_file() else None
+    if isinstance(error, AmbiguousError) or not path.is_file():
+        return
+    container = _search_bytes(path)
     if container is not None:
         sequence_of(path, container)
         raise FormatError(
-            f"{path}: HDF5's own structure is damaged, but no signal is; read it with mixseq decode --salvage"
+            f"{error}; all its signals are whole, read them with mixseq decode --salvage"
         ) from error
 
 
 def _found(path: Path) -> Container | None:
-    """Read attribute and streams with HDF5 if it can, else look for them in the bytes of the file."""
+    """Read text and streams as the file has them, else look for them in its bytes."""
     try:
-        file = read_contents(path, MODEL_FORMAT)
-        return container_of(path, file) if "coding" in file.attrs and file.kind == MODEL_FORMAT else None
+        return read_container(path) if is_compressed(path) else None
     except FormatError:
         if not path.is_file():
             raise

@@ -31,7 +31,7 @@ import numpy as np
 
 from mixseq.coding.bitstream.entropy import unpack_leb128
 from mixseq.errors import FormatError
-from mixseq_io.hdf5.h5_files import refuse_newer
+from mixseq_io.reader import refuse_newer
 
 COMPRESSED_VERSION = 4
 """Version of model files that hold a compressed sequence. Frozen: breaks old files."""

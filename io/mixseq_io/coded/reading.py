@@ -1,13 +1,7 @@
-"""Read compressed models from HDF5: one dataset of streams, one attribute that says what they mean.
+"""Make a compressed sequence of what a file has: a text that says what the streams mean, and the streams.
 
-::
-
-    /            format = "mixseq-model", version = 8 (4, or 7 with texture coordinates, of old), created_by,
-                 coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
-    /streams     (n,) uint8: an index, then all streams, one after the other
-
-HDF5 has little to say about this, on purpose: it takes more bytes for a second dataset than a checksum of every stream.
-The index (`stream_index`) says how long every stream is and what its CRC-32 is, so damage is known by stream.
+The text is JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time. The index (`stream_index`) says
+how long every stream is and what its CRC-32 is, so damage is known by stream.
 
 Streams are in this order: connectivity, surface, times, texture coordinates if there are any; spatial basis, group by
 group; coefficients and residual layer of the first chunk, of the second, and so on. Specification:
@@ -23,8 +17,6 @@ from dataclasses import fields, replace
 from math import inf
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from mixseq.choices import ORDERS, OrderName
 from mixseq.coding.bitstream.compressed_sequence import (
@@ -42,10 +34,8 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.model import Model
 from mixseq.surface import CornerValues
-from mixseq_io.hdf5.contents import Contents, read_attributes, read_contents, reading_h5
-from mixseq_io.hdf5.h5_files import MODEL_FORMAT
-from mixseq_io.hdf5.lossless import unpack_surface, unpack_times
-from mixseq_io.hdf5.stream_index import Container, Stream, StreamIndex, facts_of, read_index
+from mixseq_io.coded.lossless import unpack_surface, unpack_times
+from mixseq_io.coded.stream_index import Container, Stream, StreamIndex, facts_of, read_index
 from mixseq_io.memory import check_memory
 
 _OF_ELEMENT, _OF_CORNER = 64, 256
@@ -57,54 +47,14 @@ _DECODED = 16
 _CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
 
 
-def is_compressed(path: Path) -> bool:
-    """Whether a file is an HDF5 file with a compressed model.
-
-    Raises
-    ------
-    FormatError
-        If it is missing or cannot be read as HDF5.
-    """
-    file = read_attributes(path)
-    return file.kind == MODEL_FORMAT and "coding" in file.attrs
-
-
-def read_compressed(path: Path) -> CompressedSequence:
-    """Read a compressed sequence, and check every byte of it.
-
-    Raises
-    ------
-    FormatError
-        If the file is no compressed model, or damaged; the message names the stream and its frames.
-    """
-    return sequence_of(path, read_container(path))
-
-
-def read_container(path: Path) -> Container:
-    """Read what HDF5 has of a compressed model.
-
-    Raises
-    ------
-    FormatError
-        If it is another file, or HDF5 cannot read it.
-    """
-    return container_of(path, read_contents(path, MODEL_FORMAT))
-
-
-def container_of(path: Path, file: Contents) -> Container:
-    """Return what has been read of a compressed model, as `read_container`."""
-    with reading_h5(path):
-        if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
-            raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
-        return Container(
-            text=bytes(file.attrs["coding"]),
-            streams=file.arrays["streams"].astype(np.uint8).tobytes(),
-            version=int(file.attrs["version"]),
-        )
-
-
 def sequence_of(path: Path, container: Container) -> CompressedSequence:
-    """Make a compressed sequence of what is in a file, as `read_compressed`."""
+    """Make a compressed sequence of what is in a file, and check every byte of it.
+
+    Raises
+    ------
+    FormatError
+        If it is damaged; the message names the stream and its frames.
+    """
     index = read_index(path, container)
 
     def sound(stream: Stream) -> bytes:

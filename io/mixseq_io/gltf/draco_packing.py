@@ -1,0 +1,99 @@
+"""Primitives that Draco packs, as few bytes as it can. `mixseq_io.gltf.draco` unpacks.
+
+Draco puts vertices and triangles into an order of its own.
+
+Packages: DracoPy (extra `draco`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.errors import MissingExtraError, OutputError
+
+_POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
+"""Bits of a number: a point is off by 1/4000 of the largest side of the mesh, a normal by a degree."""
+
+_BEST = 10
+"""DracoPy's name of the level at which it takes the fewest bytes."""
+
+_NAMES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}
+"""What Draco's types of attributes are in glTF."""
+
+
+@dataclass(frozen=True, eq=False)
+class DracoTriangles:
+    """Compressed triangles.
+
+    Parameters
+    ----------
+    data : bytes
+        What Draco made of them.
+    attributes : mapping of str to array
+        The values that a decoder gets, by the names of glTF's attributes.
+    identifiers : mapping of str to int
+        Draco's numbers of the same attributes.
+    triangle_count : int
+        How many there are; Draco leaves out those without area.
+    """
+
+    data: bytes
+    attributes: Mapping[str, NDArray[np.float32]]
+    identifiers: Mapping[str, int]
+    triangle_count: int
+
+
+def compressed_triangles(
+    triangles: NDArray[np.uint32],
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    uvs: NDArray[np.float32] | None,
+) -> DracoTriangles:
+    """Compress triangles ``(F, 3)`` with points, normals ``(n, 3)`` and texture coordinates ``(n, 2)`` of vertices.
+
+    Raises
+    ------
+    MissingExtraError
+        If DracoPy is not installed.
+    OutputError
+        If Draco cannot compress them: all of them are without area.
+    """
+    library = _library()
+    try:
+        data = library.encode(
+            points,
+            triangles,
+            quantization_bits=_POSITION_BITS,
+            compression_level=_BEST,
+            normals=normals.astype(np.float64),
+            normal_quantization_bits=_NORMAL_BITS,
+            tex_coord=None if uvs is None else uvs.astype(np.float64),
+            tex_coord_quantization_bits=None if uvs is None else _UV_BITS,
+        )
+        decoded = library.decode(data)
+    except (library.EncodingFailedException, library.FileTypeException, ValueError) as error:
+        raise OutputError(f"Draco cannot compress the first frame ({error}); write it plain") from error
+    found = {_NAMES[each["attribute_type"]]: each for each in decoded.attributes}
+    return DracoTriangles(
+        data,
+        {name: each["data"] for name, each in found.items()},
+        {name: int(each["unique_id"]) for name, each in found.items()},
+        len(decoded.faces),
+    )
+
+
+def _library() -> ModuleType:
+    try:
+        import DracoPy
+    except ImportError as error:
+        raise MissingExtraError(
+            "a .glb is smallest with DracoPy; get it with: pip install 'mixseq[draco]', or write a plain still "
+            "(--still plain)"
+        ) from error
+    library: ModuleType = DracoPy
+    return library

@@ -1,0 +1,114 @@
+"""The glTF extension ``MIXSEQ_mesh_sequence``, writing: a .glb with a compressed sequence, its first frame as a still.
+
+`mixseq_io.gltf.sequence_extension` describes the layout. Text and streams come first in the buffer, so that they are
+there before textures when a file arrives slowly.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mixseq.arrays import FloatArray
+from mixseq.choices import StillName
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
+from mixseq.errors import OutputError
+from mixseq.sequence import SequenceHeader
+from mixseq_io.atomic import replacing
+from mixseq_io.coded.packing import pack
+from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
+from mixseq_io.gltf.buffers import GENERATOR, Layout, append, glb_size, writing_buffer
+from mixseq_io.gltf.carried_materials import carried_materials
+from mixseq_io.gltf.compression import DRACO
+from mixseq_io.gltf.document_edits import used_extensions
+from mixseq_io.gltf.json_fields import SEQUENCE_EXTENSION
+from mixseq_io.gltf.new_document import material_name, named, upright
+from mixseq_io.gltf.still import add_still, as_one_mesh, runs_of_polygons
+
+_TEXT = 1000
+"""Bytes of a text at most, but for long names."""
+
+_FINER = 1.02
+"""How much larger the still of a decoded frame may be than that of the frame itself."""
+
+
+def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
+    """Write a compressed sequence as a .glb.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an existing one is replaced when the new one is complete.
+    coded : CompressedSequence
+        The sequence.
+    still : {"draco", "plain", "none"}
+        How the first frame is stored for other viewers, see `add_still`.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, there are no faces, or an older mixseq compressed the sequence.
+    MissingExtraError
+        If Draco is not installed.
+
+    Warns
+    -----
+    MixseqWarning
+        If materials cannot be taken along.
+    """
+    container = pack(coded)
+    if container.version != CHECKED_VERSION:
+        raise OutputError(
+            f"{path}: the web plays what this mixseq has compressed; compress the original again"
+        )
+    write_container(path, container, coded.header, to_model(coded)(coded.header.times[0]), still)
+
+
+def write_container(
+    path: Path, container: Container, header: SequenceHeader, points: FloatArray, still: StillName
+) -> None:
+    """Write text and streams, and a still of `points` ``(V, 3)``; see `write_sequence`."""
+    layout = _layout(header, points, container, still)
+    with replacing(path) as temporary, writing_buffer(path, temporary, layout):
+        pass
+
+
+def other_bytes(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
+    """Return the bytes of a .glb beside its streams, at most.
+
+    Parameters
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    points : (V, 3) float
+        About what the first frame will be: that of the original.
+    still : {"draco", "plain", "none"}
+        As in `write_sequence`.
+    """
+    layout = _layout(header, points, Container(bytes(_TEXT + 6 * len(header.name)), b""), still)
+    return int(_FINER * glb_size(layout))
+
+
+def _layout(header: SequenceHeader, points: FloatArray, container: Container, still: StillName) -> Layout:
+    layout = Layout({"asset": {"version": "2.0", "generator": GENERATOR}})
+    coding = layout.add([container.text], len(container.text))
+    streams = layout.add([container.streams], len(container.streams))
+    mesh = as_one_mesh(header)
+    names = {material_name(each) for each in mesh.face_sets}
+    materials = carried_materials(layout, names, header.surface.origin)
+    primitives = add_still(layout, mesh, points, still, materials)
+    runs = runs_of_polygons(mesh) if len(primitives) > 1 else None
+    extension = {
+        "version": container.version,
+        "coding": coding,
+        "streams": streams,
+        **({} if runs is None else {"polygons": runs}),
+    }
+    document = layout.document
+    entry = {**named(header.name), "primitives": primitives, "extensions": {SEQUENCE_EXTENSION: extension}}
+    node = {**named(header.name), "mesh": append(document, "meshes", entry), **upright(header)}
+    document["scene"], document["scenes"] = 0, [{"nodes": [append(document, "nodes", node)]}]
+    document["extensionsUsed"] = sorted(used_extensions(document))
+    needed = [DRACO] if still == "draco" else [SEQUENCE_EXTENSION] if still == "none" else []
+    if needed:
+        document["extensionsRequired"] = needed
+    return layout

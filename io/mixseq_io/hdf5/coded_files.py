@@ -1,0 +1,60 @@
+"""Compressed models in HDF5: one dataset of streams, one attribute that says what they mean.
+
+::
+
+    /            format = "mixseq-model", version = 8 (4, or 7 with texture coordinates, of old), created_by,
+                 coding                  JSON: parameters, name, fps, up_axis, metres_per_unit, counts, first time
+    /streams     (n,) uint8: an index, then all streams, one after the other
+
+HDF5 has little to say about this, on purpose: it takes more bytes for a second dataset than a checksum of every stream.
+Attributes are strings of fixed length (strings of any length would cost 4 KiB). What is in both is the business of
+`mixseq_io.coded`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixseq.errors import FormatError
+from mixseq.version import __version__
+from mixseq_io.coded.stream_index import Container
+from mixseq_io.hdf5.contents import Contents, reading_h5
+from mixseq_io.hdf5.h5_files import MODEL_FORMAT
+
+if TYPE_CHECKING:
+    import h5py
+
+
+def container_of(path: Path, file: Contents) -> Container:
+    """Return what has been read of a compressed model.
+
+    Raises
+    ------
+    FormatError
+        If it is another file, or HDF5 cannot read it.
+    """
+    with reading_h5(path):
+        if file.kind != MODEL_FORMAT or "coding" not in file.attrs:
+            raise FormatError(f"{path} is no compressed model; make one with mixseq encode --max-error")
+        return Container(
+            text=bytes(file.attrs["coding"]),
+            streams=file.arrays["streams"].astype(np.uint8).tobytes(),
+            version=int(file.attrs["version"]),
+        )
+
+
+def write_container(file: h5py.File, container: Container) -> None:
+    """Store a compressed sequence in a new HDF5 file."""
+    import h5py
+
+    for name, text in (
+        ("format", MODEL_FORMAT.encode()),
+        ("created_by", f"mixseq {__version__}".encode()),
+        ("coding", container.text),
+    ):
+        file.attrs.create(name, text, dtype=h5py.string_dtype("ascii", len(text)))
+    file.attrs["version"] = container.version
+    file.create_dataset("streams", data=np.frombuffer(container.streams, dtype=np.uint8), track_times=False)

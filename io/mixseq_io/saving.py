@@ -1,0 +1,83 @@
+"""Save models and compressed sequences."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+from mixseq.choices import STILLS, StillName
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.errors import MixseqWarning, OutputError, SettingsError
+from mixseq.public import public
+from mixseq.signals.model import Model
+from mixseq_io.coded.packing import pack
+from mixseq_io.hdf5.coded_files import write_container
+from mixseq_io.hdf5.h5_writing import creating_h5
+from mixseq_io.hdf5.model_files import write_model
+from mixseq_io.registry import PathLike
+
+SUFFIXES = (".h5", ".hdf5", ".glb")
+
+
+@public
+def save(path: PathLike, model: Model | CompressedSequence, *, still: StillName = "draco") -> None:
+    """Store a model, or a compressed sequence, in an HDF5 file; a compressed sequence also in a GLB file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; an existing one is replaced when the new one is complete.
+    model : Model or CompressedSequence
+        What to store; nothing is lost but the residual layer of a compressed model that was loaded, which is
+        reported by a `MixseqWarning`.
+    still : {"draco", "plain", "none"}
+        How a .glb has the first frame, for viewers that do not know mesh sequences: compressed by Draco (extra
+        ``draco``), as float32 (5 to 10 times the bytes), or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, its name does not end in .h5, .hdf5 or .glb, the shape space is not one of
+        mixseq's, or a model is not compressed and the name ends in .glb.
+    MissingExtraError
+        If Draco is asked for and not installed.
+    SettingsError
+        If there is no such `still`.
+    """
+    target = Path(path)
+    if still not in STILLS:
+        raise SettingsError(f"still is {still!r}; one of {', '.join(STILLS)} is expected")
+    if target.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{target}: models are HDF5 or GLB files; end the name in {' or '.join(SUFFIXES)}")
+    if target.suffix.lower() == ".glb":
+        _save_glb(target, model, still)
+    elif isinstance(model, CompressedSequence):
+        with creating_h5(target) as (file, store):
+            write_container(file, pack(model))
+            store.check()
+    else:
+        _save_h5(target, model)
+
+
+def _save_glb(target: Path, model: Model | CompressedSequence, still: StillName) -> None:
+    from mixseq_io.gltf.sequence_writer import write_sequence
+
+    if not isinstance(model, CompressedSequence):
+        raise OutputError(
+            f"{target}: a .glb holds compressed models; compress the sequence with mixseq.compress(sequence, "
+            "max_error=1e-3), or mixseq encode --max-error"
+        )
+    write_sequence(target, model, still)
+
+
+def _save_h5(target: Path, model: Model) -> None:
+    if model.residual_layer is not None:
+        warnings.warn(
+            f"{target}: the residual layer of a compressed model is not stored with signals; frames may be off by more "
+            "than its bound",
+            MixseqWarning,
+            stacklevel=3,
+        )
+    with creating_h5(target) as (file, store):
+        write_model(file, model)
+        store.check()
