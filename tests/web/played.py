@@ -18,7 +18,7 @@ from tests.web.conftest import Node
 PLAY = """
 import { readFileSync, writeFileSync } from "node:fs";
 import { open } from "decoder/sequence.js";
-import { uvsOf } from "decoder/surface.js";
+import { hardEdgesOf, uvsOf } from "decoder/surface.js";
 const folder = process.argv[2], bytes = (name) => new Uint8Array(readFileSync(`${folder}/${name}`));
 const sequence = open(new TextDecoder().decode(bytes("text")), bytes("streams"));
 const write = (name, array) => writeFileSync(`${folder}/${name}`, array ?? new Uint8Array(0));
@@ -29,8 +29,9 @@ times.forEach((time, k) => {
   sequence.at(time, positions.subarray(3 * sequence.vertexCount * k, 3 * sequence.vertexCount * (k + 1)));
   loaded.push(chunks.filter((chunk) => chunk.loaded).length);
 });
-const triangles = sequence.triangles(), uvs = uvsOf(sequence);
-Object.entries({ counts, corners, triangles, uvs, positions, times: sequence.times }).forEach((one) => write(...one));
+const triangles = sequence.triangles(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence);
+const arrays = { counts, corners, triangles, uvs, edges, positions, times: sequence.times };
+Object.entries(arrays).forEach((one) => write(...one));
 fields.parts.forEach(({ vertices, fields, values }, part) => {
   write(`vertices${part}`, vertices);
   write(`fields${part}`, fields);
@@ -50,6 +51,7 @@ class Played:
     triangles: IntArray
     times: Float
     uvs: FloatArray
+    hard_edges: IntArray
     parts: list[tuple[IntArray, IntArray, FloatArray]]
     positions: FloatArray
 
@@ -80,6 +82,7 @@ def played(node: Node, folder: Path, coded: CompressedSequence | Path, times: Fl
         array("triangles", "<u4"),
         array("times", "<f8"),
         array("uvs", "<f4").reshape(-1, 2),
+        array("edges", "<i4"),
         [
             (array(f"vertices{k}", "<u4"), array(f"fields{k}", "<u4"), array(f"values{k}", "<f4"))
             for k in range(facts["parts"])

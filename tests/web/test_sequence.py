@@ -21,7 +21,7 @@ from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.compress import compress
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
-from mixseq.surface import CornerValues, Surface
+from mixseq.surface import CornerValues, Surface, by_first_use
 from tests.coding.test_golden import stored
 from tests.meshes import Mesh, bar, grid, joined, rotation, torus, tube
 from tests.web.conftest import Node
@@ -140,6 +140,8 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
         assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
     else:
         assert not len(found.uvs)
+    if coded.header.surface.hard_edges is not None:
+        np.testing.assert_array_equal(found.hard_edges, by_first_use(coded.header.surface.hard_edges))
 
 
 def test_only_chunks_that_are_needed_are_decoded(node: Node, tmp_path: Path) -> None:

@@ -1,16 +1,72 @@
 // What is on the polygons of a sequence. A module of its own, so that pages that draw none of it can do without.
 import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
-import { guarded } from "./errors.js";
+import { MixseqError, guarded } from "./errors.js";
+import { decodeHardEdges } from "./hard_edges.js";
+import { unpackLzma2 } from "./lzma.js";
 import { decodeUvs } from "./texture_coordinates.js";
+
+const OF_CORNER = 64, OF_TEXTS = 1 << 24; // bytes that a surface may have
+const TYPES = { "<i4": Int32Array, "<f4": Float32Array, "|u1": Uint8Array };
 
 /** Texture coordinates at the corners, u and v of each; null if there are none. */
 export function uvsOf(sequence) {
-  const { streams, vertexCount, parameters } = sequence;
-  if (!streams.uvs) return null;
+  const { streams, vertexCount, parameters, cornerCount } = sequence;
   return guarded("the texture coordinates", () => {
+    if (!streams.uvs) {
+      const { uv_values: values, uv_indices: rows } = surfaceOf(sequence);
+      if (!values) return null;
+      ofCorners(rows, cornerCount, values.length / 2);
+      return Float32Array.from({ length: 2 * cornerCount }, (_, k) => values[2 * rows[k >> 1] + (k & 1)]);
+    }
     const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(streams.uvs);
     const numbers = decodeUvs(data, counts, corners, vertexCount);
     refuseOthers(checkOf(numbers), expected);
     return Float32Array.from(numbers, (number) => number / parameters.uvSteps);
   });
+}
+
+/** Numbers of normals at the corners: those with the same number share one; null if all corners of a vertex do. */
+export function hardEdgesOf(sequence) {
+  return guarded("the hard edges", () => {
+    const { hard_edges: coded, creases } = surfaceOf(sequence);
+    if (!coded) return creases ? ofCorners(creases, sequence.cornerCount, Infinity) : null;
+    const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(coded);
+    const numbers = decodeHardEdges(data, counts, corners, sequence.vertexCount);
+    refuseOthers(checkOf(numbers), expected);
+    return numbers;
+  });
+}
+
+/** The arrays of a surface by name, of numbers and of texts, as mixseq_io/coded/lossless.py packs them. */
+export function surfaceOf({ streams, cornerCount }) {
+  if (!streams.surface.length) return {};
+  return guarded("the surface", () => {
+    const whole = unpackLzma2(streams.surface, OF_CORNER * cornerCount + OF_TEXTS), end = whole.indexOf(0), arrays = {};
+    let start = end + 1;
+    for (const [name, ...what] of JSON.parse(new TextDecoder().decode(whole.subarray(0, end)))) {
+      if (what.length === 1) arrays[name] = what[0];
+      else {
+        const [type, shape] = what, count = shape.reduce((size, each) => size * each, 1);
+        arrays[name] = unshuffled(whole, start, TYPES[type], count);
+        start += arrays[name].byteLength;
+      }
+    }
+    return arrays;
+  });
+}
+
+/** Make sure that there is a number for every corner, from 0 to below a size. */
+function ofCorners(numbers, cornerCount, size) {
+  if (numbers.length !== cornerCount || numbers.some((number) => number < 0 || number >= size)) throw new MixseqError("there are numbers out of range; it is damaged");
+  return numbers;
+}
+
+/** Numbers of which there are the first bytes of all, then their second bytes, and so on; of whole ones the differences. */
+function unshuffled(whole, start, Type, count) {
+  const size = Type.BYTES_PER_ELEMENT;
+  if (!(start + size * count <= whole.length)) throw new MixseqError("it ends early; it is damaged");
+  const bytes = new Uint8Array(size * count), numbers = new Type(bytes.buffer);
+  for (let k = 0; k < bytes.length; k++) bytes[(k % count) * size + Math.floor(k / count)] = whole[start + k];
+  if (Type === Int32Array) for (let k = 1; k < count; k++) numbers[k] += numbers[k - 1];
+  return numbers;
 }
