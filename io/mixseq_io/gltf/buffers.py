@@ -72,7 +72,7 @@ class Layout:
         return number
 
     def add_packed(self, data: bytes, count: int, stride: int, properties: Json, **packing: str) -> int:
-        """Add a view of data that are packed by `mixseq_io.meshopt`; return its number.
+        """Add a view of data that are packed by `mixseq_io.gltf.meshopt`; return its number.
 
         Parameters
         ----------

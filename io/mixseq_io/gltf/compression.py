@@ -1,6 +1,6 @@
 """Compressed glTF files as if they were not: views and primitives get buffers that are unpacked when they are read.
 
-``EXT_meshopt_compression``, which ``KHR_meshopt_compression`` continues, packs buffer views (`mixseq_io.meshopt`);
+``EXT_meshopt_compression``, which ``KHR_meshopt_compression`` continues, packs buffer views (`mixseq_io.gltf.meshopt`);
 ``KHR_draco_mesh_compression`` packs the triangles of a primitive with all that is on them (`mixseq_io.gltf.draco`).
 A primitive that has both a packed form and a plain one is read plain.
 
@@ -17,13 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.errors import FormatError
 from mixseq_io.gltf.document import Document, layout_of
 from mixseq_io.gltf.draco import Wanted, unpacked_primitive
 from mixseq_io.gltf.json_fields import Fields
-from mixseq_io.meshopt.attributes import decode_attributes
-from mixseq_io.meshopt.filters import unfiltered
-from mixseq_io.meshopt.indices import decode_sequence, decode_triangles
+from mixseq_io.gltf.meshopt import unpacked_view
 
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -86,7 +83,7 @@ class _Edits:
                 f"has {count} elements of {stride} bytes, which is not the view's length; the file is damaged"
             )
         self._compressed.check_effort(-(-count * stride // 4), packed.place)
-        buffer = self._buffer(count * stride, partial(_unpacked_view, self._compressed, packed))
+        buffer = self._buffer(count * stride, partial(unpacked_view, self._compressed, packed))
         kept = {key: value for key, value in view.values.items() if key in ("byteStride", "target", "name")}
         self._json["bufferViews"][number] = {"buffer": buffer, "byteLength": count * stride, **kept}
 
@@ -138,20 +135,3 @@ class _Edits:
         number = len(self._json["buffers"]) - 1
         self._unpacking[number] = unpack
         return number
-
-
-def _unpacked_view(document: Document, packed: Fields) -> bytes:
-    count, stride = packed.integer("count"), packed.integer("byteStride")
-    mode, name = packed.text("mode"), packed.text("filter", "NONE")
-    data = document.part(packed)
-    try:
-        if mode == "ATTRIBUTES":
-            return unfiltered(decode_attributes(data, count, stride), name).tobytes()
-        if mode not in ("TRIANGLES", "INDICES") or stride not in (2, 4):
-            raise packed.error(
-                f"has the mode {mode[:40]!r} of {stride} bytes, which is not known here; the file is damaged"
-            )
-        indices = decode_triangles(data, count) if mode == "TRIANGLES" else decode_sequence(data, count)
-        return np.asarray(indices, dtype="<u2" if stride == 2 else "<u4").tobytes()
-    except FormatError as error:
-        raise error if packed.place in str(error) else packed.error(f"cannot be unpacked: {error}") from None

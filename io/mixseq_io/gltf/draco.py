@@ -1,6 +1,6 @@
 """Primitives that Draco packed: by the library of Google, in a process of its own.
 
-Packages: DracoPy (extra `draco`).
+Packages: DracoPy (extra `gltf`).
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Khronos/KHR_draco_mesh_compression/README.md
 """
@@ -61,7 +61,7 @@ def unpacked_primitive(
     """
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
-            f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[draco]'"
+            f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"
         )
     data = document.part(document.item("bufferViews", packed.integer("bufferView")))
     arrays = call_isolated("mixseq_io.gltf.draco:decoded", document.path, data, packed.place, list(wanted))

@@ -2,7 +2,7 @@
 
 Draco puts vertices and triangles into an order of its own.
 
-Packages: DracoPy (extra `draco`).
+Packages: DracoPy (extra `gltf`).
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _library() -> ModuleType:
         import DracoPy
     except ImportError as error:
         raise MissingExtraError(
-            "a .glb is smallest with DracoPy; get it with: pip install 'mixseq[draco]', or write a plain still "
+            "a .glb is smallest with DracoPy; get it with: pip install 'mixseq[gltf]', or write a plain still "
             "(--still plain)"
         ) from error
     library: ModuleType = DracoPy

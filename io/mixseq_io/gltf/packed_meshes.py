@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq_io.gltf.buffers import INDICES, VERTICES, Layout, require
-from mixseq_io.meshopt.attributes import encode_attributes
-from mixseq_io.meshopt.filters import fixed_point, folded
-from mixseq_io.meshopt.indices import encode_triangles
+from mixseq_io.gltf.meshopt import fixed_point, octahedral, packed_attributes, packed_triangles
 
 _SIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT = 5120, 5123, 5125
 _NORMAL_BITS = 8
@@ -78,7 +76,7 @@ def add_fixed_point(layout: Layout, values: ArrayLike, exponent: int, bounds: bo
 
 def add_normals(layout: Layout, normals: ArrayLike) -> int:
     """Add unit vectors ``(n, 3)`` as signed bytes; return their accessor. They are wrong by about a degree at most."""
-    rows = folded(normals, _NORMAL_BITS)
+    rows = octahedral(normals, _NORMAL_BITS)
     require(layout.document, "KHR_mesh_quantization")
     accessor = layout.accessor(
         _add_attribute(layout, rows, "OCTAHEDRAL"), len(rows), "VEC3", component=_SIGNED_BYTE
@@ -100,7 +98,7 @@ def add_triangles(layout: Layout, triangles: NDArray[np.integer]) -> int:
     """Add triangles ``(F, 3)``; return their accessor."""
     short = triangles.max(initial=0) < _LARGEST_SHORT
     stride, component = (2, _UNSIGNED_SHORT) if short else (4, _UNSIGNED_INT)
-    data = encode_triangles(triangles)
+    data = packed_triangles(triangles)
     view = layout.add_packed(data, triangles.size, stride, {"target": INDICES}, mode="TRIANGLES")
     return layout.accessor(view, triangles.size, "SCALAR", component=component)
 
@@ -115,7 +113,7 @@ def add_rows(layout: Layout, values: NDArray[Any], kind: str, component: int) ->
     padded = np.pad(data, ((0, 0), (0, width - data.shape[1])))
     # Other data than attributes have no stride, and no need of it.
     properties = {} if width == data.shape[1] else {"byteStride": width}
-    view = layout.add_packed(encode_attributes(padded), len(data), width, properties, mode="ATTRIBUTES")
+    view = layout.add_packed(packed_attributes(padded), len(data), width, properties, mode="ATTRIBUTES")
     return layout.accessor(view, len(data), kind, component=component)
 
 
@@ -124,5 +122,5 @@ def _add_attribute(layout: Layout, rows: NDArray[np.uint8], name: str) -> int:
     count, stride = rows.shape
     properties = {"byteStride": stride, "target": VERTICES}
     return layout.add_packed(
-        encode_attributes(rows), count, stride, properties, mode="ATTRIBUTES", filter=name
+        packed_attributes(rows), count, stride, properties, mode="ATTRIBUTES", filter=name
     )

@@ -24,6 +24,7 @@ from mixseq_io.gltf.containers import chunks, data_of_file
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.document_edits import unknown_extensions
 from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.meshopt import require_package
 from mixseq_io.gltf.packing_roles import Roles, add_as_it_is
 
 ROUNDING = "mixseq:rounding"
@@ -98,8 +99,11 @@ def writing_document(
 
 
 def check_error(error: float | None) -> None:
-    """Refuse an error that is not positive."""
-    if error is not None and not 0 < error < 1:
+    """Refuse an error that is not positive, and any without the package that packs."""
+    if error is None:
+        return
+    require_package("packing by meshoptimizer needs a package that is not here; to get it")
+    if not 0 < error < 1:
         raise SettingsError(
             f"meshopt is {error:g}; the largest error of points is expected, in diagonals, such as 1e-4"
         )

@@ -122,11 +122,11 @@ def packed_view(document: Json, **fields: Any) -> None:
 DAMAGES: dict[str, tuple[Json, str]] = {
     "more elements": ({"count": 10**9}, "not the view's length"),
     "no stride": ({"byteStride": 0}, "not the view's length"),
-    "unknown mode": ({"mode": "KNOTS"}, "mode 'KNOTS'"),
-    "other mode": ({"mode": "INDICES"}, "cannot be unpacked|mode 'INDICES'"),
-    "unknown filter": ({"filter": "KALMAN"}, "filter 'KALMAN'"),
+    "unknown mode": ({"mode": "KNOTS"}, "cannot be unpacked.*'KNOTS'"),
+    "other mode": ({"mode": "INDICES"}, "cannot be unpacked.*'INDICES'"),
+    "unknown filter": ({"filter": "KALMAN"}, "cannot be unpacked.*'KALMAN'"),
     "beyond the buffer": ({"byteLength": 10**6}, "does not fit its buffer"),
-    "too short": ({"byteLength": 40}, "cannot be unpacked: packed vertices"),
+    "too short": ({"byteLength": 40}, "cannot be unpacked"),
     "no such buffer": ({"buffer": 7}, r"buffers\[7\]"),
 }
 
@@ -153,7 +153,7 @@ def test_a_view_that_unpacks_to_far_more_than_the_file(tmp_path: Path) -> None:
 def test_draco_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(draco, "find_spec", lambda name: None)
     with pytest.raises(
-        MissingExtraError, match=r"draco.glb is compressed with Draco.*pip install 'mixseq\[draco\]'"
+        MissingExtraError, match=r"draco.glb is compressed with Draco.*pip install 'mixseq\[gltf\]'"
     ):
         load(FOLDER / "draco.glb")
 

@@ -282,7 +282,7 @@ def test_missing_draco_is_told(
 
     monkeypatch.setitem(sys.modules, "DracoPy", None)
     with pytest.raises(
-        mixseq.errors.MissingExtraError, match=r"pip install 'mixseq\[draco\]', or write a plain"
+        mixseq.errors.MissingExtraError, match=r"pip install 'mixseq\[gltf\]', or write a plain"
     ):
         mixseq.save(tmp_path / "walk.glb", coded)
     assert not list(tmp_path.iterdir())
