@@ -44,8 +44,8 @@ LAYERS = (
     ("operations",),
     ("metrics", "scene", "creature"),
     ("plots", "web"),
-    ("viewing",),
     ("mixseq_io",),
+    ("viewing",),
     ("cli",),
     ("__main__",),
 )

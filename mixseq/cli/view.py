@@ -18,7 +18,7 @@ import click
 import mixseq
 from mixseq.cli.camera import camera_option
 from mixseq.cli.console import announce, needed, progress_bar, say
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, scene_items, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
@@ -86,7 +86,13 @@ if TYPE_CHECKING:
     help="Write a page (.html) that plays on its own, without a network, and end.",
 )
 @setting("--every", type=click.IntRange(min=1), metavar="N", help="Of the frames of PAGE, keep every N-th.")
-@setting("--largest", type=float, metavar="MB", help="PAGE may be so large.  [default: 200]")
+@click.option(
+    "--max-error",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="E",
+    help="No vertex of PAGE is farther off, in diagonals; models that are compressed are taken as they are.  "
+    "[default: 0.001]",
+)
 @reader_options
 @overwrite_option
 @quiet_option
@@ -105,7 +111,7 @@ def command(
     threads: int | None,
     page: Path | None,
     every: int | None,
-    largest: float | None,
+    max_error: float | None,
     reading: dict[str, Any],
     claim: Claim,
     quiet: bool,
@@ -126,9 +132,8 @@ def command(
         "read-only": read_only or None,
         "browser": browser,
         "shading": shading,
-        "follow": follow,
     }
-    only_page = {"every": every, "largest": largest}
+    only_page = {"every": every, "max-error": max_error}
     for name, value in (only_live if page else only_page | {"overwrite": claim.overwrite}).items():
         if value is not None:
             about = (
@@ -148,14 +153,15 @@ def command(
         scene, original = _opened(files, against, rate, reading, progress)
         colours = _scene_colours(scene, original)
         if page is not None:
-            given = {name: value for name, value in only_page.items() if value is not None}
-            _export(
-                page,
-                colours,
-                {"fps": rate, "overlaid": overlaid, "camera": camera, **given},
-                threads,
-                progress,
-            )
+            of_page: dict[str, Any] = {
+                "fps": rate,
+                "every": every,
+                "max_error": max_error,
+                "overlaid": overlaid,
+                "camera": camera,
+                "following": follow,
+            }
+            _export(page, colours, files, of_page, threads, progress)
     if page is None:
         how = {
             "host": host,
@@ -281,7 +287,8 @@ def _check_page(page: Path) -> None:
 def _export(
     page: Path,
     colours: SceneColours,
-    chosen: Mapping[str, Any],
+    files: Sequence[Path],
+    given: Mapping[str, Any],
     threads: int | None,
     progress: Progress,
 ) -> None:
@@ -289,10 +296,17 @@ def _export(
     from mixseq.mapping import on_threads
     from mixseq.viewing.export import ExportSettings, export_page, page_items
     from mixseq_io.atomic import replacing
+    from mixseq_io.compressed_files import is_compressed, read_compressed
 
-    settings = ExportSettings(**chosen)
+    settings = ExportSettings(**{name: value for name, value in given.items() if value is not None})
+    items = page_items(
+        colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
+    )
     with replacing(page) as temporary:
-        report = export_page(temporary, page_items(colours), settings, progress, on_threads(threads))
+        report = export_page(temporary, items, settings, progress, on_threads(threads))
     announce(page)
-    off = max(item.error for item in report.items)
-    say(f"no coordinate is off by more than {off:.2g}, of the meshes' own units")
+    for item in report.items:
+        about = f"{item.name}: n" if len(report.items) > 1 else "n"
+        say(
+            f"{about}o vertex is off by more than {item.max_error:.3g} of the diagonal, {item.error:.2g} units"
+        )

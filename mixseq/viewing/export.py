@@ -1,7 +1,8 @@
 """Meshes as one page that plays by itself: no network, no server, no other file.
 
-The page plays poses at the times that they are given at, counted from each mesh's first one, and starts again after the
-period, as films do (`mixseq.scene.scene_times`).
+Meshes are in it as `mixseq.compress` makes them, with the decoder of `mixseq.web`. The page plays poses at the times
+that they are given at, counted from each mesh's first one, and starts again after the period, as films do
+(`mixseq.scene.scene_times`).
 """
 
 from __future__ import annotations
@@ -20,22 +21,20 @@ from mixseq.errors import SettingsError
 from mixseq.frame_rates import exact_rate
 from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor
-from mixseq.progress import Progress, silent
+from mixseq.progress import Progress, Stages, silent
 from mixseq.scene import Colouring, SceneItem
 from mixseq.sequence import SequenceHeader
 from mixseq.signals import Model
 from mixseq.version import __version__
-from mixseq.viewing.budget import Budget
+from mixseq.viewing.compressing import PageItemReport, page_mesh
 from mixseq.viewing.gathering import Gathered, PageItem, gather, page_items
-from mixseq.viewing.packing import Packer
-from mixseq.viewing.streaming import PageItemReport, pack
-from mixseq.viewing.template import page_around_data, tags_around
+from mixseq.viewing.template import page_text
 
 __all__ = ["ExportReport", "ExportSettings", "PageItem", "PageItemReport", "export_page", "page_items"]
 
 
 MOST_FRAMES = 20_000
-"""More would be a slip of the rate: browsers hold the poses of all frames in memory."""
+"""More would be a slip of the rate."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +47,17 @@ class ExportSettings:
         Poses per second; by default all that the meshes have.
     every : int
         Of those, only every so many are stored. The page moves points along straight lines between them.
-    largest : float
-        The file may have so many megabytes (:math:`10^6` bytes), the page itself among them.
+    max_error : float
+        No vertex is farther from where it was, in diagonals of the bounding box of its first pose. Meshes that are
+        compressed already keep their error.
     overlaid : bool
         Whether the meshes stand in one place at first, rather than side by side.
     title : str, optional
         Of the page, by default the names.
     camera : (float, float), optional
         From where meshes are seen at first, see `mixseq.scene.camera.seen_from`.
+    following : bool
+        Whether bodies that travel stay in the middle at first, and the ground moves.
 
     Raises
     ------
@@ -65,13 +67,14 @@ class ExportSettings:
 
     fps: float | None = None
     every: int = 1
-    largest: float = 200.0
+    max_error: float = 1e-3
     overlaid: bool = False
     title: str | None = None
     camera: tuple[float, float] | None = None
+    following: bool = False
 
     def __post_init__(self) -> None:
-        for name, value in (("fps", self.fps), ("the largest size", self.largest)):
+        for name, value in (("fps", self.fps), ("max_error", self.max_error)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise SettingsError(f"{name} is {value}; a positive number is expected")
         if self.every < 1:
@@ -105,19 +108,18 @@ def export_page(
 ) -> ExportReport:
     """Write a page that plays meshes.
 
-    Poses are asked for once and kept in a temporary table, so memory does not grow with their number. Equal input makes
-    equal bytes.
+    Poses are asked for once and kept in a temporary table. Equal input makes equal bytes.
 
     Parameters
     ----------
     target : path
-        The file, which is written as it comes: give a temporary one.
+        The file: give a temporary one.
     items : sequence of PageItem
         The meshes, from left to right.
     settings : ExportSettings, optional
         How.
     progress : callable, optional
-        Told about every frame, twice: when it is there and when it is packed.
+        Told about every frame, and every stage of compressing.
     workers : Executor, optional
         Who decodes models, by default as many threads as there are cores.
 
@@ -129,8 +131,8 @@ def export_page(
     Raises
     ------
     SettingsError
-        If there is nothing to show, times do not increase, something has no colours, or the file would be larger than
-        allowed.
+        If there is nothing to show, times do not increase, something has no colours, or the bound is beyond the digits
+        of coordinates.
     InvalidSequenceError
         If there are more or fewer poses than times, or poses of another mesh.
     OutputError
@@ -140,24 +142,27 @@ def export_page(
     if not items:
         raise SettingsError("there is nothing to show; give a sequence or a model")
     times = [_times(item, chosen) for item in items]
+    tops = _tops(items)
+    stages = Stages(progress, 2 * len(items), 100)
+    first: tuple[SequenceHeader, Gathered] | None = None
+    meshes = []
+    for number, (each, elapsed) in enumerate(zip(items, times, strict=True)):
+        gathered = gather(each.mesh, elapsed, first, stages.at(2 * number), workers, chosen.camera)
+        first = first or (each.mesh.header, gathered)
+        compressing = stages.at(2 * number + 1)
+        meshes.append(page_mesh(each, elapsed, gathered, tops, chosen.max_error, compressing))
+        compressing(1, 1, "compressing")
     description = {
         "title": chosen.title or ", ".join(each.mesh.name for each in items),
         "version": __version__,
         "overlaid": chosen.overlaid,
+        "following": chosen.following,
         "period": _period(items, times),
+        "items": [mesh.description for mesh in meshes],
     }
-    empty = sum(len(text.encode()) for text in page_around_data({**description, "items": []}))
-    budget = Budget(sum(len(elapsed) for elapsed in times), chosen.largest, empty, progress)
-    tops = _tops(items)
-    first: tuple[SequenceHeader, Gathered] | None = None
-    parts = []
-    for each, elapsed in zip(items, times, strict=True):
-        gathered = gather(each.mesh, elapsed, first, budget, workers, chosen.camera)
-        first = first or (each.mesh.header, gathered)
-        parts.append(pack(each, elapsed, gathered, tops, budget))
-    described = {**description, "items": [part.description for part in parts]}
-    size = _write(target, described, [stream for part in parts for stream in part.streams])
-    return ExportReport(size, tuple(part.report for part in parts))
+    text = page_text(description, [data for mesh in meshes for data in mesh.data])
+    target.write_bytes(text)
+    return ExportReport(len(text), tuple(mesh.report for mesh in meshes))
 
 
 def _times(item: PageItem, settings: ExportSettings) -> Float:
@@ -202,19 +207,6 @@ def _tops(items: Sequence[PageItem]) -> dict[str, float]:
             if not colouring.constant:
                 tops[name] = max(tops.get(name, 0.0), colouring.top)
     return tops
-
-
-def _write(target: Path, description: Mapping[str, Any], streams: Sequence[Packer]) -> int:
-    before, after = page_around_data(description)
-    with target.open("wb") as file:
-        file.write(before.encode())
-        for stream in streams:
-            opening, closing = tags_around(stream)
-            file.write(opening)
-            file.writelines(stream.lines())
-            file.write(closing)
-        file.write(after.encode())
-        return file.tell()
 
 
 # Former names, for one more version -----------------------------------------------------------------------

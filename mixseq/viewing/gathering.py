@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.disk_array import LargeArray, new_large_array
 from mixseq.errors import InvalidSequenceError
 from mixseq.mapping import Executor
+from mixseq.progress import Progress, silent
 from mixseq.scene import Colouring, SceneColours, SceneItem
 from mixseq.scene.camera import View, seen_from, y_up
 from mixseq.sequence import SequenceHeader, check_block
-from mixseq.viewing.budget import Budget
 from mixseq.viewing.chart_data import signals_of
 
 TOGETHER = 2.0
@@ -35,18 +36,34 @@ class PageItem:
         What colours may show, the first one first.
     signals : mapping, optional
         The signals of a model, for its charts (`mixseq.viewing.chart_data.signals_of`).
+    coded : CompressedSequence, optional
+        The mesh as it is compressed already; else its poses are.
     """
 
     mesh: SceneItem
     colourings: Mapping[str, Colouring]
     signals: Mapping[str, Any] | None = None
+    coded: CompressedSequence | None = None
 
 
-def page_items(colours: SceneColours) -> list[PageItem]:
-    """Return the meshes of a scene with all colours that they can have, and the charts of models."""
+def page_items(
+    colours: SceneColours, coded: Sequence[CompressedSequence | None] | None = None
+) -> list[PageItem]:
+    """Return the meshes of a scene with all colours that they can have, and the charts of models.
+
+    Parameters
+    ----------
+    colours : SceneColours
+        The scene.
+    coded : sequence of CompressedSequence or None, optional
+        Those of the meshes that are compressed already.
+    """
+    items = colours.scene.items
     return [
-        PageItem(item, colours.each(index), signals_of(item.model) if item.model is not None else None)
-        for index, item in enumerate(colours.scene.items)
+        PageItem(
+            item, colours.each(index), None if item.model is None else signals_of(item.model), compressed
+        )
+        for index, (item, compressed) in enumerate(zip(items, coded or [None] * len(items), strict=True))
     ]
 
 
@@ -102,8 +119,9 @@ class Gathered:
     ----------
     poses : (n, V, 3) array, perhaps on disk
         As they were given.
-    extent : Extent
-        Where they are, from their own view and from that of the first mesh of the page.
+    still, following : Extent
+        Where they are, from their own view and from that of the first mesh of the page; and where they are when the
+        camera goes with them, from the mean of the vertices, on the ground.
     views : (View, View)
         Their own view, and that of the first mesh of the page.
     like_first : bool
@@ -111,7 +129,8 @@ class Gathered:
     """
 
     poses: LargeArray
-    extent: Extent
+    still: Extent
+    following: Extent
     views: tuple[View, View]
     like_first: bool
 
@@ -120,7 +139,7 @@ def gather(
     item: SceneItem,
     elapsed: Float,
     first: tuple[SequenceHeader, Gathered] | None,
-    budget: Budget,
+    progress: Progress = silent,
     workers: Executor | None = None,
     camera: tuple[float, float] | None = None,
 ) -> Gathered:
@@ -134,7 +153,7 @@ def gather(
         Times of its poses.
     first : (SequenceHeader, Gathered), optional
         The first mesh of the page; None for itself.
-    budget : Budget
+    progress : callable, optional
         Told about all frames.
     workers : Executor, optional
         Who decodes.
@@ -150,7 +169,8 @@ def gather(
     same = first is None or np.array_equal(header.faces, first[0].faces)
     views: tuple[View, View] | None = None
     table: LargeArray | None = None
-    extent: Extent | None = None
+    still: Extent | None = None
+    following: Extent | None = None
     done = 0
     for block in item.poses(elapsed, workers):
         check_block(header, block, done)
@@ -162,12 +182,19 @@ def gather(
             views = own, first[1].views[0] if first else own
         table[done : done + len(block)] = block
         done += len(block)
-        extent = extent_of(y_up(block, header.up_axis), views).joined(extent)
-        budget.gathered(len(block))
-    if table is None or extent is None or views is None or done < len(elapsed):
+        world = y_up(block, header.up_axis)
+        still = extent_of(world, views).joined(still)
+        following = extent_of(world - path_of(world), views).joined(following)
+        progress(done, len(elapsed), "decoding frames")
+    if table is None or still is None or following is None or views is None or done < len(elapsed):
         raise InvalidSequenceError(f"{item.name} has {done} poses but {len(elapsed)} times were asked for")
-    like_first = same and (first is None or _together(extent, first[1].extent))
-    return Gathered(table, extent, views, like_first)
+    like_first = same and (first is None or _together(still, first[1].still))
+    return Gathered(table, still, following, views, like_first)
+
+
+def path_of(world: FloatArray) -> Float:
+    """Return where bodies are ``(B, 1, 3)`` in poses ``(B, V, 3)``, Y up: the mean of their vertices, on the ground."""
+    return np.asarray(world.mean(axis=1, keepdims=True, dtype=np.float64) * [1, 0, 1])
 
 
 def _view(item: SceneItem, start: FloatArray, elapsed: Float, camera: tuple[float, float] | None) -> View:

@@ -1,27 +1,52 @@
-"""Scripts and styles of the pages, which come with the package, and all of them as one page that needs nothing else."""
+"""Scripts and styles of the pages, which come with the package, and all of them as one page that needs nothing else.
+
+A page is a small document that unpacks itself: its first stream, deflated, is style, body, decoder, scripts and
+description, with NUL between them; the others belong to the meshes. `mixseq.viewing.packing` makes text of them.
+"""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+import zlib
+from collections.abc import Mapping, Sequence
+from functools import cache
 from html import escape
 from importlib.resources import files
 from typing import Any
 
-from mixseq.viewing.packing import Packer
+from mixseq.viewing.packing import as_text
+from mixseq.web.bundle import bundled, stripped
 
 CHART_SCRIPTS = (
+    "frame_numbers.js",
     "chart_pane.js",
     "chart_axes.js",
     "chart_marks.js",
     "chart_layout.js",
     "chart_coefficients.js",
-    "chart_retiming.js",
     "charts.js",
 )
 """What charts are made of, in the order in which a page loads it."""
+
+EDITING_SCRIPTS = ("chart_retiming.js",)
+"""What charts have besides, where models are edited."""
+
+PLAYER_SCRIPTS = (
+    "clock.js",
+    "camera.js",
+    "shaders.js",
+    "programs.js",
+    "topology.js",
+    "mesh.js",
+    "stage.js",
+    "pose_source.js",
+    "player.js",
+)
+"""What plays meshes on a page."""
+
+POSE_SCRIPTS = ("normals.js", "topology.js", "measures.js", "poses.js")
+"""What makes poses of streams, with the decoder."""
 
 
 @cache
@@ -31,48 +56,65 @@ def script(name: str) -> str:
 
 
 def chart_scripts() -> str:
-    """Return all of `CHART_SCRIPTS` as one text, for one script element of a page."""
-    return "\n".join(script(name) for name in CHART_SCRIPTS)
+    """Return all scripts of charts that can be edited as one text, for one script element of a page."""
+    return "\n".join(map(script, (*CHART_SCRIPTS, *EDITING_SCRIPTS)))
 
 
-_STYLE = re.compile(r'<link rel="stylesheet" href="([\w.-]+)" ?/?>')
-_SCRIPT = re.compile(r'<script src="([\w.-]+)"></script>')
-_DATA = "<!-- data -->"
-
-
-def page_around_data(description: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what stands in the page before and after its streams.
+def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
+    """Return a page.
 
     Parameters
     ----------
     description : mapping
         The ``title`` of the page, and what is in the streams, as JSON takes it.
+    data : sequence of bytes
+        Streams of the meshes.
     """
-    page = script("player.html").replace(
-        "<title>mixseq</title>", f"<title>{escape(description['title'])}</title>"
+    charts = any(item["signals"] for item in description["items"])
+    parts = (
+        _plain(script("player.css")),
+        _plain(script("player.html")),
+        decoder_script(),
+        page_scripts(charts),
+        json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
     )
-    page = _STYLE.sub(partial(_inlined, "<style>\n{}</style>".format), page)
-    page = _SCRIPT.sub(partial(_inlined, "<script>\n{}</script>".format), page)
-    before, after = page.split(_DATA)
-    return (
-        f'{before}<script type="application/json" id="description">{script_json(description)}</script>\n',
-        after,
+    code = zlib.compress("\0".join(parts).encode(), 9)
+    title, loader = escape(description["title"]), stripped(script("loader.js"))
+    shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
+    before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
+        _DATA
+    )
+    return b"".join([before.encode(), *map(_element, (code, *data)), after.encode()])
+
+
+@cache
+def decoder_script() -> str:
+    """Return what makes poses of streams, for a worker or a script element."""
+    decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
+    return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
+        stripped(script(name)) for name in POSE_SCRIPTS
     )
 
 
-def tags_around(stream: Packer) -> tuple[bytes, bytes]:
-    """Return what stands before and after the text of a stream, when all its rows are there."""
-    before = (
-        f'<script type="application/octet-stream" data-rows="{stream.rows}" data-width="{stream.width}" '
-        f'data-bytes="{stream.dtype.itemsize}">\n'
-    )
-    return before.encode(), b"</script>\n"
+@cache
+def page_scripts(charts: bool) -> str:
+    """Return the scripts of a page, with charts or without."""
+    names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
+    return "".join(stripped(script(name)) for name in names)
+
+
+_DATA = "<!-- data -->"
+
+
+def _plain(text: str) -> str:
+    """Return HTML or CSS without indentation and comments, but for the place of the data."""
+    return re.sub(r"\n\s*", "\n", re.sub(r"<!--(?! data).*?-->|/\*.*?\*/", "", text))
+
+
+def _element(data: bytes) -> bytes:
+    return b'<script type="text/plain" data-size="%d">%b</script>\n' % (len(data), as_text(data))
 
 
 def script_json(value: Any) -> str:
     """Return JSON that can stand in a script: there is no ``<`` in it, so nothing ends the script too early."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-
-
-def _inlined(around: Callable[[str], str], match: re.Match[str]) -> str:
-    return around(script(match[1]))

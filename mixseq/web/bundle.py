@@ -13,11 +13,9 @@ SEQUENCE = "decoder/sequence.js"
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]+)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(function\*?|class|const|let) (\w+)([^\n]*))", re.MULTILINE)
 _AGAIN = re.compile(r"^export \{([\w, ]*)\};\n", re.MULTILINE)
-_TOKEN = re.compile(
-    r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
-    r"""|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)""",
-    re.DOTALL,
-)
+_TEXT = r"""(?P<text>"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'|`(?:\\.|[^`\\])*`)"""
+_TOKEN = re.compile(_TEXT + r"|/\*.*?\*/|[ \t]*//[^\n]*|(?P<gap>\s*\n\s*)", re.DOTALL)
+_SPACED = re.compile(_TEXT + r"| ?(?P<sign>[-+]=|[=,;:?{}()\[\]<>*&|]) ?")
 
 
 def module(path: str) -> str:
@@ -77,10 +75,10 @@ def _exported(source: str) -> str:
 
 
 def stripped(source: str) -> str:
-    """Return scripts without comments and indentation; they have no regular expressions with quotes or slashes."""
+    """Return scripts without comments, indentation and most spaces; they have no regular expressions with signs."""
 
     def kept(match: re.Match[str]) -> str:
         return match["text"] or ("\n" if match["gap"] else "")
 
     once = _TOKEN.sub(kept, source)
-    return _TOKEN.sub(kept, once).lstrip()
+    return _SPACED.sub(lambda match: match["text"] or match["sign"], _TOKEN.sub(kept, once).lstrip())

@@ -32,6 +32,7 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
 from mixseq.viewing import live
 from mixseq.viewing.session import Save
+from tests.viewing.pages import Opened
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +63,7 @@ PATIENCE = 60.0
         ),
         ("view bar.npz --port 0", "--port.*0 is not in the range"),
         ("view bar.npz --every 2", "--every is about pages; give --export as well"),
-        ("view bar.npz --largest 10", "--largest is about pages; give --export as well"),
+        ("view bar.npz --max-error 0.1", "--max-error is about pages; give --export as well"),
         ("view bar.npz --against none.npz", "none.npz.* does not exist"),
         ("view bar.npz --against other.npz", "none of the meshes has .* errors need one mesh"),
         ("view bar.npz --prim /mesh", "none of the files is read with an option 'prim'"),
@@ -79,8 +80,8 @@ PATIENCE = 60.0
         ("view none.npz --export new", "new: pages end in .html"),
         ("view bar.npz --export nowhere/new.html", "nowhere does not exist; make it first"),
         ("view bar.npz --export new.html --every 0", "--every.*0 is not in the range"),
-        ("view bar.npz --export new.html --largest 0.001", "more than 0.001 MB; allow more with --largest"),
-        ("view bar.npz --export new.html --largest -1", "-1"),
+        ("view bar.npz --export new.html --max-error -1", "-1"),
+        ("view bar.npz --export new.html --max-error 1e-30", "max_error"),
         ("view none.npz --export new.html", "none.npz.* does not exist"),
         ("view bar.npz --export new.html --against other.npz", "errors need one mesh"),
     ],
@@ -123,13 +124,22 @@ def test_a_page(run: Run, monkeypatch: pytest.MonkeyPatch, files: list[str]) -> 
     monkeypatch.setitem(sys.modules, "viser", None)  # which pages do not need
     result = run("view", *files, "--export", "new.html")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert re.fullmatch(
-        r"wrote new\.html \(.*\)\nno coordinate is off by more than .*, of the meshes' own units\n",
-        result.stdout,
-    )
-    text = Path("new.html").read_text(encoding="utf-8")
-    assert text.startswith("<!doctype html>") or text.startswith("<!DOCTYPE html>")
-    assert all(file in text for file in files)
+    said = r"o vertex is off by more than 0\.001 of the diagonal, \S+ units\n"
+    lines = [f"{re.escape(file)}: n{said}" for file in files] if len(files) > 1 else [f"n{said}"]
+    assert re.fullmatch(r"wrote new\.html \(.*\)\n" + "".join(lines), result.stdout)
+    page = Opened(Path("new.html"))
+    assert page.text.startswith("<!doctype html>")
+    assert [item.description["name"] for item in page.items] == files
+
+
+def test_a_page_of_a_compressed_model(run: Run) -> None:
+    """Its frames are on the page as they are in the file, whatever error the page may have."""
+    assert run("encode", "bar.npz", "small.h5", "--max-error", "0.02", "-q").exit_code == 0
+    result = run("view", "small.h5", "--export", "new.html", "--max-error", "1e-6")
+    assert "no vertex is off by more than 0.02 of the diagonal" in result.stdout
+    model, item = mixseq.load("small.h5"), Opened(Path("new.html")).items[0]
+    for elapsed in (0.0, 0.17):
+        assert np.array_equal(item.model(item.model.start + elapsed), model(model.start + elapsed))
 
 
 def test_a_page_with_fewer_frames(run: Run) -> None:
@@ -142,16 +152,16 @@ def test_a_page_with_fewer_frames(run: Run) -> None:
 
 def test_a_page_with_everything_in_one_place(run: Run) -> None:
     pages = []
-    for options in ((), ("--overlaid",)):
+    for options in ((), ("--overlaid",), ("--follow",)):
         assert run("view", "bar.npz", "model.h5", "--export", "new.html", *options).exit_code == 0
         pages.append(Path("new.html").read_bytes())
-    assert pages[0] != pages[1]
+    assert len(set(pages)) == 3
 
 
 def test_a_page_replaces_a_page(run: Run, folder: Path) -> None:
     (folder / "old.html").write_text("somebody's work")
     assert run("view", "bar.npz", "--against", "bar.usdc", "--export", "old.html", "-q").exit_code == 0
-    assert "error" in (folder / "old.html").read_text(encoding="utf-8")
+    assert "error" in Opened(folder / "old.html").items[0].colours
 
 
 # The viewer, by what it is told -----------------------------------------------------------------------------

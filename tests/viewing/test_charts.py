@@ -137,6 +137,7 @@ def charts(small: Page, signals: dict[str, Any]) -> Iterator[Charts]:
     assert small.evaluate("() => Object.keys(window).filter((name) => /^mixseq/.test(name)).sort()") == [
         "mixseqChartParts",
         "mixseqCharts",
+        "mixseqFrame",
     ]
 
 

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from mixseq.creature import walk_cycle
 from mixseq.scene import SceneItem
-from mixseq.scene.camera import y_up
 from mixseq.scene.colouring import colourings_of
+from mixseq.scene.vertex_measures import MEASURES
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
 from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
 from mixseq.viewing.gathering import PageItem
-from mixseq.viewing.streaming import integers
 from tests.meshes import bar
 from tests.viewing.conftest import SCREENSHOTS, Keep, NewPage, Watched
+from tests.viewing.pages import Opened
 
 pytestmark = pytest.mark.slow
 
@@ -117,7 +117,7 @@ class Player:
 
 RESTORE = """async () => {
   const element = (id) => document.getElementById(id);
-  const first = { loop: true, smooth: true, wires: false, ground: true, fold: false };
+  const first = { loop: true, smooth: true, wires: false, follow: false, ground: true, fold: false };
   for (const [id, on] of Object.entries(first)) {
     if (!element(id).hidden && element(id).getAttribute("aria-pressed") !== String(on)) element(id).click();
   }
@@ -187,26 +187,57 @@ def two(opened_bars: Player, watched: Watched) -> Iterator[Player]:
 def test_only_the_file_is_asked_for(two: Player) -> None:
     two.resize(*WIDE)
     two.seek(0.1)
-    assert two.asked == [two.path.as_uri()]
+    assert [address for address in two.asked if not address.startswith("blob:")] == [two.path.as_uri()]
 
 
-def test_the_browser_finds_the_numbers_that_were_packed(one: Player) -> None:
-    sequence = bar(frames=9)
-    item = one.run(
-        "(({centre, step, faces, positions, colourings}) => ({centre, step, faces: [...faces],"
-        " positions: [...positions], colours: colourings.map((c) => [c.name, [...c.indices]])}))(mixseqPlayer.items[0])"
-    )
-    assert item["faces"] == sequence.faces.ravel().tolist()
-    expected = integers(y_up(sequence.points, "Y"), np.array(item["centre"]), item["step"]).view(np.int16)
-    assert item["positions"] == expected.ravel().tolist()
-    given = exported("bar", sequence)
-    for name, indices in item["colours"]:
-        colouring, poses = (
-            given.colourings[name],
-            zip(sequence.points, given.mesh.elapsed.tolist(), strict=True),
+POSES = """(async () => {
+  const found = [];
+  const { items, source } = mixseqPlayer, { times, faces } = items[0];
+  for (let pose = 0; pose < times.length; pose++) {
+    const measured = [];
+    for (const measure of ["strain", "curvature"]) {
+      const { top } = items[0].colourings.find(({ name }) => name === measure);
+      measured.push([...(await source.ask("pose", { mesh: 0, pose, time: times[pose], measure, top })).colours]);
+    }
+    const { places, normals } = await source.ask("pose", { mesh: 0, pose, time: times[pose] });
+    found.push({ places: [...places], normals: [...normals], measured });
+  }
+  return { faces: [...faces], found };
+})()"""
+"""All poses, as they are decoded."""
+
+
+@pytest.mark.parametrize(
+    "without", ["", "delete window.Worker", "window.Worker = class { constructor() { throw 0 } }"]
+)
+def test_the_browser_finds_what_python_does(new_page: NewPage, bar_page: Path, without: str) -> None:
+    """Places, and what colours measure of them; in a worker and, where there is none, in the page."""
+    page = new_page(*SMALL)
+    page.add_init_script(without)
+    made = Player(page, bar_page).run(f"await {POSES}")
+    item = Opened(bar_page).items[0]
+    faces = item.model.header.faces
+    assert made["faces"] == faces.ravel().tolist()
+    measures = [
+        (MEASURES[name].of(item.points[0], faces), unit, top)
+        for name, unit, top in zip(
+            ("strain", "curvature"),
+            (100, 1),
+            [each["top"] for each in item.description["colourings"] if "top" in each],
+            strict=True,
         )
-        entries = [colouring.indices(pose, time) for pose, time in poses]
-        assert indices == np.concatenate(entries[:1] if colouring.constant else entries).tolist()
+    ]
+    for pose, points in zip(made["found"], item.points, strict=True):
+        places = np.reshape(pose["places"], (-1, 3)) + item.description["centre"]
+        np.testing.assert_allclose(places, points, atol=2e-6)
+        triangles = points[faces]
+        crosses = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        expected = np.zeros_like(points)
+        np.add.at(expected, faces.ravel(), np.repeat(crosses, 3, axis=0))
+        np.testing.assert_allclose(np.reshape(pose["normals"], (-1, 3)), expected, atol=2e-5)
+        for colours, (measure, unit, top) in zip(pose["measured"], measures, strict=True):
+            shares = np.clip(unit * measure(points) / top, 0, 1)
+            np.testing.assert_allclose(colours, 255 * shares, atol=0.6)
 
 
 def test_names_are_shown_as_they_are(one: Player) -> None:
@@ -214,7 +245,7 @@ def test_names_are_shown_as_they_are(one: Player) -> None:
     assert page.locator(".name").all_inner_texts() == ["a <b>bar</b> & more"]
     assert page.title() == "a <b>bar</b> & more"
     page.click("#about")
-    assert "±" in page.locator("#facts").inner_text()
+    assert "no vertex off by more than" in page.locator("#facts").inner_text()
     page.keyboard.press("Escape")
     assert not page.locator("#help").is_visible()
 
@@ -256,7 +287,7 @@ def test_keys_step_by_frames(one: Player) -> None:
     for key, frame in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", 8), ("ArrowRight", 0)):
         one.page.keyboard.press(key)
         assert one.state()["frame"] == frame, key
-    assert one.page.locator("#now").inner_text().startswith("0 / 8 · 0.00 s")
+    assert one.page.locator("#now").inner_text().startswith("0 / 8 · 0.000 s")
 
 
 def test_scrubbing_moves_the_mesh(one: Player) -> None:
@@ -346,6 +377,30 @@ def test_edges_and_the_ground_can_be_switched(one: Player) -> None:
         assert changed(pictures[-2], pictures[-1]) > 0.005
 
 
+def test_a_body_that_travels_is_followed(new_page: NewPage, tmp_path: Path) -> None:
+    """It is where it was, however far it goes, and the ground moves."""
+    still = bar(frames=1)
+    steps = np.arange(5)[:, None, None] * [3.3, 0, 2.1]
+    moving = MeshSequence.from_arrays(np.repeat(still.points, 5, axis=0) + steps, still.faces, fps=10)
+    export_page(tmp_path / "a.html", [exported("bar", moving)], ExportSettings(following=True))
+    player = Player(new_page(*SMALL), tmp_path / "a.html")
+    assert player.page.get_attribute("#follow", "aria-pressed") == "false", "the fixture turned it off"
+    player.page.click("#ground")
+    for follow, moves in ((False, True), (True, False)):
+        if follow:
+            player.page.click("#follow")
+        pictures = []
+        for time in (0.0, 0.4):
+            player.seek(time)
+            pictures.append(player.picture())
+        assert (changed(*pictures) > 1e-3) == moves
+    player.page.click("#ground")
+    player.seek(0.4)
+    with_ground = player.picture()
+    player.seek(0.3)
+    assert changed(with_ground, player.picture()) > 1e-3
+
+
 def test_the_signals_follow_and_lead(two: Player) -> None:
     page = two.page
     two.resize(*WIDE)
@@ -391,7 +446,7 @@ def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, withou
 
 def test_damaged_pages_are_told(new_page: NewPage, bar_page: Path, tmp_path: Path) -> None:
     text = bar_page.read_text()
-    place = text.index('data-bytes="2">\n') + 200
+    place = text.rindex('data-size="') + 400
     (tmp_path / "a.html").write_text(text[:place] + ("A" if text[place] != "A" else "B") + text[place + 1 :])
     page = new_page(*SMALL)
     page.goto((tmp_path / "a.html").as_uri())

@@ -22,9 +22,6 @@
   /** A time for people: as many digits as pixels of a chart that spans so many seconds can tell. */
   parts.seconds = (time, span) => time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3).replace("-", "\u2212") + " s";
 
-  /** A frame number as mixseq.frame_numbers writes it. */
-  parts.frame = (number) => String(Number(number.toFixed(Math.abs(number - Math.round(number)) < 1e-3 ? 0 : 3))).replace("-", "\u2212");
-
   /** The same without zeros at the end, where it need not keep its width. */
   parts.brief = (time, span) => String(Number(time.toFixed(span > 20 ? 1 : span > 2 ? 2 : 3))).replace("-", "\u2212") + " s";
 

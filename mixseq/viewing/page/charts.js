@@ -41,7 +41,7 @@ var mixseqCharts = function (root, handlers = {}, options = {}) {
   /** How times of signals that last `span` seconds are told: with the frame, or on pages, which move on between frames, the nearest. */
   shared.tell = (span) => (time) => {
     const number = time * shared.signals.fps;
-    return `${parts.seconds(time, span)} \u00b7 ${parts.frame(shared.editable ? number : Math.round(number))}`;
+    return `${parts.seconds(time, span)} \u00b7 ${mixseqFrame(shared.editable ? number : Math.round(number))}`;
   };
 
   function present(seconds) {

@@ -4,14 +4,13 @@
 /**
  * Make a renderer of a canvas, or null where there is no WebGL 2.
  *
- * `meshOf(item)` makes a mesh of {vertices, faces, positions, centre, step, colourings: [{palette, indices, constant}]};
- * `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is
- * {box: [left, top, width, height] in pixels of the page, shown: [{mesh, pose, share, colouring, tint}], rows: rotation
- * to the screen, target: what is looked at, scale: pixels per unit, shift: pixels from the middle, ground: its height,
+ * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `draw(panels, look, quality)` draws
+ * pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
+ * page, shown: [{mesh, now, next, share, colouring, tint, moved}], rows: rotation to the screen, target: what is looked at, scale: pixels per unit, shift: pixels from the middle, ground: its height,
  * reach: half the side of the ground that has shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
  */
 var mixseqRenderer = function (canvas) {
-  const ATTRIBUTES = ["x0", "y0", "z0", "x1", "y1", "z1", "n0", "n1", "c0", "c1"];
+  const ATTRIBUTES = ["p0", "p1", "n0", "n1", "c0", "c1"];
   const SHADOW_PIXELS = 256, HEAT_CONTRAST = 0.25;
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
   if (!gl) return null;
@@ -24,17 +23,15 @@ var mixseqRenderer = function (canvas) {
   // Meshes --------------------------------------------------------------------------------------------------------
 
   function meshOf(item) {
-    const mesh = { ...item, slots: [newSlot(item), newSlot(item)], edges: null, textures: item.colourings.map((c) => newPalette(c.palette)) };
+    const mesh = { ...item, slots: [newSlot(item), newSlot(item)], edges: null, textures: item.colourings.map(newPalette) };
     mesh.triangles = newBuffer(gl.ELEMENT_ARRAY_BUFFER, item.faces);
     return mesh;
   }
 
   /** Buffers of one pose. Poses take turns: the even ones are in one slot, the odd ones in the other. */
   function newSlot({ vertices }) {
-    return {
-      pose: -1, colouring: -1,
-      positions: newBuffer(gl.ARRAY_BUFFER, 6 * vertices), normals: newBuffer(gl.ARRAY_BUFFER, 12 * vertices), indices: newBuffer(gl.ARRAY_BUFFER, vertices),
-    };
+    const [places, normals, colours] = [12, 12, 1].map((bytes) => newBuffer(gl.ARRAY_BUFFER, bytes * vertices));
+    return { pose: null, shown: null, places, normals, colours };
   }
 
   function newBuffer(target, dataOrSize) {
@@ -45,28 +42,27 @@ var mixseqRenderer = function (canvas) {
     return buffer;
   }
 
-  function newPalette(colours) {
-    const texture = gl.createTexture();
+  /** Of colours that mean numbers the page has some of 256, and those between are mixed. */
+  function newPalette({ palette, top }) {
+    const texture = gl.createTexture(), last = palette.length - 1;
+    const mixed = (place) => palette[Math.floor(place)].map((value, k) => value + (place % 1) * (palette[Math.ceil(place)][k] - value));
+    const entry = (k) => (top ? mixed((k / 255) * last) : palette[Math.min(k, last)]);
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(colours));
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, Uint8Array.from({ length: 768 }, (_, k) => Math.round(entry(Math.floor(k / 3))[k % 3])));
     for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
     return texture;
   }
 
   /** The slot with a pose and its colours, which are sent to the card unless they are there. */
   function slotOf(mesh, pose, colouring) {
-    const slot = mesh.slots[pose & 1];
+    const slot = mesh.slots[pose.number & 1], shown = pose.colours ?? mesh.colourings[colouring].of?.(pose.number) ?? new Uint8Array(mesh.vertices);
     if (slot.pose !== pose) {
-      const places = mesh.positions.subarray(3 * pose * mesh.vertices, 3 * (pose + 1) * mesh.vertices);
-      fill(slot.positions, places);
-      fill(slot.normals, mixseqGeometry.normals(mesh, places));
+      fill(slot.places, pose.places);
+      fill(slot.normals, pose.normals);
     }
-    if (slot.pose !== pose || slot.colouring !== colouring) {
-      const { indices, constant } = mesh.colourings[colouring], start = constant ? 0 : pose * mesh.vertices;
-      fill(slot.indices, indices.subarray(start, start + mesh.vertices));
-    }
-    return Object.assign(slot, { pose, colouring });
+    if (slot.shown !== shown) fill(slot.colours, shown);
+    return Object.assign(slot, { pose, shown });
   }
 
   function fill(buffer, data) {
@@ -77,29 +73,29 @@ var mixseqRenderer = function (canvas) {
   /** The edges of a mesh as a buffer of pairs; made when it is first wanted. */
   function edgesOf(mesh) {
     if (!mesh.edges) {
-      const pairs = mixseqGeometry.edges(mesh);
-      mesh.edges = { buffer: newBuffer(gl.ELEMENT_ARRAY_BUFFER, pairs), count: pairs.length };
+      const { edges } = mixseqTopology(mesh);
+      mesh.edges = { buffer: newBuffer(gl.ELEMENT_ARRAY_BUFFER, edges), count: edges.length };
     }
     return mesh.edges;
   }
 
   /** Prepare what is shown for drawing; returns the uniforms that place it. */
-  function bindPose({ mesh, pose, share, colouring }, target) {
-    const now = slotOf(mesh, pose, colouring), next = share > 0 ? slotOf(mesh, pose + 1, colouring) : now;
+  function bindPose({ mesh, now, next, share, colouring, moved }, target) {
+    const slots = [now, next].map((pose) => slotOf(mesh, pose, colouring));
     gl.bindVertexArray(arrays);
-    [now, next].forEach((slot, k) => {
-      for (let axis = 0; axis < 3; axis++) attribute("xyz"[axis] + k, slot.positions, 1, gl.SHORT, 2 * axis * mesh.vertices);
-      attribute("n" + k, slot.normals, 3, gl.FLOAT, 0);
-      attribute("c" + k, slot.indices, 1, gl.UNSIGNED_BYTE, 0);
+    slots.forEach(({ places, normals, colours }, k) => {
+      attribute("p" + k, places, 3, gl.FLOAT);
+      attribute("n" + k, normals, 3, gl.FLOAT);
+      attribute("c" + k, colours, 1, gl.UNSIGNED_BYTE);
     });
-    return { share, unit: mesh.step, origin: mesh.centre.map((value, k) => value - target[k]) };
+    return { share, origin: mesh.centre.map((value, k) => value - target[k] - moved[k]) };
   }
 
-  function attribute(name, buffer, size, type, offset) {
+  function attribute(name, buffer, size, type) {
     const place = ATTRIBUTES.indexOf(name);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.enableVertexAttribArray(place);
-    gl.vertexAttribPointer(place, size, type, false, 0, offset);
+    gl.vertexAttribPointer(place, size, type, false, 0, 0);
   }
 
   function drawElements(kind, buffer, count) {
@@ -179,7 +175,7 @@ var mixseqRenderer = function (canvas) {
     for (const item of panel.shown) drawMesh(item, panel, look, screen);
   }
 
-  function drawGround({ target, ground, reach, size, rows }, look, screen, window) {
+  function drawGround({ shown, target, ground, reach, size, rows }, look, screen, window) {
     const cell = roundLength(size / 6), radius = 1.5 * Math.max(size, reach);
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
@@ -188,7 +184,7 @@ var mixseqRenderer = function (canvas) {
     gl.bindTexture(gl.TEXTURE_2D, shadows[0].texture);
     use("ground", {
       ...screen, ground: ground - target[1], radius, reach, cell, shadow: 0, line: look.line, shade: look.shade, window, edge: look.edge,
-      origin: [-target[0] % cell, -target[2] % cell], opacity: Math.min(Math.max(1 + 12 * upward(rows), 0), 1), // from below there is no ground
+      origin: [0, 2].map((k) => -(target[k] + shown[0].moved[k]) % cell), opacity: Math.min(Math.max(1 + 12 * upward(rows), 0), 1), // from below there is no ground
     });
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     gl.disable(gl.BLEND);
@@ -197,7 +193,7 @@ var mixseqRenderer = function (canvas) {
   function drawMesh(item, { target }, look, screen) {
     const { mesh, colouring } = item, place = bindPose(item, target);
     gl.bindTexture(gl.TEXTURE_2D, mesh.textures[colouring]);
-    use("mesh", { ...screen, ...place, palette: 0, tint: item.tint, contrast: mesh.colourings[colouring].constant ? 1 : HEAT_CONTRAST });
+    use("mesh", { ...screen, ...place, palette: 0, tint: item.tint, contrast: mesh.colourings[colouring].top ? HEAT_CONTRAST : 1 });
     if (look.wires) gl.enable(gl.POLYGON_OFFSET_FILL); // edges are in front of the triangles that they bound
     gl.polygonOffset(1, 1);
     drawElements(gl.TRIANGLES, mesh.triangles, mesh.faces.length);

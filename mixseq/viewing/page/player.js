@@ -1,55 +1,52 @@
-// The page: unpacks what it holds, and connects the controls with the clock and with what is drawn.
+// The page: opens the meshes that it holds, and connects the controls with the clock and with what is drawn.
 "use strict";
 
 (async function () {
   const element = (id) => document.getElementById(id);
-  const description = JSON.parse(element("description").textContent);
+  const { decoder, data, description } = mixseqPage;
   const canvas = element("view");
   const SLOW = 90; // milliseconds between frames
+  const AHEAD = 8; // poses that are decoded before they are shown
   const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
   const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
-
-  document.title = description.title;
 
   // What is in the page -------------------------------------------------------------------------------------------
 
   function fail(text) {
-    element("message").textContent = text;
-    element("message").setAttribute("role", "alert");
     element("bar").hidden = element("side").hidden = true;
-    document.documentElement.dataset.state = "failed";
+    mixseqFail(text);
   }
 
-  /** Unpack all streams: triangles, positions and colours of one item after the other. */
-  async function unpackAll(items) {
-    const streams = [...document.querySelectorAll('script[type="application/octet-stream"]')];
-    const all = streams.reduce((sum, stream) => sum + stream.textContent.length, 0);
-    let read = 0;
-    const next = () => mixseqUnpack.unpack(streams.shift(), (characters) => {
-      read += characters;
-      element("message").textContent = `Unpacking: ${Math.round((100 * read) / all)} %`;
-    });
-    for (const item of items) {
-      item.faces = await next();
-      item.positions = await next();
-      for (const colouring of item.colourings) colouring.indices = await next();
+  const damaged = (error) => fail(`The page is damaged: ${error.message}. Try to get it again.`);
+
+  /** Colours that are stored: of all poses one after the other, or once for all. */
+  async function unpackColours(colouring, { vertices, times }, bytes) {
+    const rows = new Uint8Array(await mixseqInflated(bytes)), all = rows.length === vertices * times.length;
+    for (let k = 0; k < rows.length; k++) {
+      const first = k % vertices === 0;
+      rows[k] += (first ? 0 : rows[k - 1]) + (k < vertices ? 0 : rows[k - vertices]) - (first || k < vertices ? 0 : rows[k - vertices - 1]);
     }
+    colouring.of = (pose) => rows.subarray(all ? pose * vertices : 0).subarray(0, vertices);
   }
 
-  if (!mixseqUnpack.possible()) {
-    return fail("This browser cannot unpack the page: it has no DecompressionStream. Browsers from 2023 on have it, such as Chrome 80, Firefox 113 and Safari 16.4.");
+  /** Open a mesh: its triangles, its times, and the colours that are stored. */
+  async function openItem(item) {
+    const [streams, ...stored] = data.splice(0, 1 + item.colourings.filter((colouring) => colouring.data).length);
+    const opened = await source.ask("open", { coding: item.coding, streams });
+    Object.assign(item, opened, { times: item.times ?? opened.times, last: null });
+    for (const colouring of item.colourings) if (colouring.data) await unpackColours(colouring, item, stored[colouring.data - 1]);
   }
+
   let renderer = mixseqRenderer(canvas);
   if (!renderer) {
     return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
   }
-  const items = description.items, began = performance.now();
+  const items = description.items, source = mixseqPoseSource(decoder, () => redraw(), damaged);
   try {
-    await unpackAll(items);
+    for (const item of items) await openItem(item);
   } catch (error) {
-    return fail(`The page is damaged: ${error.message}. Try to get it again.`);
+    return damaged(error);
   }
-  const unpackedIn = performance.now() - began;
   let meshes = items.map(renderer.meshOf);
 
   // State ---------------------------------------------------------------------------------------------------------
@@ -57,7 +54,7 @@
   const period = description.period, clock = mixseqClock(items, period, redraw);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
-  const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, colour: "" };
+  const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, following: description.following, colour: "" };
   let panels = [], drawn = 0, asked = false, last = null, pace = 0;
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
@@ -85,13 +82,45 @@
       pace = 0.8 * pace + 0.2 * (now - last);
     }
     last = clock.playing ? now : null;
-    panels = stage.panels(items, camera, state.overlaid, element("legend").dataset.wanted === "true");
-    const shown = items.map((item, k) => ({ mesh: meshes[k], ...clock.poseAt(item), colouring: colouringOf(item), tint: stage.tint(k, tinted()) }));
-    panels.forEach((panel, k) => (panel.shown = state.overlaid ? shown : [shown[k]]));
-    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), background: background(), wires: state.wires, grid: state.grid }, quality());
+    const shown = items.map(shownOf);
+    source.want(upcoming());
+    if (shown.every(Boolean)) show(shown);
     tellTime();
-    drawn++;
     if (clock.playing) redraw();
+  }
+
+  /** Which pose of a mesh: where its vertices are, and what colours show. */
+  function request(mesh, pose) {
+    const { name, top, data: stored } = items[mesh].colourings[colouringOf(items[mesh])];
+    return { mesh, pose, time: items[mesh].times[pose], ...(top && !stored ? { measure: name, top } : {}) };
+  }
+
+  /** The poses of this moment and of those to come, the first first. */
+  function upcoming() {
+    const poses = items.map((item) => clock.poseAt(item).pose);
+    return Array.from({ length: AHEAD }, (_, k) => poses.map((pose, mesh) => request(mesh, (pose + k) % items[mesh].times.length))).flat();
+  }
+
+  /** What is shown of a mesh now: two poses, and how far it is between them; those of before, until they are decoded. */
+  function shownOf(item, mesh) {
+    const { pose, share } = clock.poseAt(item), now = source.find(request(mesh, pose)), next = share > 0 ? source.find(request(mesh, pose + 1)) : now;
+    item.ready = Boolean(now && next);
+    if (item.ready) item.last = { now, next, share, colouring: colouringOf(item) };
+    return item.last;
+  }
+
+  function show(shown) {
+    const drawable = shown.map((each, k) => ({ ...each, mesh: meshes[k], tint: stage.tint(k, tinted()), moved: movedBy(each, items[k]) }));
+    panels = stage.panels(items, camera, state);
+    panels.forEach((panel, k) => (panel.shown = state.overlaid ? drawable : [drawable[k]]));
+    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), background: background(), wires: state.wires, grid: state.grid }, quality());
+    element("message").hidden = true;
+    drawn++;
+  }
+
+  /** How far the camera has gone with a body. */
+  function movedBy({ now, next, share }, { centre }) {
+    return now.middle.map((value, k) => (state.following && k !== 1 ? value + share * (next.middle[k] - value) + centre[k] : 0));
   }
 
   /** Where there is no graphics card, half the pixels each way have to do while it moves. */
@@ -106,9 +135,9 @@
   const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
 
   function tellTime() {
-    const { start, fps } = base(), frame = (time) => mixseqChartParts.frame((start + time) * fps), slider = element("time");
+    const { start, fps } = base(), frame = (time) => mixseqFrame((start + time) * fps), slider = element("time");
     const number = frame(clock.moments[clock.number()]), last = frame(clock.moments[clock.moments.length - 1]);
-    const seconds = (start + clock.time).toFixed(2);
+    const seconds = (start + clock.time).toFixed(3);
     slider.value = clock.time;
     slider.setAttribute("aria-valuetext", `frame ${number} of ${last}, ${seconds} seconds`);
     element("now").textContent = `${number.padStart(last.length, "\u2007")} / ${last} · ${seconds} s`;
@@ -118,7 +147,7 @@
   }
 
   function arrange() {
-    panels = stage.panels(items, camera, state.overlaid, element("legend").dataset.wanted === "true");
+    panels = stage.panels(items, camera, state);
     stage.placeNames(items, panels, state.overlaid, tinted());
     redraw();
   }
@@ -186,11 +215,10 @@
   function tellFacts() {
     element("help-title").textContent = description.title;
     const number = (value) => value.toLocaleString("en");
-    const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqChartParts.frame((start + times[k]) * fps)).join(" to ");
-    const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, triangles, times, numbers, step: unit }) =>
-      `${name}: ${number(vertices)} vertices, ${number(triangles)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
-      `positions rounded to ±${(unit / 2).toPrecision(2)} units`);
-    facts.push("Positions are stored in 16 bits, 65,534 steps along the longest side of what a mesh moves in; colours that mean numbers have 256 steps.");
+    const frames = ({ times, start, fps }) => [...new Set([0, times.length - 1])].map((k) => mixseqFrame((start + times[k]) * fps)).join(" to ");
+    const facts = items.map((item) => ({ ...item, numbers: frames(item) })).map(({ name, vertices, faces, times, numbers, error }) =>
+      `${name}: ${number(vertices)} vertices, ${number(faces.length / 3)} triangles, ${number(times.length)} ${times.length > 1 ? "frames" : "frame"} (${numbers}), ` +
+      `no vertex off by more than ${error} units in a frame`);
     facts.push(`Made with mixseq ${description.version}.`);
     element("facts").replaceChildren(...facts.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
   }
@@ -227,12 +255,14 @@
     toggle("loop", clock, "loop");
     toggle("smooth", clock, "smooth");
     toggle("wires", state, "wires");
+    toggle("follow", state, "following");
+    press("follow", state.following);
     toggle("ground", state, "grid");
     element("reset").onclick = camera.reset;
     element("about").onclick = () => element("help").showModal();
     element("fold").onclick = () => fold(element("side").hidden);
     element("layout-choice").hidden = items.length < 2;
-    element("transport").hidden = element("speed-choice").hidden = element("loop").hidden = element("smooth").hidden = !period;
+    for (const id of ["transport", "speed-choice", "loop", "smooth", "follow"]) element(id).hidden = !period;
     element("fold").hidden = !withSignals.length;
     element("side-choice").hidden = withSignals.length < 2;
     withSignals.forEach(({ name }, k) => element("side-item").add(new Option(name, k)));
@@ -257,7 +287,6 @@
     });
   }
 
-  element("message").hidden = true;
   element("bar").hidden = false;
   connect();
   tellFacts();
@@ -269,14 +298,14 @@
 
   // For tests: what is shown, and where.
   window.mixseqPlayer = {
-    seek: clock.seek, play: clock.play, items, unpackedIn,
+    seek: clock.seek, play: clock.play, items, source,
     state: () => {
       const { time, playing, speed, loop, smooth, moments } = clock, { yaw, pitch, zoom, pan } = camera;
       return { ...state, time, playing, speed, loop, smooth, drawn, period, moments: moments.length, frame: clock.number(), yaw, pitch, zoom, pan };
     },
-    /** Wait until all is drawn that was asked for. */
+    /** Wait until all is decoded and drawn that was asked for. */
     settled: async () => {
-      while (asked) await new Promise(requestAnimationFrame);
+      while (asked || !items.every((item) => item.ready)) await new Promise(requestAnimationFrame);
     },
   };
   document.documentElement.dataset.state = "ready";

@@ -2,13 +2,12 @@
 "use strict";
 
 var mixseqShaders = (function () {
-  // Attributes: a pose and the next one, x, y and z one after the other; `share` is how far the mesh is between them.
+  // Attributes: a pose and the next one; `share` is how far the mesh is between them.
   const POSE = `#version 300 es
-    in float x0, y0, z0, x1, y1, z1;
+    in vec3 p0, p1;
     uniform float share;
-    uniform vec3 origin;  // where the integers are zero, seen from what the camera looks at
-    uniform float unit;   // length of their steps
-    vec3 place() { return origin + unit * mix(vec3(x0, y0, z0), vec3(x1, y1, z1), share); }`;
+    uniform vec3 origin;  // seen from what the camera looks at
+    vec3 place() { return origin + mix(p0, p1, share); }`;
 
   // Orthographic: pixels per unit, and where the camera's target is on the screen.
   const SCREEN = `

@@ -2,7 +2,7 @@
 "use strict";
 
 /**
- * Make a stage in the elements of the page. `panels(items, camera, overlaid)` tells the renderer what to look at, without
+ * Make a stage in the elements of the page. `panels(items, camera, state)` tells the renderer what to look at, without
  * what is shown; `placeNames` writes the names, `legend` tells what colours mean.
  */
 var mixseqStage = function (stage, names, legendElement) {
@@ -12,11 +12,11 @@ var mixseqStage = function (stage, names, legendElement) {
   /** Factors of the clay of overlaid meshes, by which they can be told apart. */
   const tint = (number, overlaid) => (overlaid ? TINTS[number % TINTS.length] : TINTS[0]);
 
-  /** What holds several items, and how it is first seen; `view` is 0 for their own views, 1 for that of the first item. */
-  function frame(items, view) {
-    const low = [0, 1, 2].map((k) => Math.min(...items.map((item) => item.low[k])));
-    const high = [0, 1, 2].map((k) => Math.max(...items.map((item) => item.high[k])));
-    const seen = [Math.min, Math.max, Math.min, Math.max].map((nearest, k) => nearest(...items.map((item) => item.seen[view][k])));
+  /** What holds several extents, and how it is first seen; `view` is 0 for their own views, 1 for that of the first item. */
+  function frame(extents, view) {
+    const low = [0, 1, 2].map((k) => Math.min(...extents.map((extent) => extent.low[k])));
+    const high = [0, 1, 2].map((k) => Math.max(...extents.map((extent) => extent.high[k])));
+    const seen = [Math.min, Math.max, Math.min, Math.max].map((nearest, k) => nearest(...extents.map((extent) => extent.seen[view][k])));
     return { low, high, seen, target: low.map((value, k) => (value + high[k]) / 2) };
   }
 
@@ -35,10 +35,11 @@ var mixseqStage = function (stage, names, legendElement) {
     });
   }
 
-  function panels(items, camera, overlaid, hasLegend) {
-    const view = overlaid ? 1 : 0, first = items[0];
+  function panels(items, camera, { overlaid, following }) {
+    const view = overlaid ? 1 : 0, first = items[0], hasLegend = legendElement.dataset.wanted === "true";
+    const extents = (group) => group.map((item) => (following ? item.following : item.still));
     const together = overlaid ? [items] : items.map((item) => (item.likeFirst ? items.filter((other) => other.likeFirst) : [item]));
-    const below = hasLegend ? LEGEND_HEIGHT : 0, frames = together.map((group) => ({ ...frame(group, view), ...viewOf(overlaid ? first : group[0]) }));
+    const below = hasLegend ? LEGEND_HEIGHT : 0, frames = together.map((group) => ({ ...frame(extents(group), view), ...viewOf(overlaid ? first : group[0]) }));
     const sizes = frames.map(pictureSize), width = stage.clientWidth, height = stage.clientHeight - below;
     const aspect = sizes.map((size) => size[0] / size[1]).sort((a, b) => a - b)[sizes.length >> 1];
     return boxes(frames.length, width, height, aspect).map(([left, top, across, down], k) => {
@@ -85,7 +86,7 @@ var mixseqStage = function (stage, names, legendElement) {
   function chip(item, number, tinted) {
     const text = document.createElement("span");
     if (tinted) {
-      const colour = item.colourings[0].palette.slice(0, 3).map((value, k) => Math.min(value * TINTS[number % TINTS.length][k], 255));
+      const colour = item.colourings[0].palette[0].map((value, k) => Math.min(value * TINTS[number % TINTS.length][k], 255));
       const square = text.appendChild(document.createElement("i"));
       square.style.background = `rgb(${colour.map(Math.round).join(",")})`;
     }
@@ -98,11 +99,10 @@ var mixseqStage = function (stage, names, legendElement) {
     const [name, scale] = legendElement.children, [bar, numbers] = scale.children;
     legendElement.hidden = !colouring || colouring.name === "clay";
     if (legendElement.hidden) return;
-    scale.hidden = colouring.constant;
-    name.textContent = colouring.constant ? (colouring.name === "parts" ? "Each colour is a rigid part, red are joints" : colouring.name) : label(colouring);
-    if (colouring.constant) return;
-    const stops = Array.from({ length: 17 }, (_, k) => colouring.palette.slice(3 * Math.min(16 * k, 255), 3 * Math.min(16 * k, 255) + 3));
-    bar.style.background = `linear-gradient(90deg, ${stops.map((rgb) => `rgb(${rgb.join(",")})`).join(",")})`;
+    scale.hidden = !colouring.top;
+    name.textContent = colouring.top ? label(colouring) : colouring.name === "parts" ? "Each colour is a rigid part, red are joints" : colouring.name;
+    if (!colouring.top) return;
+    bar.style.background = `linear-gradient(90deg, ${colouring.palette.map((rgb) => "rgb(" + rgb.join(",") + ")").join(",")})`;
     [0, colouring.top / 2, colouring.top].forEach((value, k) => (numbers.children[k].textContent = `${+value.toPrecision(3)}`));
   }
 

@@ -1,0 +1,239 @@
+"""A mesh of a page, compressed: its streams, the colours that cannot be worked out of them, and what describes it.
+
+Vertices are numbered as it takes the fewest bytes, without texture coordinates and whatever else a page does not draw.
+Strain and curvature are measured by the page itself; parts and errors are stored, as places in a palette.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mixseq.arrays import Float, FloatArray, Index
+from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
+from mixseq.coding.encoder.compress import compress
+from mixseq.coding.encoder.numbering import cheapest_numbering
+from mixseq.frame_store import blocks_of
+from mixseq.progress import Progress, silent
+from mixseq.scene.camera import y_up
+from mixseq.scene.colouring import Bytes, Colouring
+from mixseq.scene.vertex_measures import MEASURES
+from mixseq.sequence import SequenceHeader
+from mixseq.surface import Surface
+from mixseq.viewing.gathering import Extent, Gathered, PageItem
+from mixseq.viewing.packing import deflated_rows
+from mixseq_io.coded.packing import pack
+
+DECODED = 2
+"""The revision of the coding that `mixseq.web` decodes; what has an older one is compressed anew."""
+
+STOP = 15
+"""Of a palette of 256 colours for numbers, every so many are in the page; it mixes those between. Ours."""
+
+DIGITS = 5
+"""Digits of places, of the side of the box that a mesh moves in: as many as a screen can show."""
+
+
+@dataclass(frozen=True)
+class PageItemReport:
+    """What became of a mesh in a page.
+
+    Attributes
+    ----------
+    name : str
+        What stands above it.
+    frames : int
+        Its poses.
+    max_error : float
+        No vertex is farther from where it was, in diagonals of the bounding box of the first pose.
+    error : float
+        The same in units of the mesh.
+    positions, colours : int
+        Bytes that its mesh and motion, and its colours, take before they are text.
+    """
+
+    name: str
+    frames: int
+    max_error: float
+    error: float
+    positions: int
+    colours: int
+
+
+@dataclass(frozen=True, eq=False)
+class PageMesh:
+    """A mesh in a page.
+
+    Attributes
+    ----------
+    description : dict
+        What the page must know, as JSON takes it.
+    data : list of bytes
+        The streams, and colours that are stored.
+    report : PageItemReport
+        How exact it is, and how large.
+    """
+
+    description: dict[str, Any]
+    data: list[bytes]
+    report: PageItemReport
+
+
+def page_mesh(
+    shown: PageItem,
+    elapsed: Float,
+    gathered: Gathered,
+    tops: Mapping[str, float],
+    max_error: float,
+    progress: Progress = silent,
+) -> PageMesh:
+    """Compress the poses of `gather`, unless they are compressed already, and describe them.
+
+    Parameters
+    ----------
+    shown : PageItem
+        The mesh.
+    elapsed : (n,) float64
+        Times of its poses.
+    gathered : Gathered
+        Its poses.
+    tops : mapping of str to float
+        Where the scales of colours end.
+    max_error : float
+        Bound, in diagonals.
+    progress : callable, optional
+        Told how far it is.
+
+    Raises
+    ------
+    SettingsError
+        If the bound is beyond the digits of the coordinates.
+    """
+    header = shown.mesh.header
+    if shown.coded is None or shown.coded.parameters.revision < DECODED:
+        centre = gathered.poses[:1][0].mean(axis=0, dtype=np.float64)
+        coded, vertices = _compressed(header, elapsed, gathered, centre, max_error, progress)
+    else:
+        centre, vertices = np.zeros(3), np.arange(header.vertex_count)
+        coded = _bare(shown.coded)
+    container = pack(coded)
+    colourings: list[dict[str, Any]] = []
+    stored: list[bytes] = []
+    for name, colouring in shown.colourings.items():
+        description, data = _colours(colouring, tops.get(name, 1.0), elapsed, gathered, vertices)
+        colourings.append(description if data is None else {**description, "data": 1 + len(stored)})
+        stored += [] if data is None else [data]
+    parameters, own = coded.parameters, _own_times(coded.header, elapsed)
+    error = parameters.max_error * parameters.diagonal
+    description = {
+        "name": shown.mesh.name,
+        "coding": container.text.decode("ascii"),
+        "times": None if own else np.round(elapsed, 9).tolist(),
+        "start": float(header.times[0]),
+        "fps": header.fps,
+        "centre": y_up(centre, header.up_axis).tolist(),
+        "likeFirst": gathered.like_first,
+        "azimuth": gathered.views[0].azimuth,
+        "elevation": gathered.views[0].elevation,
+        "still": _extent(gathered.still, gathered),
+        "following": _extent(gathered.following, gathered),
+        "error": float(f"{error:.3g}"),
+        "colourings": colourings,
+        "signals": shown.signals,
+    }
+    sizes = len(container.streams), sum(map(len, stored))
+    report = PageItemReport(shown.mesh.name, len(elapsed), parameters.max_error, error, *sizes)
+    return PageMesh(description, [container.streams, *stored], report)
+
+
+@dataclass(frozen=True, eq=False)
+class _Centred:
+    """Poses that were gathered as a sequence around the origin: the page computes in single precision."""
+
+    header: SequenceHeader
+    gathered: Gathered
+    centre: Float
+
+    def blocks(self, size: int = 16) -> Iterator[FloatArray]:
+        """Yield the points."""
+        poses = self.gathered.poses
+        for start in range(0, len(poses), size):
+            yield poses[start : start + size].astype(np.float64) - self.centre
+
+
+def _compressed(
+    header: SequenceHeader,
+    elapsed: Float,
+    gathered: Gathered,
+    centre: Float,
+    max_error: float,
+    progress: Progress,
+) -> tuple[CompressedSequence, Index]:
+    """Return poses as they are compressed, and the old number of every vertex."""
+    regular, rate = _regular(elapsed, header.fps)
+    plain = replace(header.with_times(regular, rate), surface=Surface(), name="")
+    numbering = cheapest_numbering(plain, "free")
+    frames = numbering.of_frames(_Centred(plain, gathered, centre))
+    return compress(frames, max_error=max_error, progress=progress, uvs=False), numbering.vertices
+
+
+def _regular(elapsed: Float, fps: float) -> tuple[Float, float]:
+    """Return times with the rate that they have, if they have one, such that they take no bytes; else as they are."""
+    if len(elapsed) > 1:
+        rate = (len(elapsed) - 1) / float(elapsed[-1])
+        times = np.arange(len(elapsed)) / rate
+        if np.allclose(times, elapsed, rtol=0, atol=1e-6 / rate):
+            return times, rate
+    return elapsed, fps
+
+
+def _bare(coded: CompressedSequence) -> CompressedSequence:
+    """Return a compressed sequence without what is on its mesh."""
+    parameters = replace(coded.parameters, uv_steps=None, uv_error=None)
+    return replace(coded, header=replace(coded.header, surface=Surface(), name=""), parameters=parameters)
+
+
+def _own_times(header: SequenceHeader, elapsed: Float) -> bool:
+    """Whether the poses of a page are the frames of what is compressed."""
+    own = header.times - header.times[0]
+    return len(own) == len(elapsed) and np.allclose(own, elapsed, rtol=0, atol=1e-6 / header.fps)
+
+
+def _extent(extent: Extent, gathered: Gathered) -> dict[str, Any]:
+    digits = DIGITS - int(np.ceil(np.log10(extent.side or 1.0)))
+    low, high, seen = (
+        np.round(each, digits).tolist()
+        for each in (extent.low, extent.high, extent.rectangles(gathered.views))
+    )
+    return {"low": low, "high": high, "seen": seen}
+
+
+# Colours --------------------------------------------------------------------------------------------------
+
+
+def _colours(
+    colouring: Colouring, top: float, elapsed: Float, gathered: Gathered, vertices: Index
+) -> tuple[dict[str, Any], bytes | None]:
+    """Return what a page must know of colours, and what it must store of them."""
+    if not colouring.constant:
+        palette = colouring.palette[::STOP]
+        scaled = {"name": colouring.name, "palette": palette.tolist(), "top": top, "unit": colouring.unit}
+        if colouring.name in MEASURES:
+            return scaled, None
+        return scaled, deflated_rows(_rows(colouring.scaled(top), elapsed, gathered, vertices))
+    entries = colouring.indices(gathered.poses[:1][0], 0.0)
+    used, places = np.unique(entries, return_inverse=True)
+    fixed = {"name": colouring.name, "palette": colouring.palette[used].tolist()}
+    if len(used) == 1:
+        return fixed, None
+    return fixed, deflated_rows([places.astype(np.uint8)[vertices]])
+
+
+def _rows(colouring: Colouring, elapsed: Float, gathered: Gathered, vertices: Index) -> Iterator[Bytes]:
+    times = iter(elapsed.tolist())
+    for block in blocks_of(gathered.poses):
+        for pose in block:
+            yield colouring.indices(pose, next(times))[vertices]

@@ -1,0 +1,85 @@
+"""Pages taken apart: what is in them, decoded by Python."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixseq.arrays import Float
+from mixseq.coding.bitstream.compressed_sequence import to_model
+from mixseq.scene.camera import y_up
+from mixseq.signals import Model
+from mixseq.viewing.packing import UNFIT
+from mixseq_io.coded.reading import sequence_of
+from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
+
+_ELEMENT = re.compile(r'<script type="text/plain" data-size="(\d+)">([^<]*)</script>')
+
+
+def bytes_of(text: str, size: int) -> bytes:
+    """Return the bytes that `mixseq.viewing.packing.as_text` wrote: 7 bits of every digit."""
+    digits: list[int] = []
+    for character in text:
+        code = ord(character)
+        digits += [UNFIT[(code >> 7) - 1], code & 127] if code > 127 else [code]
+    bits = np.unpackbits(np.array(digits, np.uint8)[:, None], axis=1)[:, 1:]
+    return np.packbits(bits.reshape(-1)).tobytes()[:size]
+
+
+def rows_of(data: bytes, width: int) -> NDArray[np.uint8]:
+    """Return the rows ``(n, width)`` that `mixseq.viewing.packing.deflated_rows` deflated."""
+    steps = np.frombuffer(zlib.decompress(data), np.uint8).reshape(-1, width)
+    return np.asarray(steps.cumsum(axis=1, dtype=np.uint8).cumsum(axis=0, dtype=np.uint8))
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedItem:
+    """A mesh of a page: what is said of it, its model, and colours that are stored."""
+
+    description: dict[str, Any]
+    model: Model
+    colours: dict[str, NDArray[np.uint8]]
+
+    @property
+    def times(self) -> Float:
+        """Times ``(n,)`` of its poses since the first."""
+        given = self.description["times"]
+        return np.asarray(self.model.times - self.model.times[0] if given is None else given)
+
+    @property
+    def points(self) -> Float:
+        """Its poses ``(n, V, 3)``, Y up."""
+        model = self.model
+        poses = np.stack([model(model.start + elapsed) for elapsed in self.times])
+        return np.asarray(y_up(poses, model.header.up_axis) + self.description["centre"])
+
+
+class Opened:
+    """A page taken apart."""
+
+    def __init__(self, path: Path) -> None:
+        self.text = path.read_bytes().decode()
+        streams = iter([bytes_of(text, int(size)) for size, text in _ELEMENT.findall(self.text)])
+        parts = zlib.decompress(next(streams)).decode().split("\0")
+        self.style, self.body, self.decoder, self.scripts = parts[:4]
+        self.description = json.loads(parts[4])
+        self.items = [_item(item, streams) for item in self.description["items"]]
+        assert not list(streams)
+
+
+def _item(description: dict[str, Any], streams: Any) -> OpenedItem:
+    container = Container(description["coding"].encode(), next(streams), CHECKED_VERSION)
+    model = to_model(sequence_of(Path(description["name"]), container))
+    colours = {
+        each["name"]: rows_of(next(streams), model.header.vertex_count)
+        for each in description["colourings"]
+        if "data" in each
+    }
+    return OpenedItem(description, model, colours)
