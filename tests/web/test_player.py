@@ -56,7 +56,8 @@ DRAWN = """([times, vertices, groups]) => {
     card.evaluate(sequence.weights(time), sequence.residuals(time));
     return [read(card.positions, 4), read(card.normals, 3)];
   });
-  return { frames, error: gl.getError() };
+  card.dispose();
+  return { frames, error: gl.getError(), there: gl.isBuffer(card.positions) };
 }"""
 
 
@@ -82,6 +83,7 @@ def drawn(page: Page, times: Float, *vertices: list[int]) -> tuple[FloatArray, F
     """Positions and normals ``(T, V, 3)`` that the graphics card has."""
     told = page.evaluate(DRAWN, [times.tolist(), *(vertices or (None, None))])
     assert told["error"] == 0
+    assert not told["there"]
     positions, normals = (
         np.array([np.frombuffer(b64decode(each), "<f4").reshape(-1, size) for each in frames])
         for frames, size in zip(zip(*told["frames"], strict=True), (4, 3), strict=True)

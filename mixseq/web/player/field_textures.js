@@ -47,8 +47,8 @@ void main() {}`;
 
 /**
  * Positions and normals of vertices as buffers of the graphics card, four floats for each position, the last one 1, and
- * three for each normal; and `evaluate`, which writes them for weights, and what is to be added, as `Sequence.weights` and
- * `Sequence.residuals` have them.
+ * three for each normal; `evaluate`, which writes them for weights, and what is to be added, as `Sequence.weights` and
+ * `Sequence.residuals` have them; and `dispose`, which frees all of it.
  *
  * `fields` are those of the sequence. `vertices` tells which of its vertices each vertex is, if they are not the same, as where
  * they are cut along seams; `triangles` are of these vertices. Those of one of the `groups` share a normal, by default
@@ -59,7 +59,7 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
   const known = fields.parts.reduce((sum, part) => sum + part.vertices.length, 0), { texels, places, order } = fieldLayout(fields, known);
   const named = Int32Array.from(vertices ?? { length: known }, (vertex, k) => vertex ?? k), count = named.length;
   const own = Int32Array.from({ length: 4 * count }, (_, k) => places[4 * named[k >> 2] + (k & 3)]), ring = ringLayout(triangles, groups ?? named);
-  const rows = order.length / 4, weightTexels = new Float32Array(12 * rows), largest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  const rows = order.length / 4, weightTexels = new Float32Array(12 * rows), largest = gl.getParameter(gl.MAX_TEXTURE_SIZE), made = [];
   if (Math.max(rows, texels.length / (4 * WIDTH), ring.pairs.length / (2 * WIDTH)) > largest) {
     throw new MixseqError("the sequence is too large for textures of this graphics card; take its positions from Sequence.at");
   }
@@ -89,6 +89,7 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
 
   function newTexture(format, width, height) {
     const texture = gl.createTexture();
+    made.push(() => gl.deleteTexture(texture));
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
     for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
@@ -100,11 +101,13 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
     gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, false);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, format, type, data);
   }
 
   function newBuffer(data) {
     const buffer = gl.createBuffer();
+    made.push(() => gl.deleteBuffer(buffer));
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_COPY);
     return buffer;
@@ -114,6 +117,7 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
   function newPass(vertexShader, samplers, attributes, target) {
     const program = newProgram(vertexShader), array = gl.createVertexArray(), displaced = gl.getUniformLocation(program, "displaced");
     const feedback = gl.createTransformFeedback();
+    made.push(() => [gl.deleteProgram(program), gl.deleteVertexArray(array), gl.deleteTransformFeedback(feedback)]);
     gl.bindVertexArray(array);
     for (const [name, [size, data]] of Object.entries(attributes)) {
       const location = gl.getAttribLocation(program, name);
@@ -154,6 +158,7 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
       gl.shaderSource(shader, text);
       gl.compileShader(shader);
       gl.attachShader(program, shader);
+      gl.deleteShader(shader); // with the program
       if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
     }
     gl.transformFeedbackVaryings(program, ["result"], gl.INTERLEAVED_ATTRIBS);
@@ -162,5 +167,5 @@ export function fieldTextures(gl, fields, triangles, vertices = null, groups = v
     return program;
   }
 
-  return { count, positions, normals, evaluate };
+  return { count, positions, normals, evaluate, dispose: () => made.forEach((free) => free()) };
 }
