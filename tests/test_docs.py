@@ -154,7 +154,7 @@ def test_code_and_commands_run_from_top_to_bottom(
 
 @pytest.mark.parametrize("name", EVERY_PAGE)
 def test_every_block_is_of_a_language_that_runs(name: str) -> None:
-    found = blocks(name, *RUN, "math", "text")
+    found = blocks(name, *RUN, "math", "text", "js")  # tests/web runs scripts
     assert len(re.findall(r"^ *(?:```|~~~)", page(name), re.MULTILINE)) == 2 * len(found)
     plain = [text for language, text in found if language == "text"]
     assert len(plain) == NO_CODE.get(name, 0)

@@ -27,8 +27,8 @@ def module(path: str) -> str:
 def bundled(*entries: str) -> str:
     """Return modules, and all they import, as one ES module without imports.
 
-    Every module becomes a function that is called once, so that names of different modules do not meet. Comments and
-    indentation are taken away.
+    Every module becomes a function that is called once, so that names of different modules do not meet. What only
+    people need is taken away, as by `stripped`.
 
     Parameters
     ----------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Protocol
@@ -11,6 +10,7 @@ from typing import Protocol
 import pytest
 
 import mixseq
+from scripts.benchmarks.common.node import node_executable
 
 WEB = Path(mixseq.__file__).parent / "web"
 
@@ -24,17 +24,6 @@ class Node(Protocol):
     """Runs the text of a module in Node.js with arguments, and returns what it prints."""
 
     def __call__(self, source: str, *arguments: str | Path) -> str: ...
-
-
-def node_executable() -> str | None:
-    """The path of Node.js, if there is one."""
-    try:
-        from playwright._impl._driver import compute_driver_executable
-    except ImportError:
-        return shutil.which("node")
-    executable = compute_driver_executable()
-    found = executable[0] if isinstance(executable, tuple) else executable
-    return found if Path(found).exists() else shutil.which("node")
 
 
 @pytest.fixture

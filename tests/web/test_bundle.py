@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from mixseq.web import bundle
 from mixseq.web.bundle import SEQUENCE, bundled
-from tests.web.conftest import WEB
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.web.conftest import Node
+from tests.web.conftest import WEB, Node
+from tests.web.played import write_container
 
 MODULES = {
     "decoder/sum.js": """// adds
@@ -71,6 +67,36 @@ def test_the_decoder_is_a_module_of_its_own(node: Node, tmp_path: Path) -> None:
     assert node(names, bundled_file) == node(
         f'import * as all from "{SEQUENCE}";\nconsole.log(Object.keys(all).join());'
     )
+
+
+def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
+    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5")
+    (tmp_path / "mixseq.mjs").write_text(bundled(), encoding="utf-8")
+    script = """
+    import { readFileSync } from "node:fs";
+    const [module, folder] = process.argv.slice(2), { open } = await import(module);
+    const text = readFileSync(`${folder}/text`, "latin1"), bytes = new Uint8Array(readFileSync(`${folder}/streams`));
+    const sequence = open(text, bytes);
+    console.log(sequence.at(0.06).join(), sequence.weights(0).join());
+    """
+    own, bundle = WEB / SEQUENCE, tmp_path / "mixseq.mjs"
+    assert node(script, bundle, tmp_path) == node(script, own, tmp_path)
+
+
+def test_the_script_of_the_page_runs(node: Node, tmp_path: Path) -> None:
+    """The first one of docs/web.md, which goes on from the text and the bytes of a file."""
+    write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5")
+    (tmp_path / "mixseq.js").write_text(bundled(), encoding="utf-8")
+    (tmp_path / "package.json").write_text('{"type": "module"}', encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/web.md").read_text(encoding="utf-8")
+    given = """
+    import { readFileSync } from "node:fs";
+    const folder = process.argv[2], text = readFileSync(`${folder}/text`, "latin1");
+    const bytes = new Uint8Array(readFileSync(`${folder}/streams`));
+    """
+    shown = page.partition("```js\n")[2].partition("```")[0]
+    told = node(f"{given}{shown}\nconsole.log(positions.every(Number.isFinite), triangles.length);", tmp_path)
+    assert told.split()[0] == "true"
 
 
 def test_every_module_exports_the_same_in_a_bundle(node: Node, tmp_path: Path) -> None:

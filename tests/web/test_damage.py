@@ -142,7 +142,7 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         coded(uv_steps=4): "uv_steps",
         coded(factors="both"): "factors",
         coded(revision=3): "revision",
-        coded(revision=1): "save it again",
+        coded(revision=1): "compress it again",
         coded(speed=1): "does not know the parameter speed",
         "[]": "the text",
         '{"coding": []}': "the text",
@@ -168,5 +168,5 @@ try {
 """
     assert (
         node(source, tmp_path).strip()
-        == "MixseqError the sequence: it was compressed by an older mixseq; save it again with this one"
+        == "MixseqError the sequence: it was compressed by an older mixseq; compress it again with this one"
     )

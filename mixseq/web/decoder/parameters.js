@@ -17,7 +17,7 @@ const isSize = (value) => typeof value === "number" && value >= 0 && value < Inf
 export function readFacts(text) {
   const facts = parsed(text), given = facts.coding, strange = Object.keys(given).find((name) => !PARAMETERS.includes(name));
   if (strange !== undefined) throw new MixseqError(`this decoder does not know the parameter ${strange}; take a newer one`);
-  if ((given.revision ?? 1) === 1) throw new MixseqError("it was compressed by an older mixseq; save it again with this one");
+  if ((given.revision ?? 1) === 1) throw new MixseqError("it was compressed by an older mixseq; compress it again with this one");
   const { vertex_count: vertices, polygon_count: polygons, corner_count: corners, frame_count: frames, fps } = facts;
   const { factors, rank, ranks = [], uv_steps: steps = null, uv_error: error = null } = given, shapes = factors === "shapes";
   const parts = Array.isArray(ranks) ? ranks : [0];
