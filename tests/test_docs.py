@@ -119,6 +119,7 @@ NOT_RUN = {
     r"mixseq .* --cluster tcp:": "needs other machines; tests/test_cluster.py has a cluster here",
     r"mixseq decode .* --cluster local:4": "starts processes; tests/test_cluster.py does that",
     r"mixseq plot --video (\w+\.\w+) walk": "large; docs/how-to/film.md makes the same in small",
+    r"mixseq blender ": "downloads 100 MB; tests/blender packs what it would",
     r"mixseq view (?!.*--export)": "waits for a browser; tests/viewing has one",
 }
 """Commands that are shown and not run, and why."""

@@ -18,7 +18,7 @@ from mixseq.cli.options import examples
     package=__name__,
     sections={
         "Look": ("demo", "info", "plot", "view", "formats"),
-        "Share": ("convert", "encode", "batch", "decode"),
+        "Share": ("convert", "encode", "batch", "decode", "blender"),
         "Change": ("resample", "edit", "interpolate", "transfer", "segment"),
         "Check": ("compare", "verify"),
         "Prepare": ("warm-up",),

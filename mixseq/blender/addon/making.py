@@ -1,0 +1,45 @@
+"""Meshes made from models: polygons, texture coordinates, materials, hard edges."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from mixseq.blender.motion import part_of
+from mixseq.blender.surfaces import MeshParts
+from mixseq.sequence_header import SequenceHeader
+
+
+def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
+    """Make a mesh of one of those that a model joins, "" for all; its vertices are where `live` moves them."""
+    parts = MeshParts.of(header, part)
+    vertices, _ = part_of(header, part)
+    mesh = bpy.data.meshes.new(part.rpartition("/")[2] or header.name)
+    mesh.vertices.add(vertices.stop - vertices.start)
+    mesh.loops.add(len(parts.corners))
+    mesh.loops.foreach_set("vertex_index", parts.corners.astype(np.int32))
+    mesh.polygons.add(len(parts.counts))
+    mesh.polygons.foreach_set("loop_start", parts.starts.astype(np.int32))
+    for name in parts.materials:
+        mesh.materials.append(_material(name))
+    mesh.polygons.foreach_set("material_index", parts.material_of_polygon.astype(np.int32))
+    mesh.shade_smooth()
+    mesh.update(calc_edges=True)
+    if parts.uvs is not None:
+        mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ravel(parts.uvs).astype(np.float32))
+    _harden(mesh, parts)
+    mesh.validate(clean_customdata=False)  # Blender cannot have polygons that meet a vertex twice
+    return mesh
+
+
+def _material(name: str) -> bpy.types.Material | None:
+    """Return the material of a name, which may be there already."""
+    return (bpy.data.materials.get(name) or bpy.data.materials.new(name)) if name else None
+
+
+def _harden(mesh: bpy.types.Mesh, parts: MeshParts) -> None:
+    edges = np.empty(len(mesh.loops), dtype=np.int32)
+    mesh.loops.foreach_get("edge_index", edges)
+    sharp = parts.sharp(edges)
+    if sharp.any():
+        mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", sharp)

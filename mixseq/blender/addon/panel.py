@@ -1,0 +1,74 @@
+"""Where users see it: a panel among the properties of a mesh."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import Any
+
+import bpy
+
+from . import baking, importing, live, timing
+
+
+class MotionPanel(bpy.types.Panel):
+    """What moves the mesh, when, and why not."""
+
+    bl_idname = "MIXSEQ_PT_motion"
+    bl_label = "mixseq Model"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "data"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        """Tell whether a mesh is shown."""
+        return context.mesh is not None
+
+    def draw(self, context: Any) -> None:
+        """Draw it."""
+        settings, layout = context.mesh.mixseq, self.layout
+        layout.use_property_split = True
+        layout.operator(importing.AttachModel.bl_idname, text="Open", icon="FILE_FOLDER")
+        if not settings.filepath:
+            return
+        layout.prop(settings, "filepath")
+        if told := live.problem(context.mesh):
+            _tell(layout, told, context.region.width)
+        layout.prop(settings, "is_live")
+        body = layout.column()
+        body.active = settings.is_live
+        _draw_settings(body, settings)
+        if not context.scene.render.use_lock_interface:
+            _tell(layout, "Switch Render > Lock Interface on before you render", context.region.width)
+        row = layout.row()
+        row.operator(baking.BakeShapeKeys.bl_idname, text="Shape Keys")
+        row.operator(baking.BakeAlembic.bl_idname, text="Alembic")
+
+
+def _draw_settings(layout: Any, settings: Any) -> None:
+    column = layout.column(align=True)
+    column.prop(settings, "frame")
+    column.prop(settings, "frame_offset")
+    column.operator(timing.Retime.bl_idname)
+    column = layout.column(align=True)
+    column.prop(settings, "up_axis")
+    column.prop(settings, "scale")
+    if settings.part:
+        column.prop(settings, "part")
+
+
+def _tell(layout: Any, text: str, width: int) -> None:
+    box = layout.box().column(align=True)
+    box.alert = True
+    for number, line in enumerate(wrap(text, max(20, width // 8))):
+        box.label(text=line, icon="NONE" if number else "ERROR")
+
+
+def register() -> None:
+    """Add it."""
+    bpy.utils.register_class(MotionPanel)
+
+
+def unregister() -> None:
+    """Take it away."""
+    bpy.utils.unregister_class(MotionPanel)

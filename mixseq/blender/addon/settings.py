@@ -1,0 +1,105 @@
+"""What a .blend file keeps of a mesh that a model moves, named as Blender names the same of its cache files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from mixseq.blender.frames import MEMORY
+
+UP_AXES = [(axis, f"{axis} Up", f"{axis} points up in the model") for axis in "XYZ"]
+
+_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
+"""Since this version Blender wants to be told that paths may begin with //."""
+
+
+def _changed(settings: MotionSettings, context: Any) -> None:
+    settings.id_data.update_tag()  # makes Blender evaluate the mesh, and so tell `live`
+
+
+class MotionSettings(bpy.types.PropertyGroup):
+    """Of a mesh: the model that moves it, and which of its moments is shown.
+
+    They are the mesh's and not the object's, so that linked duplicates move alike and cost nothing.
+    """
+
+    filepath: StringProperty(
+        name="Model",
+        subtype="FILE_PATH",
+        description="The mixseq model that moves this mesh",
+        options=_RELATIVE,
+        update=_changed,
+    )
+    part: StringProperty(
+        name="Mesh", description="Which of the model's meshes this is; empty for all of it", update=_changed
+    )
+    is_live: BoolProperty(
+        name="Live", default=True, description="Move the mesh at every frame", update=_changed
+    )
+    up_axis: EnumProperty(name="Up", items=UP_AXES, default="Y", update=_changed)
+    scale: FloatProperty(
+        name="Scale",
+        default=1.0,
+        min=1e-9,
+        precision=4,
+        description="Units per unit of the model",
+        update=_changed,
+    )
+    frame: FloatProperty(
+        name="Frame",
+        description="Frame that is shown, at the scene's rate: driven by the scene's, keyed to retime the motion",
+        update=_changed,
+    )
+    frame_offset: FloatProperty(
+        name="Offset", description="Frame at which the model's time 0 is shown", update=_changed
+    )
+
+    @property
+    def moves(self) -> bool:
+        """Whether a model moves the mesh."""
+        return bool(self.is_live and self.filepath)
+
+    @property
+    def path(self) -> Path:
+        """Where the model is; of meshes linked from another .blend file, relative to that."""
+        return Path(bpy.path.abspath(self.filepath, library=self.id_data.library))
+
+
+class Preferences(bpy.types.AddonPreferences):
+    """Of the add-on: how much it keeps."""
+
+    bl_idname = __package__
+
+    megabytes: IntProperty(
+        name="Memory for Frames (MB)",
+        default=MEMORY >> 20,
+        min=1,
+        description="Decoded frames are kept up to this size, those used last",
+    )
+
+    def draw(self, context: Any) -> None:
+        """Draw them."""
+        self.layout.prop(self, "megabytes")
+
+
+def memory() -> int:
+    """Return how many bytes of frames to keep."""
+    addon = bpy.context.preferences.addons.get(__package__)
+    return MEMORY if addon is None or addon.preferences is None else addon.preferences.megabytes << 20
+
+
+def register() -> None:
+    """Give all meshes settings."""
+    bpy.utils.register_class(MotionSettings)
+    bpy.utils.register_class(Preferences)
+    bpy.types.Mesh.mixseq = PointerProperty(type=MotionSettings)
+
+
+def unregister() -> None:
+    """Take them away; files keep what they have of them."""
+    del bpy.types.Mesh.mixseq
+    bpy.utils.unregister_class(Preferences)
+    bpy.utils.unregister_class(MotionSettings)

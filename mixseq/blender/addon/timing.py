@@ -1,0 +1,82 @@
+"""Which frame of a model is shown: that of the scene, by a driver, until the user asks for keys to retime it.
+
+With either the mesh is animated data, without which Blender's exporters would write one frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import live
+
+
+def follow_scene(mesh: bpy.types.Mesh) -> None:
+    """Have a mesh show the frame of the scene; keys of an earlier model stay as they are."""
+    if not _is_animated(mesh):
+        mesh.mixseq.driver_add("frame").driver.expression = "frame"
+
+
+def linear(animated: bpy.types.ID) -> None:
+    """Have everything that is animated of a data-block go in straight lines from key to key."""
+    for curve in _curves(animated):
+        for point in curve.keyframe_points:
+            point.interpolation = "LINEAR"
+        curve.update()
+    animated.update_tag()
+
+
+def _is_animated(mesh: bpy.types.Mesh) -> bool:
+    animation = mesh.animation_data
+    return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
+
+
+def _curves(animated: bpy.types.ID) -> Any:
+    """Return the F-curves of a data-block; since Blender 4.4 it has a slot of an action that it may share."""
+    animation = animated.animation_data
+    slot = getattr(animation, "action_slot", None)
+    if slot is None:
+        return animation.action.fcurves
+    return animation.action.layers[0].strips[0].channelbag(slot).fcurves
+
+
+class Retime(bpy.types.Operator):
+    """Replace the driver of Frame by an F-curve that plays the model as it is: edit that to retime it."""
+
+    bl_idname = "mixseq.retime"
+    bl_label = "Retime by F-Curve"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        """Tell whether a model moves the active object."""
+        thing = context.object
+        return thing is not None and thing.type == "MESH" and thing.data.mixseq.moves
+
+    def execute(self, context: Any) -> set[str]:
+        """Key the first and the last frame."""
+        mesh = context.object.data
+        settings = mesh.mixseq
+        try:
+            model = live.model_of(settings)
+        except Exception as error:
+            self.report({"ERROR"}, live.in_words(error))
+            return {"CANCELLED"}
+        settings.driver_remove("frame")
+        for time in (model.start, model.end):
+            settings.frame = time * live.rate(context.scene) + settings.frame_offset
+            settings.keyframe_insert("frame", frame=settings.frame)
+        linear(mesh)
+        context.view_layer.update()
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Add the operator."""
+    bpy.utils.register_class(Retime)
+
+
+def unregister() -> None:
+    """Take it away."""
+    bpy.utils.unregister_class(Retime)

@@ -1,0 +1,106 @@
+"""What was read and decoded, kept so that scrubbing back and forth costs nothing: models, and frames up to a limit.
+
+Blender draws on one thread and renders on another, so both are behind a lock.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from pathlib import Path
+from threading import Lock
+
+from mixseq.arrays import Single
+from mixseq.errors import FormatError, MixseqError
+from mixseq.signals.model import Model
+
+MEMORY = 512 << 20
+"""Bytes of frames that are kept."""
+
+
+class Frames:
+    """Arrays that were made, as many as there is memory for; those used last.
+
+    Parameters
+    ----------
+    memory : int
+        Bytes that they may take; one is kept however large it is.
+    """
+
+    def __init__(self, memory: int = MEMORY) -> None:
+        self.memory = memory
+        self._kept: OrderedDict[Hashable, Single] = OrderedDict()
+        self._size = 0
+        self._lock = Lock()
+
+    @property
+    def size(self) -> int:
+        """Bytes that are taken."""
+        return self._size
+
+    def get(self, key: Hashable, make: Callable[[], Single]) -> Single:
+        """Return what is kept under a key, or else what `make` returns."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        made = make()  # without the lock: whoever else wants a frame that is kept need not wait
+        made.setflags(write=False)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = made
+                self._size += made.nbytes
+            while self._size > self.memory and len(self._kept) > 1:
+                self._size -= self._kept.popitem(last=False)[1].nbytes
+        return made
+
+    def clear(self) -> None:
+        """Forget everything."""
+        with self._lock:
+            self._kept.clear()
+            self._size = 0
+
+
+class Models:
+    """Models by the files they are in, read again when these change.
+
+    Parameters
+    ----------
+    load : callable
+        Reads one.
+    """
+
+    def __init__(self, load: Callable[[Path], Model]) -> None:
+        self._load = load
+        self._read: dict[Path, tuple[tuple[int, int], Model | MixseqError]] = {}
+        self._lock = Lock()
+
+    def get(self, path: Path) -> Model:
+        """Return the model in a file: the same one until the file changes.
+
+        Raises
+        ------
+        MixseqError
+            If it cannot be read; a file that is damaged is not read again before it changes.
+        """
+        try:
+            told = path.stat()
+        except OSError as error:
+            raise FormatError(f"{path}: {error.strerror or error}; choose the file again") from None
+        state = told.st_mtime_ns, told.st_size
+        with self._lock:
+            known, found = self._read.get(path, (None, None))
+            if found is None or known != state:
+                try:
+                    found = self._load(path)
+                except MixseqError as error:
+                    found = error
+                self._read[path] = state, found
+        if isinstance(found, MixseqError):
+            raise found
+        return found
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        with self._lock:
+            self._read.clear()

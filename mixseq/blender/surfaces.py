@@ -1,0 +1,96 @@
+"""What a mesh in Blender is made of, from what a model tells of its surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixseq.arrays import FloatArray, Index, IntArray, Mask
+from mixseq.blender.motion import part_of
+from mixseq.sequence_header import SequenceHeader
+
+
+@dataclass(frozen=True, eq=False)
+class MeshParts:
+    """One of the meshes of a model.
+
+    Parameters
+    ----------
+    counts : (P,) int32
+        Corners of every polygon.
+    corners : (sum of counts,) int32
+        Vertex of every corner, the first of the mesh's own being 0.
+    uvs : (sum of counts, 2) float32, optional
+        Texture coordinates of every corner.
+    groups : (sum of counts,) int32, optional
+        Corners of a vertex with the same number share a normal.
+    materials : tuple of str
+        Names of materials.
+    material_of_polygon : (P,) int32
+        Which of them a polygon has.
+    """
+
+    counts: IntArray
+    corners: IntArray
+    uvs: FloatArray | None
+    groups: IntArray | None
+    materials: tuple[str, ...]
+    material_of_polygon: IntArray
+
+    @classmethod
+    def of(cls, header: SequenceHeader, name: str) -> MeshParts:
+        """Return those of a mesh by its name, as in `part_of`, whose errors it has."""
+        vertices, polygons = part_of(header, name)
+        ends = np.concatenate([[0], np.cumsum(header.polygons.counts)])
+        corners = slice(ends[polygons.start], ends[polygons.stop])
+        surface = header.surface
+        materials, of_polygon = _materials(header)
+        used, slots = np.unique(of_polygon[polygons], return_inverse=True)
+        return cls(
+            header.polygons.counts[polygons],
+            header.polygons.indices[corners] - vertices.start,
+            None if surface.uvs is None else surface.uvs.at_corners[corners],
+            None if surface.hard_edges is None else surface.hard_edges[corners],
+            tuple(materials[number] for number in used),
+            slots.astype(np.int32).reshape(-1),
+        )
+
+    @property
+    def starts(self) -> Index:
+        """First corner ``(P,)`` of every polygon."""
+        return np.cumsum(self.counts) - self.counts
+
+    def sharp(self, edges: IntArray) -> Mask:
+        """Return which edges ``(E,)`` are hard: at one of their ends, corners beside them do not share a normal.
+
+        Parameters
+        ----------
+        edges : (sum of counts,) int
+            Edge from every corner to the next one of its polygon.
+        """
+        hard = np.zeros(int(edges.max(initial=-1)) + 1, dtype=bool)
+        if self.groups is None:
+            return hard
+        after = np.arange(1, len(edges) + 1)
+        after[self.starts + self.counts - 1] = self.starts
+        ends = np.concatenate(
+            [np.arange(len(edges)), after]
+        )  # the two corners of a polygon at every edge of it
+        rows = np.column_stack([np.tile(edges, 2), self.corners[ends], self.groups[ends]])
+        rows = rows[np.lexsort(rows.T[::-1])]
+        beside = (rows[1:, :2] == rows[:-1, :2]).all(axis=1)
+        hard[rows[1:][beside & (rows[1:, 2] != rows[:-1, 2]), 0]] = True
+        return hard
+
+
+def _materials(header: SequenceHeader) -> tuple[list[str], IntArray]:
+    """Return names of materials, and which of them every polygon has; of polygons in no face set it is that of none."""
+    names = [""]
+    of_polygon = np.zeros(len(header.polygons.counts), dtype=np.int32)
+    for face_set in header.surface.face_sets:
+        name = face_set.material.rpartition("/")[2] or face_set.name
+        if name not in names:
+            names.append(name)
+        of_polygon[face_set.polygons] = names.index(name)
+    return names, of_polygon

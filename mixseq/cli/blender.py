@@ -1,0 +1,58 @@
+"""``mixseq blender``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mixseq.cli.console import announce
+from mixseq.cli.options import FILE, examples
+from mixseq.cli.overwriting import Claim, overwrite_option
+from mixseq.cli.settings import CommandWithSettings
+
+PLATFORMS = ("linux-x64", "macos-arm64", "windows-x64")
+RELEASES = ("4.2", "5.1")
+
+
+@click.command(
+    "blender",
+    cls=CommandWithSettings,
+    epilog=examples("mixseq blender --out extensions", "mixseq blender --blender 5.1 --platform windows-x64"),
+)
+@click.option(
+    "--out",
+    type=FILE,
+    default=Path(),
+    help="Folder for the extension, made if missing.  [default: this one]",
+)
+@click.option(
+    "--platform",
+    "platforms",
+    type=click.Choice(PLATFORMS),
+    multiple=True,
+    help="Where Blender runs; may be given several times.  [default: as here]",
+)
+@click.option(
+    "--blender",
+    "release",
+    type=click.Choice(RELEASES),
+    default=RELEASES[0],
+    show_default=True,
+    help="Oldest version: 4.2 is for those to 5.0, which have Python 3.11.",
+)
+@overwrite_option
+def command(out: Path, platforms: tuple[str, ...], release: str, claim: Claim) -> None:
+    """Write an extension with which Blender shows models, live.
+
+    The archive holds an add-on, mixseq, and the libraries that decode models, which pip downloads. Install it
+    in Blender with Edit > Preferences > Get Extensions > Install from Disk.
+    """
+    from mixseq.blender.extension import RELEASES, archive_name, this_platform, write_extension
+
+    out.mkdir(parents=True, exist_ok=True)
+    targets = {out / archive_name(name, RELEASES[release]): name for name in platforms or (this_platform(),)}
+    claim(*targets)
+    for path, name in targets.items():
+        write_extension(path, name, RELEASES[release])
+        announce(path)
