@@ -18,7 +18,7 @@ from mixseq.cli.options import examples
     package=__name__,
     sections={
         "Look": ("demo", "info", "plot", "view", "formats"),
-        "Share": ("convert", "encode", "batch", "decode", "blender"),
+        "Share": ("convert", "encode", "batch", "decode", "web", "blender"),
         "Change": ("resample", "edit", "interpolate", "transfer", "segment"),
         "Check": ("compare", "verify"),
         "Prepare": ("warm-up",),

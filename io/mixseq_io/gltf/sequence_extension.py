@@ -82,7 +82,7 @@ def other_data(path: Path) -> int:
     """
     document = load_document(path)
     extension = _only_one(document)
-    own = {extension.integer("coding"), extension.integer("streams")}
+    own = {extension.index(name) for name in ("coding", "streams")}
     views = document.items("bufferViews")
     return sum(view.integer("byteLength") for number, view in enumerate(views) if number not in own)
 

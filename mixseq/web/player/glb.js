@@ -1,0 +1,27 @@
+// GLB files with a mesh sequence: glTF's JSON, and what the extension MIXSEQ_mesh_sequence refers to.
+import { MixseqError } from "../decoder/errors.js";
+
+const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence";
+
+/**
+ * Read the first mesh sequence of a file, an `ArrayBuffer`: `text` and `streams` as for `open`, the bytes of `hardEdges` or
+ * null, the `mesh` of the file's `json` that it is in, and the `matrix` of the node that has it, 16 numbers, column by column.
+ */
+export function readGlb(file) {
+  const view = new DataView(file);
+  if (file.byteLength < 20 || view.getUint32(0, true) !== MAGIC || view.getUint32(16, true) !== JSON_CHUNK) throw new MixseqError("this is no GLB file");
+  const size = view.getUint32(12, true), start = 28 + size, json = JSON.parse(new TextDecoder().decode(new Uint8Array(file, 20, size)));
+  const mesh = json.meshes?.find(({ extensions }) => extensions?.[NAME]), extension = mesh?.extensions[NAME];
+  if (!extension) throw new MixseqError("this GLB file has no mesh sequence");
+  const bytes = (number) => {
+    const { byteOffset = 0, byteLength } = json.bufferViews[number];
+    if (start + byteOffset + byteLength > file.byteLength) throw new MixseqError("this GLB file is not all there");
+    return new Uint8Array(file, start + byteOffset, byteLength);
+  };
+  const node = json.nodes?.find((each) => each.mesh === json.meshes.indexOf(mesh));
+  return {
+    text: new TextDecoder().decode(bytes(extension.coding)), streams: bytes(extension.streams),
+    hardEdges: extension.hardEdges === undefined ? null : bytes(extension.hardEdges),
+    json, mesh, matrix: node?.matrix ?? [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+  };
+}
