@@ -5,10 +5,10 @@ import { hardEdgesOf, uvsOf } from "../decoder/surface.js";
 
 /**
  * `triangles` of vertices; `vertices` tells which of the sequence each is, `groups` which share a normal, `uvs` has their
- * texture coordinates, v downwards as in glTF, null if there are none. `hardEdges` are the bytes of hard edges, if there are any.
+ * texture coordinates, v downwards as in glTF, null if there are none.
  */
-export function drawnMesh(sequence, hardEdges = null) {
-  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), normals = hardEdges ? hardEdgesOf(sequence, hardEdges) : corners;
+export function drawnMesh(sequence) {
+  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), normals = byFirstUse(hardEdgesOf(sequence)) ?? corners;
   const first = new Int32Array(sequence.vertexCount).fill(-1), next = new Int32Array(corners.length);
   const cut = [], drawn = new Uint32Array(corners.length);
   const same = (a, b) => normals[a] === normals[b] && (!uvs || (uvs[2 * a] === uvs[2 * b] && uvs[2 * a + 1] === uvs[2 * b + 1]));
@@ -28,6 +28,12 @@ export function drawnMesh(sequence, hardEdges = null) {
     groups: Uint32Array.from(cut, (corner) => normals[corner]),
     uvs: uvs && Float32Array.from({ length: 2 * cut.length }, (_, k) => (k & 1 ? 1 - uvs[2 * cut[k >> 1] + 1] : uvs[2 * cut[k >> 1]])),
   };
+}
+
+/** Numbers 0, 1, 2, ... as they come, equal where these are. */
+function byFirstUse(numbers) {
+  const known = new Map();
+  return numbers?.map((number) => known.get(number) ?? known.set(number, known.size).size - 1);
 }
 
 /** Take the positions of cut vertices from those of the sequence. */

@@ -4,8 +4,8 @@ import { MixseqError } from "../decoder/errors.js";
 const MAGIC = 0x46546c67, JSON_CHUNK = 0x4e4f534a, NAME = "MIXSEQ_mesh_sequence";
 
 /**
- * Read the first mesh sequence of a file, an `ArrayBuffer`: `text` and `streams` as for `open`, the bytes of `hardEdges` or
- * null, the `mesh` of the file's `json` that it is in, and the `matrix` of the node that has it, 16 numbers, column by column.
+ * Read the first mesh sequence of a file, an `ArrayBuffer`: `text` and `streams` as for `open`, the `mesh` of the file's `json` that it
+ * is in, and the `matrix` of the node that has it, 16 numbers, column by column.
  */
 export function readGlb(file) {
   const view = new DataView(file);
@@ -21,7 +21,6 @@ export function readGlb(file) {
   const node = json.nodes?.find((each) => each.mesh === json.meshes.indexOf(mesh));
   return {
     text: new TextDecoder().decode(bytes(extension.coding)), streams: bytes(extension.streams),
-    hardEdges: extension.hardEdges === undefined ? null : bytes(extension.hardEdges),
     json, mesh, matrix: node?.matrix ?? [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
   };
 }

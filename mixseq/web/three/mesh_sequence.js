@@ -28,12 +28,12 @@ export class MeshSequencePlugin {
     return extension ? this.#load(mesh, extension) : null;
   }
 
-  async #load({ name = "", primitives }, { coding, streams, hardEdges, polygons }) {
-    const bytes = async (view) => (view === undefined ? null : new Uint8Array(await this.parser.getDependency("bufferView", view)));
+  async #load({ name = "", primitives }, { coding, streams, polygons }) {
+    const bytes = async (view) => new Uint8Array(await this.parser.getDependency("bufferView", view));
     const materials = primitives.map(({ material }) =>
       material === undefined ? new MeshStandardMaterial({ roughness: 0.8 }) : this.parser.getDependency("material", material));
-    const [text, data, edges] = await Promise.all([coding, streams, hardEdges].map(bytes));
-    const sequence = open(new TextDecoder().decode(text), data), drawn = drawnMesh(sequence, edges);
+    const [text, data] = await Promise.all([coding, streams].map(bytes));
+    const sequence = open(new TextDecoder().decode(text), data), drawn = drawnMesh(sequence);
     const mesh = new MeshSequence(sequence, drawn, await Promise.all(materials), polygons);
     mesh.name = this.parser.createUniqueName(name || "sequence");
     return mesh;

@@ -65,8 +65,11 @@ export class Sequence implements Facts {
 /** Texture coordinates at the corners, v upwards; null if there are none. */
 export function uvsOf(sequence: Sequence): Float32Array | null;
 
-/** Numbers of normals at the corners. */
-export function hardEdgesOf(sequence: Sequence, bytes: Uint8Array): ArrayLike<number>;
+/** Numbers of normals at the corners; null if all corners of a vertex share one. */
+export function hardEdgesOf(sequence: Sequence): ArrayLike<number> | null;
+
+/** All else that is on the polygons, by name. */
+export function surfaceOf(sequence: Sequence): Record<string, ArrayLike<number> | string[]>;
 
 export interface DrawnMesh {
   triangles: Uint32Array;
@@ -79,7 +82,7 @@ export interface DrawnMesh {
 }
 
 /** The mesh as graphics cards have it, cut at seams and hard edges. */
-export function drawnMesh(sequence: Sequence, hardEdges?: Uint8Array | null): DrawnMesh;
+export function drawnMesh(sequence: Sequence): DrawnMesh;
 export function takePositions(positions: Float32Array, vertices: Uint32Array, out: Float32Array): Float32Array;
 export function takeNormals(positions: Float32Array, triangles: Uint32Array, groups: Uint32Array, out: Float32Array): Float32Array;
 
@@ -99,7 +102,6 @@ export function fieldTextures(gl: WebGL2RenderingContext, fields: Fields, triang
 export function readGlb(file: ArrayBuffer): {
   text: string;
   streams: Uint8Array;
-  hardEdges: Uint8Array | null;
   json: any;
   mesh: any;
   matrix: number[];
