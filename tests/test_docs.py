@@ -97,6 +97,7 @@ BROUGHT = {
     "lion.npz tall.obj wolf.glb horse.glb pairs.txt feet.json man.glb painted.ply decoded.usdc",
     "docs/file-format.md": "walk.h5",
     "docs/formats.md": "robot.glb long.usdc man.usdz",
+    "docs/web.md": "walk.usdc",
     "docs/how-to/blender.md": "shot.usdc shot.abc",
     "docs/how-to/houdini.md": "shot.usdc shot.abc",
     "docs/how-to/maya.md": "shot.usdc shot.abc",

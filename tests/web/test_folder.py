@@ -38,6 +38,14 @@ def test_the_readme_names_every_file() -> None:
     assert {*named, "README.md", "package.json"} == set(contents())
 
 
+def test_scripts_of_the_documentation_are_those_of_the_readme() -> None:
+    shown = re.findall(r"^```js\n(.*?)^```", (ROOT / "docs/web.md").read_text(), re.MULTILINE | re.DOTALL)
+    ours = re.findall(r"^```js\n(.*?)^```", contents()["README.md"], re.MULTILINE | re.DOTALL)
+    assert len(shown) == 3
+    assert shown[0] == ours[0]
+    assert shown[1].splitlines()[:4] == ours[1].splitlines()[:4]
+
+
 def test_types_are_of_what_is_exported(node: Node, tmp_path: Path) -> None:
     for script, types in (("mixseq.js", "mixseq.d.ts"), ("mesh_sequence.js", "mesh_sequence.d.ts")):
         text = contents()[script]
