@@ -137,7 +137,7 @@ def test_texts_that_cannot_be_are_refused(node: Node, tmp_path: Path) -> None:
         coded(ranks="ten"): "ranks",
         coded(ranks=[1] * 200): "ranks",
         coded(step=0): "step",
-        coded(step=1e308): "finite",
+        coded(step=1e308): "single precision",
         coded(promised=1): "promised",
         coded(uv_steps=4): "uv_steps",
         coded(factors="both"): "factors",

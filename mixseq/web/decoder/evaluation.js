@@ -1,26 +1,6 @@
 // From fields and their weights to positions.
 
-/** The fields of a basis, as `Sequence.fields` tells them. */
-export function fieldsOf({ shapes, parts, owners }) {
-  const each = shapes ? 3 : 1, numbers = parts.map(() => []);
-  owners.forEach((part, vector) => {
-    for (let axis = 0; axis < each; axis++) numbers[part].push(each * vector + axis);
-  });
-  return {
-    count: each * owners.length,
-    parts: parts.map(({ vertices, fields }, part) => ({ vertices, fields: Uint32Array.from(numbers[part]), values: byVertex(fields, vertices.length) })),
-  };
-}
-
-function byVertex(fields, count) {
-  const values = new Float32Array(fields.length * count);
-  fields.forEach((field, k) => {
-    for (let vertex = 0, at = k; vertex < count; vertex++, at += fields.length) values[at] = field[vertex];
-  });
-  return values;
-}
-
-/** Write the positions of all vertices. */
+/** Write the positions of all vertices: the sums of fields, as `Sequence.fields` tells them, times weights. */
 export function evaluate({ parts }, weights, positions) {
   for (const { vertices, fields, values } of parts) {
     const count = fields.length, own = new Float64Array(3 * count);

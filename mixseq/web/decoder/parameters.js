@@ -70,8 +70,9 @@ function parsed(text) {
 /** How weights are predicted between frames: what was chosen for the sequence, or what suits most. */
 function betweenOf(given) {
   if (given === undefined || given === null) return { length: null, cubic: [0.5, 0.5] };
-  const { length, cubic, ...others } = given, inside = (value, least, most) => typeof value === "number" && value >= least && value <= most;
+  const { length, cubic, ...others } = given;
+  const inside = (value, least, most) => typeof value === "number" && value >= least && value <= most;
   const shares = Array.isArray(cubic) && cubic.length === 2 && cubic.every((share) => inside(share, 0, 1));
-  if (!shares || !(length === null || inside(length, 0.5, 64)) || Object.keys(others).length) throw new MixseqError("between is not what it can be; it is damaged");
-  return { length, cubic };
+  if (shares && (length === null || inside(length, 0.5, 64)) && !Object.keys(others).length) return { length, cubic };
+  throw new MixseqError("between is not what it can be; it is damaged");
 }

@@ -1,7 +1,7 @@
 // Which part of the mesh every vertex belongs to. Mirrors coding/bitstream/part_labels.py.
 import { BitModels } from "./bit_models.js";
 import { MixseqError } from "./errors.js";
-import { MOST } from "./signal_graph.js";
+import { MOST } from "./signal_graph_kernels.js";
 
 const BITS = 7; // of a label
 const VOTES = MOST + 1; // numbers of neighbours, from none on

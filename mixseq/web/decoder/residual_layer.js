@@ -1,16 +1,12 @@
-// What is added to decoded frames to bring every vertex below a bound. Mirrors coding/bitstream/residual_layer.py, and its
-// loops.
-import { BitModels } from "./bit_models.js";
+// What is added to decoded frames to bring every vertex below a bound. Mirrors coding/bitstream/residual_layer.py.
 import { MixseqError, guarded } from "./errors.js";
 import { placeIn } from "./operator.js";
 import { Reader } from "./signal_coder.js";
-import { MOST as NEIGHBOURS } from "./signal_graph.js";
+import { any, readFrame, residualModels } from "./residual_kernels.js";
 
 const RUN = 16; // frames that are coded together
 const KEPT = 8; // decoded runs
 const NEAR = 1e-9; // frames: a frame is a frame, after rounding
-const VOTES = NEIGHBOURS + 1; // numbers of neighbours, from none on
-const INPUTS = 3, CONTEXTS = 3 * VOTES * VOTES, LONGEST = 8, MOST = 62, POSITIONS = 4 + LONGEST;
 
 /** The residual layer of a sequence, decoded where it is asked for: of `chunks` with `first`, `count` and `residuals`. */
 export class ResidualLayer {
@@ -71,7 +67,7 @@ function readResiduals({ count, residuals }, run, graph) {
 }
 
 function readRun(stream, count, graph) {
-  const reader = new Reader(stream), models = new BitModels(INPUTS, CONTEXTS, POSITIONS), frames = [];
+  const reader = new Reader(stream), models = residualModels(), frames = [];
   let last = new Float64Array(3 * graph.order.length);
   for (let frame = 0; frame < count; frame++) {
     const numbers = new Float64Array(last.length), nodes = [];
@@ -87,52 +83,3 @@ function readRun(stream, count, graph) {
   reader.finish();
   return frames;
 }
-
-/** Read the numbers of a frame (N x 3), when those of the frame before, `last`, are known. */
-function readFrame(bits, models, { width, neighbours, counts, ring, ringStarts }, last, numbers) {
-  const contexts = models.contexts.fill(0), sums = new Int32Array(3);
-  if (!models.read(bits, 0)) return;
-  for (let node = 0; node < counts.length; node++) {
-    const count = counts[node], own = any(last, node);
-    let votes = 0, before = 0, known = 0;
-    sums.fill(0);
-    for (let at = node * width, end = at + count; at < end; at++) {
-      const beside = neighbours[at];
-      if (!any(numbers, beside)) continue;
-      votes++;
-      for (let k = 0; k < 3; k++) sums[k] += Math.sign(numbers[3 * beside + k]);
-    }
-    for (let place = ringStarts[node]; place < ringStarts[node + 1]; place++) before += any(last, ring[place]);
-    const was = own ? 2 : Math.min(before, 1);
-    contexts[0] = (votes * VOTES + count) * 3 + was;
-    contexts[1] = (Math.min(before, VOTES - 1) * VOTES + Math.min(votes, 3)) * 2 + own;
-    contexts[2] = Math.min(votes, 3) * 3 + was;
-    if (!models.read(bits, 1)) continue;
-    for (let k = 0; k < 3; k++) {
-      const here = limited(last[3 * node + k]) + 3, around = limited(sums[k]) + 3;
-      contexts[0] = here * 7 + around;
-      contexts[1] = (known * 7 + around) * 3 + k;
-      contexts[2] = (known * 7 + here) * 3 + k;
-      const number = readCoordinate(bits, models);
-      numbers[3 * node + k] = number;
-      if (number) known |= 1 << k;
-    }
-  }
-}
-
-function readCoordinate(bits, models) {
-  if (!models.read(bits, 2)) return 0;
-  const negative = models.read(bits, 3);
-  let found = 0;
-  while (found < LONGEST && models.read(bits, 4 + found)) found++;
-  if (found === LONGEST) {
-    let length = 0;
-    while (length < MOST && bits.number(1)) length++;
-    found += bits.number(length);
-  }
-  return negative ? -(found + 1) : found + 1;
-}
-
-const limited = (number) => Math.min(Math.max(number, -3), 3);
-
-const any = (numbers, node) => (numbers[3 * node] || numbers[3 * node + 1] || numbers[3 * node + 2] ? 1 : 0);

@@ -5,10 +5,10 @@ import { checkOf, refuseOthers, withoutCheck } from "./decoded_check.js";
 import { MixseqError, guarded } from "./errors.js";
 import { readFacts } from "./parameters.js";
 import { triangulated } from "./polygons.js";
-import { evaluate, fieldsOf } from "./evaluation.js";
+import { evaluate } from "./evaluation.js";
 import { ResidualLayer } from "./residual_layer.js";
 import { meshGraph } from "./signal_graph.js";
-import { readBasis, readWeights, widthOf } from "./spatial_basis.js";
+import { readBasis, readWeights } from "./spatial_basis.js";
 import { readIndex } from "./stream_index.js";
 import { unpackTimes } from "./times.js";
 export { MixseqError };
@@ -53,7 +53,7 @@ export class Sequence {
   /** The triangles that polygons are drawn as: three vertices each. */
   triangles() {
     const { counts, corners } = this.polygons();
-    return (this.#triangles ??= triangulated(counts, corners));
+    return (this.#triangles ??= guarded("the polygons", () => triangulated(counts, corners)));
   }
 
   /**
@@ -62,7 +62,7 @@ export class Sequence {
    * their `weights`.
    */
   fields() {
-    return this.#decoded().fields;
+    return this.#decoded().basis.fields;
   }
 
   /** Decode the weights in the frames of a chunk, unless they are known. */
@@ -116,10 +116,10 @@ export class Sequence {
     const triangles = this.triangles();
     return (this.#basis ??= guarded("the basis vectors", () => {
       const mesh = meshGraph(triangles, this.vertexCount), { chunks, basis: groups } = this.streams;
-      const basis = readBasis(groups, this.parameters, triangles, mesh), width = widthOf(basis);
+      const basis = readBasis(groups, this.parameters, triangles, mesh), width = 3 * basis.fields.count;
       const displaced = chunks.some(({ residuals }) => residuals.length);
       return {
-        basis, width, fields: fieldsOf(basis),
+        basis, width,
         curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame)),
         residuals: displaced ? new ResidualLayer(this.times, chunks, mesh.graph, this.parameters.correction) : null,
       };

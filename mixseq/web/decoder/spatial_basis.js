@@ -10,6 +10,7 @@ import { meshGraph, pathGraph } from "./signal_graph.js";
 import { stencils } from "./stencils.js";
 
 const GROUP = 12; // basis vectors in the first group
+const LARGEST = 2 ** 127; // of what is float32
 
 /** Which vectors of which parts are in which stream. */
 function groupsOfParts(ranks) {
@@ -25,8 +26,9 @@ function groupsOfParts(ranks) {
 /**
  * The basis of a mesh with the graph and levels `mesh`.
  *
- * It has `parts`, each with `vertices`, increasing, and `fields` over them; `owners`, the part of every vector in the order
- * of their coefficients; and `norms` of the vectors, all in the units of the sequence. Vectors that are zero are left out.
+ * It has `owners`, the part of every vector in the order of their coefficients, and the vectors' `norms`; and as `fields` how
+ * many there are, their `count`, and of all `parts` the `vertices`, increasing, the numbers of the `fields`, and their
+ * `values`, vertex by vertex. All is in the units of the sequence. Vectors that are zero are left out.
  */
 export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
   const shapes = factors === "shapes", models = numberModels(), groups = groupsOfParts(ranks);
@@ -35,28 +37,25 @@ export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
   const labels = ranks.length > 1 && readLabels(readers[0], ranks.length, mesh.graph);
   const places = labels ? partsOf(labels, ranks.length, triangles) : [wholeOf(mesh)];
   const coders = places.map(({ mesh: own }) => new SignalCoder(own.graph, stencils(own), shapes ? 3 : 1, models));
-  const basis = { shapes, parts: places.map(({ vertices }) => ({ vertices, fields: [] })), owners: [], norms: [] };
-  if (!shapes) basis.parts.forEach((part, owner) => addConstant(basis, part, owner));
+  const basis = { shapes, parts: places.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [] };
+  if (!shapes) basis.parts.forEach(({ vertices }, part) => add(basis, part, [constant(vertices.length)], 1));
   groups.forEach((group, number) => {
     for (const { part, count } of group) {
       for (let k = 0; k < count; k++) addVector(basis, part, coders[part], readers[number], step / UNIT);
     }
     readers[number].finish();
   });
-  return basis;
+  const { parts, owners, norms } = basis, count = (shapes ? 3 : 1) * owners.length;
+  return { shapes, owners, norms, fields: { count, parts: parts.map(byVertex) } };
 }
 
-/** Add the vector that is the same everywhere. */
-function addConstant({ owners, norms }, { vertices, fields }, owner) {
-  fields.push(new Float32Array(vertices.length).fill(1 / Math.sqrt(vertices.length)));
-  owners.push(owner);
-  norms.push(1);
-}
+/** The vector that is the same everywhere. */
+const constant = (size) => new Float32Array(size).fill(1 / Math.sqrt(size));
 
 /** Read a vector, and add it unless it is zero; the first one of shapes, their mean, may be that. */
-function addVector({ shapes, parts, owners, norms }, part, coder, reader, unit) {
+function addVector(basis, part, coder, reader, unit) {
   let squares = 0;
-  const mean = shapes && !owners.length, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
+  const { shapes, owners } = basis, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
     const values = coder.read(reader), field = new Float32Array(values.length);
     for (let i = 0; i < values.length; i++) {
       squares += values[i] * values[i];
@@ -64,10 +63,28 @@ function addVector({ shapes, parts, owners, norms }, part, coder, reader, unit) 
     }
     return field;
   });
-  if (!squares && !mean) return;
-  parts[part].fields.push(...fields);
+  const norm = Math.sqrt(squares) * unit;
+  if (!(norm < LARGEST)) throw new MixseqError("basis vectors are beyond single precision");
+  if (squares || (shapes && !owners.length)) add(basis, part, fields, norm);
+}
+
+function add({ parts, owners, norms }, part, fields, norm) {
+  const first = fields.length * owners.length;
+  fields.forEach((field, axis) => {
+    parts[part].fields.push(field);
+    parts[part].numbers.push(first + axis);
+  });
   owners.push(part);
-  norms.push(Math.sqrt(squares) * unit);
+  norms.push(norm);
+}
+
+/** What is known of a part, with the values of all fields at a vertex side by side. */
+function byVertex({ vertices, numbers, fields }) {
+  const values = new Float32Array(fields.length * vertices.length);
+  fields.forEach((field, k) => {
+    for (let vertex = 0, at = k; vertex < field.length; vertex++, at += fields.length) values[at] = field[vertex];
+  });
+  return { vertices, fields: Uint32Array.from(numbers), values };
 }
 
 /** The mesh as its only part. */
@@ -82,19 +99,16 @@ function partsOf(labels, number, triangles) {
     const a = triangles[k], b = triangles[k + 1], c = triangles[k + 2], part = labels[a];
     if (labels[b] === part && labels[c] === part) inside[part].push(own[a], own[b], own[c]);
   }
-  return vertices.map((some, part) => ({ vertices: Uint32Array.from(some), mesh: meshGraph(inside[part], some.length) }));
+  return vertices.map((some, part) => {
+    return { vertices: Uint32Array.from(some), mesh: meshGraph(Uint32Array.from(inside[part]), some.length) };
+  });
 }
-
-/**
- * Number of weights of a frame: three for every field.
- */
-export const widthOf = ({ shapes, owners }) => (shapes ? 9 : 3) * owners.length;
 
 /** The weights of all fields in the frames of a chunk, frame after frame, of a sequence of so many frames. */
 export function readWeights(stream, basis, count, step, frames) {
-  const { shapes, parts, owners, norms } = basis, width = widthOf(basis), graph = pathGraph(count);
+  const { shapes, owners, norms, fields } = basis, width = 3 * fields.count, graph = pathGraph(count);
   const weights = new Float64Array(count * width), models = numberModels(), reader = new Reader(stream);
-  const coders = parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
+  const coders = fields.parts.map(() => new SignalCoder(graph, graph, shapes ? 1 : 3, models));
   owners.forEach((part, vector) => {
     if (shapes && !vector) return spread(weights, width, 0, new Float64Array(count).fill(1 / Math.sqrt(frames)));
     for (let axis = 0; axis < (shapes ? 1 : 3); axis++) {

@@ -1,6 +1,6 @@
 // Weights to begin with, of signals over a mesh of which only the connectivity is known: what bends the mesh least.
 // Mirrors coding/bitstream/stencils.py.
-import { MOST, find } from "./signal_graph.js";
+import { MOST, find } from "./signal_graph_kernels.js";
 
 const WIDEST = 16; // nodes of a stencil
 const HUB = 32; // slopes at nodes with more neighbours do not count

@@ -5,25 +5,28 @@ import { inflated } from "./inflate.js";
 /** The times of so many frames, in seconds. */
 export function unpackTimes(packed, first, count, fps) {
   const times = Float64Array.from({ length: count }, (_, frame) => first + frame / fps);
-  if (packed.length) addDifferences(new DataView(times.buffer), inflated(packed, 8 * count), count);
+  if (packed.length) addDifferences(times, inflated(packed, 8 * count));
   if (!times.every((time, k) => Number.isFinite(time) && !(k && time <= times[k - 1]))) {
     throw new MixseqError("the times of frames do not increase; it is damaged");
   }
   return times;
 }
 
-/** Add sums of differences of 64 bits, their lowest bytes first, to numbers, in two halves. */
-function addDifferences(view, planes, count) {
-  const part = (k, byte) => planes[byte * count + k] | (planes[(byte + 1) * count + k] << 8) | (planes[(byte + 2) * count + k] << 16) | (planes[(byte + 3) * count + k] << 24);
-  const little = new Uint8Array(Uint32Array.of(1).buffer)[0] === 1;
-  let low = 0, high = 0;
-  for (let k = 0; k < count; k++) {
-    low += part(k, 0) >>> 0;
-    high = (high + part(k, 4) + (low > 0xffffffff ? 1 : 0)) | 0;
-    low >>>= 0;
-    const sum = view.getUint32(8 * k + (little ? 0 : 4), little) + low;
-    const carry = sum > 0xffffffff ? 1 : 0;
-    view.setUint32(8 * k + (little ? 0 : 4), sum, little);
-    view.setInt32(8 * k + (little ? 4 : 0), (view.getInt32(8 * k + (little ? 4 : 0), little) + high + carry) | 0, little);
+/** Add sums of differences to the bits of times, as integers of 64 bits in two halves; the lowest bytes of all come first. */
+function addDifferences(times, bytes) {
+  const count = times.length, view = new DataView(new ArrayBuffer(8)), wrapped = 2 ** 32;
+  const half = (k, byte) => {
+    const of = (which) => bytes[(byte + which) * count + k] << (8 * which);
+    return (of(0) | of(1) | of(2) | of(3)) >>> 0;
+  };
+  for (let k = 0, low = 0, high = 0; k < count; k++) {
+    low += half(k, 0);
+    high = (high + half(k, 4) + Math.floor(low / wrapped)) % wrapped;
+    low %= wrapped;
+    view.setFloat64(0, times[k], true);
+    const sum = view.getUint32(0, true) + low;
+    view.setUint32(0, sum, true); // the lowest 32 bits of it
+    view.setUint32(4, view.getUint32(4, true) + high + Math.floor(sum / wrapped), true);
+    times[k] = view.getFloat64(0, true);
   }
 }
