@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.logistic import FAR, logistic_tables
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 Small = NDArray[np.int32]
 Byte = NDArray[np.uint8]
@@ -52,8 +52,13 @@ _RATE = 32
 _FIRST_WEIGHT = 1 << 14
 """Weights to begin with, in units of 2^-16. Frozen: breaks old files."""
 
-SPREAD = -7046029254386353131
-"""Spreads contexts over slots (2^64 divided by the golden ratio, as a number with a sign). Frozen: breaks old files."""
+SPREAD = np.uint64(11400714819323198485)
+"""Spreads contexts over slots (2^64 divided by the golden ratio). Products overflow, which only numbers without a sign
+may: of others LLVM takes for granted that they do not. Frozen: breaks old files."""
+
+
+_HIGHEST = np.uint64(48)
+"""The highest 16 bits of a product say which slot it is. Frozen: breaks old files."""
 
 
 class Bits(NamedTuple):
@@ -139,7 +144,7 @@ def _bits(decoding: bool, queued: Byte, lengths: Index, sets: int) -> Bits:
     )
 
 
-@inlined
+@joined
 def code(bits: Bits, kind: int, bit: int) -> int:
     """Code or decode a bit in the contexts that were set, learn from it, and return it.
 
@@ -161,7 +166,7 @@ def code(bits: Bits, kind: int, bit: int) -> int:
     )
     x = 0
     for i in range(INPUTS):
-        slot = (contexts[i] * SPREAD >> 48) & (SLOTS - 1)
+        slot = np.int64(np.uint64(contexts[i]) * SPREAD >> _HIGHEST)
         slots[i] = slot
         logit = bits.stretch[shares[i, slot] >> 12]
         logits[i] = logit

@@ -9,7 +9,7 @@ the highest. The contexts of all bits are specified here.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
 by the text of their own file, and this one contains those of `corner_guesses`, `bit_mixing` and `half_edges`: who
-changes these must change this file, too. Format 1.
+changes these must change this file, too. Format 2.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from mixseq.coding.bitstream.half_edges import (
     rank_of,
     vertex_of,
 )
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 KINDS = 4 * GUESSES + 4 * 5
 """Kinds of bits with weights of their own: of guesses by place, of numbers by what they are about. Frozen:
@@ -108,7 +108,7 @@ def walk(bits: Bits, mesh: HalfEdges, past: Past, counts: Index, indices: Index)
         bits.failed[0] = 1
 
 
-@inlined
+@joined
 def _vertex(
     bits: Bits,
     mesh: HalfEdges,
@@ -160,7 +160,7 @@ def _vertex(
     return _named(bits, mesh, past, vertex, before, place, last_new)
 
 
-@inlined
+@joined
 def _named(
     bits: Bits, mesh: HalfEdges, past: Past, vertex: int, before: int, place: int, last_new: int
 ) -> tuple[int, int]:
@@ -262,7 +262,7 @@ def _bit_length(number: int) -> int:
     return length
 
 
-@inlined
+@joined
 def _clamped(number: int) -> int:
     """A small number as one from 1 to 63, larger ones as the nearest of these."""
     return min(max(number, -31), 31) + 32

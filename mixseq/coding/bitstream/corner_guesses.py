@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from mixseq.arrays import Index
 from mixseq.coding.bitstream.bit_mixing import INPUTS, SPREAD
 from mixseq.coding.bitstream.half_edges import INTO, OUT_OF, HalfEdges
-from mixseq.compiled import inlined
+from mixseq.compiled import joined
 
 GUESSES = 16
 """Number of guesses at a corner. Frozen: breaks old files."""
@@ -44,6 +44,10 @@ BASES = 9
 
 _REPEATS = 1 << 16
 """Slots for corners that come after certain differences. Frozen: breaks old files."""
+
+
+_NEXT, _PLACES, _MIDDLE = np.uint64(1000003), np.uint64(4), np.uint64(32)
+"""How differences are mixed to a slot, and which bits of it count. Frozen: breaks old files."""
 
 
 class Past(NamedTuple):
@@ -113,7 +117,7 @@ def no_past(vertex_count: int) -> Past:
     )
 
 
-@inlined
+@joined
 def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: int, last_new: int) -> None:
     """Guess the vertex of a corner from its neighbours in the mesh, in the polygons before, and in number.
 
@@ -152,7 +156,7 @@ def make_guesses(mesh: HalfEdges, past: Past, place: int, before: int, first: in
     guesses[15] = before - 1
 
 
-@inlined
+@joined
 def remember(past: Past, place: int, vertex: int, winner: int) -> None:
     """Keep which guesses at a corner were right; `winner` is the first of them, or `GUESSES` and the state."""
     for g in range(GUESSES):
@@ -163,11 +167,11 @@ def remember(past: Past, place: int, vertex: int, winner: int) -> None:
     past.winners[place, 1], past.winners[place, 0] = past.winners[place, 0], winner
 
 
-@inlined
+@joined
 def slot_of(indices: Index, corner: int, place: int) -> int:
     """Return where it is remembered what came after the last three differences of corners, in `Past.repeats`."""
-    key = indices[corner] - indices[corner - 1]
-    key = key * 1000003 + indices[corner - 1] - indices[corner - 2]
-    key = key * 1000003 + indices[corner - 2] - indices[corner - 3]
-    slot: int = ((key * 4 + place) * SPREAD >> 32) & (_REPEATS - 1)
+    key = np.uint64(indices[corner] - indices[corner - 1])
+    key = key * _NEXT + np.uint64(indices[corner - 1] - indices[corner - 2])
+    key = key * _NEXT + np.uint64(indices[corner - 2] - indices[corner - 3])
+    slot: int = np.int64((key * _PLACES + np.uint64(place)) * SPREAD >> _MIDDLE) & (_REPEATS - 1)
     return slot

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Index
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 Small = NDArray[np.int32]
 
@@ -147,7 +147,7 @@ def add_polygon(mesh: HalfEdges, indices: Index, start: int, stop: int) -> None:
         move(mesh, vertex, OPEN if mesh.open_edges[vertex] else CLOSED)
 
 
-@inlined
+@joined
 def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     """Close the half-edge that runs the other way, or open this one."""
     other = mesh.newest[INTO, tail]
@@ -169,7 +169,7 @@ def _add(mesh: HalfEdges, edge: int, tail: int, head: int) -> None:
     mesh.open_edges[head] += change
 
 
-@inlined
+@joined
 def _link(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     newest = mesh.newest[way, vertex]
     mesh.older[way, edge] = newest
@@ -178,7 +178,7 @@ def _link(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     mesh.newest[way, vertex] = edge
 
 
-@inlined
+@joined
 def _unlink(mesh: HalfEdges, way: int, vertex: int, edge: int) -> None:
     older, newer = mesh.older[way, edge], mesh.newer[way, edge]
     if older >= 0:

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
-from mixseq.compiled import compiled, inlined
+from mixseq.compiled import compiled, joined
 
 UNIT = 64
 """Values are whole numbers of steps / UNIT. Frozen: breaks files."""
@@ -53,7 +53,7 @@ rounding. Frozen: breaks files."""
 Small = NDArray[np.int32]
 
 
-@inlined
+@joined
 def predict(node: int, neighbours: Small, counts: Small, weights: Float, values: Index) -> int:
     """Return what the values ``(N,)`` before a node let expect of it, in units."""
     total = 0.5
@@ -235,7 +235,7 @@ def nearest(
                     _insert(node, other, distance, similar, found, apart)
 
 
-@inlined
+@joined
 def _insert(node: int, other: int, distance: float, similar: Small, found: Small, apart: Float) -> None:
     """Insert a node into the nearest ones at squared distances `apart` (most,), whose last one is farther."""
     place = len(apart) - 1

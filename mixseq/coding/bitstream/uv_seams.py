@@ -7,7 +7,7 @@ takes none, it has a new node. Nodes are numbered as they come.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
 of their own file, and this one contains those of `bit_mixing` and `growing`: who changes these must change this file,
-too. Format 1.
+too. Format 2.
 """
 
 from __future__ import annotations

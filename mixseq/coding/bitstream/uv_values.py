@@ -21,7 +21,7 @@ each, plus the four after the highest.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/uvs.npz``). numba keeps compiled loops by the text
 of their own file, and this one contains those of `bit_mixing`, `growing`, `uv_guesses` and `uv_copies`: who changes
-these must change this file, too. Format 1.
+these must change this file, too. Format 2.
 """
 
 from __future__ import annotations
