@@ -9,7 +9,7 @@ the highest. The contexts of all bits are specified here.
 
 Frozen: changing this breaks old files (golden: ``tests/formats/golden/model-v4-coded.h5``). numba keeps compiled loops
 by the text of their own file, and this one contains those of `corner_guesses`, `bit_mixing` and `half_edges`: who
-changes these must change this file, too. Format 2.
+changes these must change this file, too. Format 3.
 """
 
 from __future__ import annotations

@@ -173,5 +173,5 @@ def slot_of(indices: Index, corner: int, place: int) -> int:
     key = np.uint64(indices[corner] - indices[corner - 1])
     key = key * _NEXT + np.uint64(indices[corner - 1] - indices[corner - 2])
     key = key * _NEXT + np.uint64(indices[corner - 2] - indices[corner - 3])
-    slot: int = np.int64((key * _PLACES + np.uint64(place)) * SPREAD >> _MIDDLE) & (_REPEATS - 1)
-    return slot
+    slot = np.int64((key * _PLACES + np.uint64(place)) * SPREAD >> _MIDDLE)
+    return int(slot) & (_REPEATS - 1)
