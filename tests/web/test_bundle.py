@@ -84,7 +84,7 @@ def test_the_bundled_decoder_decodes(node: Node, tmp_path: Path) -> None:
 
 
 def test_the_script_of_the_page_runs(node: Node, tmp_path: Path) -> None:
-    """The first one of docs/web.md, which goes on from the text and the bytes of a file."""
+    """That of docs/web.md which goes on from the text and the bytes of a file."""
     write_container(tmp_path, Path(__file__).parents[1] / "formats/golden/model-v8-coded.h5")
     (tmp_path / "mixseq.js").write_text(bundled(), encoding="utf-8")
     (tmp_path / "package.json").write_text('{"type": "module"}', encoding="utf-8")
@@ -94,7 +94,7 @@ def test_the_script_of_the_page_runs(node: Node, tmp_path: Path) -> None:
     const folder = process.argv[2], text = readFileSync(`${folder}/text`, "latin1");
     const bytes = new Uint8Array(readFileSync(`${folder}/streams`));
     """
-    shown = page.partition("```js\n")[2].partition("```")[0]
+    shown = page.partition("## The decoder")[2].partition("```js\n")[2].partition("```")[0]
     told = node(f"{given}{shown}\nconsole.log(positions.every(Number.isFinite), triangles.length);", tmp_path)
     assert told.split()[0] == "true"
 

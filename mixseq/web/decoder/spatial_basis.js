@@ -12,12 +12,14 @@ import { stencils } from "./stencils.js";
 const GROUP = 12; // basis vectors in the first group
 const LARGEST = 2 ** 127; // of what is float32
 
-/** Which vectors of which parts are in which stream. */
+/** Which parts are in which stream, with how many vectors, and how many of a part are `left` for others. */
 function groupsOfParts(ranks) {
   const groups = [];
   ranks.forEach((rank, part) => {
-    for (let done = 0, size = GROUP, group = 0; done < rank; done += size, size *= 2, group++) {
-      (groups[group] ??= []).push({ part, count: Math.min(size, rank - done) });
+    for (let left = rank, size = GROUP, group = 0; left; size *= 2, group++) {
+      const count = Math.min(size, left);
+      left -= count;
+      (groups[group] ??= []).push({ part, count, left });
     }
   });
   return groups;
@@ -35,13 +37,18 @@ export function readBasis(streams, { factors, ranks, step }, triangles, mesh) {
   if (streams.length !== groups.length) throw new MixseqError("there are not as many groups of basis vectors as it says; it is damaged");
   const readers = streams.map((stream) => new Reader(stream));
   const labels = ranks.length > 1 && readLabels(readers[0], ranks.length, mesh.graph);
-  const places = labels ? partsOf(labels, ranks.length, triangles) : [wholeOf(mesh)];
-  const coders = places.map(({ mesh: own }) => new SignalCoder(own.graph, stencils(own), shapes ? 3 : 1, models));
+  const places = labels ? partsOf(labels, ranks.length, triangles) : [wholeOf(mesh)], coders = [];
+  const coderOf = (part) => {
+    const own = places[part].mesh();
+    return new SignalCoder(own.graph, stencils(own), shapes ? 3 : 1, models);
+  };
   const basis = { shapes, parts: places.map(({ vertices }) => ({ vertices, numbers: [], fields: [] })), owners: [], norms: [] };
   if (!shapes) basis.parts.forEach(({ vertices }, part) => add(basis, part, [constant(vertices.length)], 1));
   groups.forEach((group, number) => {
-    for (const { part, count } of group) {
-      for (let k = 0; k < count; k++) addVector(basis, part, coders[part], readers[number], step / UNIT);
+    for (const { part, count, left } of group) {
+      const coder = (coders[part] ??= coderOf(part)); // they are large: there only as long as they are needed
+      for (let k = 0; k < count; k++) addVector(basis, part, coder, readers[number], step / UNIT);
+      if (!left) coders[part] = null;
     }
     readers[number].finish();
   });
@@ -88,9 +95,9 @@ function byVertex({ vertices, numbers, fields }) {
 }
 
 /** The mesh as its only part. */
-const wholeOf = (mesh) => ({ vertices: Uint32Array.from(mesh.graph.order.keys()), mesh });
+const wholeOf = (mesh) => ({ vertices: Uint32Array.from(mesh.graph.order.keys()), mesh: () => mesh });
 
-/** The parts of labels, each with the triangles that lie inside it. */
+/** The parts of labels, each with the mesh of the triangles that lie inside it. */
 function partsOf(labels, number, triangles) {
   const own = new Int32Array(labels.length), vertices = Array.from({ length: number }, () => []);
   const inside = Array.from({ length: number }, () => []);
@@ -100,7 +107,7 @@ function partsOf(labels, number, triangles) {
     if (labels[b] === part && labels[c] === part) inside[part].push(own[a], own[b], own[c]);
   }
   return vertices.map((some, part) => {
-    return { vertices: Uint32Array.from(some), mesh: meshGraph(Uint32Array.from(inside[part]), some.length) };
+    return { vertices: Uint32Array.from(some), mesh: () => meshGraph(Uint32Array.from(inside[part]), some.length) };
   });
 }
 
