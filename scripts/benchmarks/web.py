@@ -4,7 +4,11 @@ Usage: scripts/bench web [SECTION ...] [--names NAME ...]   (animations of $MIXS
 
 Sections, all of them by default:
 
-decoding   what JavaScript takes to decode, beside Python
+decoding     what JavaScript takes to decode, beside Python
+sizes        bytes of GLB files, beside morph targets, gltfpack, Draco and pages
+first_frame  seconds until pages show the first frame, over a slow line
+
+The last two take gltfpack and three.js from the folder node_modules that MIXSEQ_NODE_MODULES names, and DracoPy.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 
 from scripts.benchmarks.common.section import markdown_table
-from scripts.benchmarks.webs import decoding
+from scripts.benchmarks.webs import decoding, first_frame, sizes
 
 NAMES = ("q_man_run", "horse_gallop", "elephant_gallop", "abc_dembones_bone")
 
@@ -22,6 +26,8 @@ Rows = Callable[[str], Iterable[Sequence[str]]]
 
 SECTIONS: dict[str, tuple[Sequence[str], Rows]] = {
     "decoding": (decoding.COLUMNS, decoding.rows),
+    "sizes": (sizes.COLUMNS, sizes.rows),
+    "first_frame": (first_frame.COLUMNS, first_frame.rows),
 }
 
 
