@@ -1,8 +1,9 @@
 """A shot through the pipeline and back: Blender exports a walker, mixseq works on it, Blender imports the results.
 
 Blender (bpy) is installed into out/blender, unless MIXSEQ_BLENDER names a Python that has it. Every frame of every
-result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Leaves
-out/dcc.json. Ends with 1 if a row fails.
+result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Then models
+are shown by the extension, live, which is installed into a Blender of its own. Leaves out/dcc.json. Ends with 1 if a row
+fails.
 
 Usage: scripts/bench dcc [--only WORD] [--keep FOLDER] [--json FILE]
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -18,10 +20,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from scripts.benchmarks.blender.environment import run
+from scripts.benchmarks.blender.live_rows import TITLES, LiveRow, live_rows
 from scripts.benchmarks.blender.rows import BY_ITSELF, Row, by_itself, measured
 from scripts.benchmarks.blender.tasks import TASKS
 from scripts.benchmarks.blender.truth import Truth
 from scripts.benchmarks.blender.ways import WAYS, made
+
+LIVE = "live"
+"""Name of the rows about the extension, for ``--only``."""
 
 COLUMNS = ("positions", "velocities", "materials", "UVs", "paths", "camera", "range")
 
@@ -31,21 +37,34 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        run("exporting", folder)
+        if options.only != LIVE:
+            run("exporting", folder)
         print("| way | task | frames | rms | max | " + " | ".join(COLUMNS) + " |")
         print("|" + (5 + len(COLUMNS)) * "---|", flush=True)
         rows = []
         for row in _rows(folder, options.only):
             rows.append(row)
             print(_line(row), flush=True)
+        live = []
+        if options.only in LIVE:
+            print(f"\n{TITLES}", flush=True)
+            for live_row in live_rows(folder, _data()):
+                live.append(live_row)
+                print(live_row, flush=True)
     for row in rows:
         for note in row.notes:
             print(f"{row.way}, {row.task}: {note}", file=sys.stderr)
     options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps([{**asdict(row), "passed": row.passed} for row in rows], indent=1))
-    failed = sum(not row.passed for row in rows)
-    print(f"\n{len(rows) - failed} of {len(rows)} rows are as they should be")
-    return 1 if failed or not rows else 0
+    every: list[Row | LiveRow] = [*rows, *live]
+    options.json.write_text(json.dumps([{**asdict(row), "passed": row.passed} for row in every], indent=1))
+    failed = sum(not row.passed for row in every)
+    print(f"\n{len(every) - failed} of {len(every)} rows are as they should be")
+    return 1 if failed or not every else 0
+
+
+def _data() -> Path | None:
+    """Return the folder of real animations, if there is one."""
+    return Path(os.environ["MIXSEQ_DATA"]) if "MIXSEQ_DATA" in os.environ else None
 
 
 def _rows(folder: Path, only: str) -> Iterator[Row]:

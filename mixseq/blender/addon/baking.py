@@ -16,7 +16,7 @@ from mixseq.arrays import Single
 from mixseq.errors import SettingsError
 
 from . import live
-from .timing import linear
+from .timing import BLUR, linear
 
 
 class _Bake:
@@ -110,6 +110,8 @@ class BakeAlembic(_Bake, bpy.types.Operator, ExportHelper):
         modifier.cache_file = bpy.data.cache_files[-1]
         modifier.object_path = inside
         thing.modifiers.move(len(thing.modifiers) - 1, 0)
+        if BLUR in thing.modifiers:
+            thing.modifiers.remove(thing.modifiers[BLUR])
 
 
 def _pose(scene: bpy.types.Scene, mesh: bpy.types.Mesh, moment: float) -> Single:

@@ -17,7 +17,7 @@ from mixseq.signals.model import Model
 
 from . import live
 from .making import new_mesh
-from .timing import follow_scene
+from .timing import follow_scene, let_blur
 
 
 class _ModelFile(ImportHelper):
@@ -50,13 +50,14 @@ class _ModelFile(ImportHelper):
         """Do with the model what the operator is for."""
         raise NotImplementedError
 
-    def settle(self, mesh: bpy.types.Mesh, part: str, placing: Placing) -> None:
-        """Have the model move a mesh."""
-        settings = mesh.mixseq
+    def settle(self, thing: bpy.types.Object, part: str, placing: Placing) -> None:
+        """Have the model move the mesh of an object."""
+        settings = thing.data.mixseq
         settings.part, settings.up_axis, settings.scale = part, placing.up_axis, placing.scale
         settings.is_live = True
         settings.filepath = _kept_path(self.filepath)
-        follow_scene(mesh)
+        follow_scene(thing.data)
+        let_blur(thing)
 
 
 class ImportModel(bpy.types.Operator, _ModelFile):
@@ -70,9 +71,9 @@ class ImportModel(bpy.types.Operator, _ModelFile):
         bpy.ops.object.select_all(action="DESELECT")
         for part in part_names(model.header):
             mesh = new_mesh(model.header, part)
-            self.settle(mesh, part, Placing.as_told(model.header))
             made = bpy.data.objects.new(mesh.name, mesh)
             context.collection.objects.link(made)
+            self.settle(made, part, Placing.as_told(model.header))
             made.select_set(True)
             context.view_layer.objects.active = made
 
@@ -98,7 +99,7 @@ class AttachModel(bpy.types.Operator, _ModelFile):
         if not _has_polygons_of(mesh, model, part):
             text = "the mesh has other polygons than the model: where it bursts, its vertices are in another order"
             self.report({"WARNING"}, text)
-        self.settle(mesh, part, placing)
+        self.settle(context.object, part, placing)
 
 
 class DropModel(bpy.types.FileHandler):

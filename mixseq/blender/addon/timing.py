@@ -11,11 +11,22 @@ import bpy
 
 from . import live
 
+BLUR = "mixseq motion blur"
+"""Name of the modifier that does nothing."""
+
 
 def follow_scene(mesh: bpy.types.Mesh) -> None:
     """Have a mesh show the frame of the scene; keys of an earlier model stay as they are."""
     if not _is_animated(mesh):
         mesh.mixseq.driver_add("frame").driver.expression = "frame"
+
+
+def let_blur(thing: bpy.types.Object) -> None:
+    """Have renderers look at an object between frames, too: they do if a modifier deforms it, also by nothing."""
+    if BLUR not in thing.modifiers:
+        nothing = thing.modifiers.new(BLUR, "SMOOTH")
+        nothing.iterations = 0
+        nothing.show_viewport = False
 
 
 def linear(animated: bpy.types.ID) -> None:
