@@ -1,9 +1,8 @@
 """A shot through the pipeline and back: Blender exports a walker, mixseq works on it, Blender imports the results.
 
 Blender (bpy) is installed into out/blender, unless MIXSEQ_BLENDER names a Python that has it. Every frame of every
-result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Then models
-are shown by the extension, live, which is installed into a Blender of its own. Leaves out/dcc.json. Ends with 1 if a row
-fails.
+result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Then the
+extension shows models, live, installed into a Blender of its own. Leaves out/dcc.json. Ends with 1 if a row fails.
 
 Usage: scripts/bench dcc [--only WORD] [--keep FOLDER] [--json FILE]
 """

@@ -1,4 +1,4 @@
-"""The add-on in Blender, installed from its archive: all that `scripts/bench dcc` asks of it, but for the large cache."""
+"""The add-on in Blender, installed from its archive: what `scripts/bench dcc` asks of it, but for the large cache."""
 
 from __future__ import annotations
 
