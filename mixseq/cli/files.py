@@ -157,6 +157,12 @@ def check_model_name(path: Path, compressed: bool) -> None:
         )
 
 
+def free_name(path: Path) -> Path:
+    """Return the path, with a number if there is such a file."""
+    tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
+    return next(each for each in tries if not each.exists())
+
+
 def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of the options that the file's format knows: several files may differ in format."""
     from mixseq_io import FORMATS
@@ -167,6 +173,18 @@ def options_of(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
         name for form in forms for name in form.read_options
     }
     return {name: value for name, value in reading.items() if name in known}
+
+
+def check_options(files: Sequence[Path], reading: Mapping[str, Any]) -> None:
+    """Refuse options that none of the files is read with.
+
+    Raises
+    ------
+    SettingsError
+        If there is one.
+    """
+    for name in reading.keys() - set().union(*(options_of(file, reading) for file in files)):
+        raise SettingsError(f"none of the files is read with an option {name!r}")
 
 
 def scene_items(
@@ -187,9 +205,7 @@ def scene_items(
     """
     from mixseq.scene import SceneItem
 
-    every = [*files, *([against] if against else [])]
-    for name in reading.keys() - set().union(*(options_of(file, reading) for file in every)):
-        raise SettingsError(f"none of the files is read with an option {name!r}")
+    check_options([*files, *([against] if against else [])], reading)
 
     def opened(file: Path) -> SequenceReader:
         return stack.enter_context(mixseq.open_sequence(file, **options_of(file, reading)))

@@ -18,7 +18,7 @@ import click
 import mixseq
 from mixseq.cli.camera import camera_option
 from mixseq.cli.console import announce, needed, progress_bar, say
-from mixseq.cli.files import MODEL_EXTENSIONS, check_target, is_model, scene_items, write_frames
+from mixseq.cli.files import MODEL_EXTENSIONS, check_target, free_name, is_model, scene_items, write_frames
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mixseq.scene.colours import SceneColours
     from mixseq.scene.items import Scene
     from mixseq.signals import Model
+    from mixseq.viewing.live import ViewSettings
 
 
 @click.command(
@@ -41,11 +42,18 @@ if TYPE_CHECKING:
         "mixseq view walk.usdc walk.h5 --against walk.usdc",
         "mixseq view shot.abc --no-browser --port 9000",
         "mixseq view walk.h5 --export walk.html",
+        "mixseq view horse.obj camel.obj --markers pairs.txt",
     ),
 )
 @click.argument("files", nargs=-1, required=True, type=FILE)
 @click.option(
     "--against", type=FILE, metavar="SEQUENCE", help="The original in any format, to colour errors."
+)
+@click.option(
+    "--markers",
+    type=FILE,
+    metavar="FILE",
+    help="Set markers of two meshes, for mixseq transfer: click pairs of points. FILE is continued, if it is there.",
 )
 @click.option(
     "--fps",
@@ -99,6 +107,7 @@ if TYPE_CHECKING:
 def command(
     files: tuple[Path, ...],
     against: Path | None,
+    markers: Path | None,
     rate: float | None,
     host: str | None,
     port: int | None,
@@ -124,6 +133,9 @@ def command(
     cut, hold and exaggerate. All of it can be undone, and saved as a model or a sequence in the folder where this was
     started.
 
+    With --markers, the two FILES are shown at rest, each in its first frame (of glTF, in the pose without animation),
+    and points that are the same are clicked in pairs. Some are proposed; how well they fit is told meanwhile.
+
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
     only_live = {
@@ -142,6 +154,19 @@ def command(
                 else "pages; give --export as well"
             )
             raise SettingsError(f"--{name} is about {about}")
+    if markers is not None:
+        others: dict[str, Any] = {
+            "export": page,
+            "against": against,
+            "fps": rate,
+            "overlaid": overlaid or None,
+            "follow": follow,
+            "read-only": read_only or None,
+            "threads": threads,
+        }
+        for name, value in others.items():
+            if value is not None:
+                raise SettingsError(f"--{name} is not about setting markers; leave it out, or --markers")
     if page is not None:
         _check_page(page)
         claim(page)
@@ -149,6 +174,12 @@ def command(
         from mixseq.viewing.live import check_viser
 
         check_viser()
+    if markers is not None:
+        from mixseq.cli.view_markers import set_markers
+
+        how = {"host": host, "port": port, "camera": camera}
+        set_markers(files, markers, reading, _settings(how, shading), partial(_wait, browser=browser))
+        return
     with progress_bar(quiet) as progress:
         scene, original = _opened(files, against, rate, reading, progress)
         colours = _scene_colours(scene, original)
@@ -218,36 +249,41 @@ def _run(
 ) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.mapping import thread_count
-    from mixseq.viewing.live import ViewSettings, viewer
+    from mixseq.viewing.live import viewer
 
-    settings = ViewSettings(
-        folder=Path.cwd(),
-        threads=threads or thread_count(),
-        material="toon5" if shading == "simple" else "standard",
-        **{name: value for name, value in given.items() if value is not None},
-    )
+    settings = _settings({"folder": Path.cwd(), "threads": threads or thread_count(), **given}, shading)
     with viewer(colours, settings, partial(_save, files)) as running:
-        say(f"mixseq view: {running.address} (Ctrl-C ends it)")
-        if browser or (browser is None and _has_screen()):
-            webbrowser.open(running.address)
         try:
-            threading.Event().wait()
-        except KeyboardInterrupt:
-            click.echo()
+            _wait(running.address, browser)
         finally:
             answered()  # what is saved from here on is meant
             for name, model in running.session.unsaved.items():
-                kept = _free_name(Path(f"{Path(name).stem}-unsaved.h5"))
+                kept = free_name(Path(f"{Path(name).stem}-unsaved.h5"))
                 mixseq.save(kept, model)
                 warnings.warn(
                     f"what was edited of {name} was not saved; it is in {kept}", MixseqWarning, stacklevel=1
                 )
 
 
-def _free_name(path: Path) -> Path:
-    """Return the path, with a number if there is such a file."""
-    tries = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 10_000)))
-    return next(each for each in tries if not each.exists())
+def _settings(given: Mapping[str, Any], shading: str | None) -> ViewSettings:
+    """Return how the viewer runs, as far as it was told."""
+    from mixseq.viewing.live import ViewSettings
+
+    material = "toon5" if shading == "simple" else "standard"
+    return ViewSettings(
+        material=material, **{name: value for name, value in given.items() if value is not None}
+    )
+
+
+def _wait(address: str, browser: bool | None) -> None:
+    """Tell the address, open it where there is a screen, and wait for Ctrl-C."""
+    say(f"mixseq view: {address} (Ctrl-C ends it)")
+    if browser or (browser is None and _has_screen()):
+        webbrowser.open(address)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        click.echo()
 
 
 def _has_screen() -> bool:

@@ -28,6 +28,9 @@ LEAST = 0.004
 HEAT_TIMES = np.geomspace(0.002, 0.1, 6)
 """Times after which heat is looked at, in units of the area: from ears to limbs."""
 
+FALL, FLAT = 0.01, 0.25
+"""By how much the mean distance falls where an extremity ends, and how far from it that is looked for."""
+
 EIGENVECTORS = 80
 """Of the Laplacian, of which signatures are made; later ones have decayed at the first of the times."""
 
@@ -44,6 +47,9 @@ class Extremities:
         The same, in the unit of the coarse surface.
     prominences : (e,) float64
         How prominent they are; all lengths are in roots of the area.
+    radii : (e,) float64
+        How far from it the mean distance is as large but for 0.01: 0.02 to 0.07 of a hoof; a round head has more, so
+        that where its tip is remains open.
     distances : (e, e) float64
         Distances along the surface between them.
     signatures : (e, 6) float64
@@ -53,23 +59,23 @@ class Extremities:
     vertices: Index
     points: Float
     prominences: Float
+    radii: Float
     distances: Float
     signatures: Float
 
     @classmethod
     def of(cls, surface: CoarseSurface) -> Extremities:
         """Find the extremities of a surface."""
-        peaks, prominences = maxima(mean_distance(surface), surface)
+        values = mean_distance(surface)
+        peaks, prominences = maxima(values, surface)
         peaks, prominences = peaks[prominences >= LEAST], prominences[prominences >= LEAST]
         diffusion = Diffusion(surface.points, surface.mesh.topology)
         signatures = np.log(diffusion.heat_kernel(HEAT_TIMES, EIGENVECTORS)[peaks])
-        distances = surface.distances(peaks)[:, peaks]
-        return cls(surface.vertices[peaks], surface.points[peaks], prominences, distances, signatures)
-
-    def mirrored(self) -> Extremities:
-        """Return the extremities of the mirrored surface."""
-        points = self.points * [-1.0, 1.0, 1.0]
-        return Extremities(self.vertices, points, self.prominences, self.distances, self.signatures)
+        distances = surface.distances(peaks)
+        flat = (values >= values[peaks, None] - FALL) & (distances < FLAT)
+        radii = np.where(flat, distances, 0.0).max(axis=1)
+        places = surface.vertices[peaks], surface.points[peaks]
+        return cls(*places, prominences, radii, distances[:, peaks], signatures)
 
 
 def far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:

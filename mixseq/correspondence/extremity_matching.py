@@ -48,6 +48,9 @@ LARGEST_COST = 0.4
 SMALL_COST, CLEARER = 0.18, 1.25
 """The cost of a pair that sticks out less, and how many times it costs to give one of the two another partner."""
 
+BLUNT = 0.08
+"""An extremity with a larger radius is on the right limb, but perhaps not at the same place of it."""
+
 NEAR = 0.3
 """Prominent extremities that are nearer lead those that stick out less."""
 
@@ -79,12 +82,13 @@ def match_extremities(first: Extremities, second: Extremities) -> list[Matched]:
     -------
     list of Matched
         The sure pairs, the surest of the prominent ones first, then the surest of the others; none if fewer than four
-        are sure.
+        are sure. Blunt ones help to find them, and are left out.
     """
     prominent = _prominent_pairs(first, second)
     if len(prominent) < 4:  # which could be turned at will
         return []
-    return prominent + _other_pairs(first, second, prominent)
+    sharp = [each for each in prominent if max(first.radii[each.first], second.radii[each.second]) <= BLUNT]
+    return sharp + _other_pairs(first, second, prominent)
 
 
 def _prominent_pairs(first: Extremities, second: Extremities) -> list[Matched]:

@@ -51,7 +51,7 @@ NEAR = 0.4
 TRUSTED = 0.06
 """A point that is mirrored twice is nearer to itself, in roots of the area."""
 
-MIDDLE = 0.04
+MIDDLE = 0.08
 """So near to their partners are points in the middle, which have none."""
 
 RINGS = 2

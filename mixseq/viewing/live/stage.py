@@ -152,6 +152,16 @@ class LiveStage:
         """Choose what colours show; the next moment does."""
         self._colour = name
 
+    def look(self, scene: Scene, camera: tuple[float, float]) -> None:
+        """Look from elsewhere, see `mixseq.scene.camera.seen_from`, at meshes that stand side by side from there."""
+        self._camera = camera
+        self.arrange(scene, side_by_side=True)
+
+    def standing(self, index: int, points: Single) -> Single:
+        """Return where the points ``(V, 3)`` of a mesh are in the scene."""
+        with self._lock:
+            return self._standing(self._arrangement, index, points)[0]
+
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Put meshes side by side or into one place; the next moment does."""
         arrangement = arranged(scene, side_by_side, self._camera)
@@ -172,8 +182,8 @@ class LiveStage:
         for mesh in self._meshes:
             mesh.wireframe = on
 
-    def on_click(self, report: Callable[[int, Picked], None]) -> None:
-        """Report what is clicked: which mesh, and where it was hit."""
+    def on_click(self, report: Callable[[int, Picked], None], mark: bool = True) -> None:
+        """Report what is clicked: which mesh, and where it was hit; a ball marks it if wanted."""
         for number, mesh in enumerate(self._meshes):
 
             @mesh.on_click  # type: ignore[untyped-decorator]
@@ -187,10 +197,11 @@ class LiveStage:
                     points, moment.scene.items[index].header.faces, event.ray_origin, event.ray_direction
                 )
                 if found is not None:
-                    with self._lock:
-                        self._marked = index, found.vertex
-                        self._mark.position = points[found.vertex]
-                        self._mark.visible = True
+                    if mark:
+                        with self._lock:
+                            self._marked = index, found.vertex
+                            self._mark.position = points[found.vertex]
+                            self._mark.visible = True
                     report(index, found)
 
     def _furnish(self) -> None:

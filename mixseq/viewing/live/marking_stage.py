@@ -1,0 +1,165 @@
+"""Markers in the scene: a ball and a number at either end of a pair, dark balls where pairs are proposed."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mixseq.arrays import Float, Index, Single
+from mixseq.correspondence.triangle_mesh import TriangleMesh
+from mixseq.scene.arrangement import HEIGHT
+from mixseq.topology import Topology
+from mixseq.viewing.marking import Marking, Pair
+
+RADIUS = 0.008 * HEIGHT
+"""That of a ball; twice that of proposals but the next one. Ours, as all sizes here."""
+
+CHOSEN = 1.6
+"""How many times as large is the ball of a chosen pair, or of one that is begun."""
+
+ABOVE = 3.0
+"""How many radii a number stands away from the surface, so that it is seen where the ball is."""
+
+SPARE = 64
+"""Balls that there are at least."""
+
+PROPOSED = (40, 40, 40)
+"""Colour of what is proposed."""
+
+GOLDEN = 0.618034
+"""Turn of the hue from a number to the next, so that neighbours differ."""
+
+
+def colour(number: int) -> tuple[int, int, int]:
+    """Return the colour of a pair by its number, from 0."""
+    red, green, blue = colorsys.hsv_to_rgb((0.02 + GOLDEN * number) % 1.0, 0.85, 0.9)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball on one of the meshes.
+
+    Attributes
+    ----------
+    vertex : int
+        Where it is.
+    text : str
+        What stands beside it; may be empty.
+    colour : (int, int, int)
+        Its colour.
+    scale : float
+        How many times the usual radius it has.
+    """
+
+    vertex: int
+    text: str
+    colour: tuple[int, int, int]
+    scale: float
+
+
+def balls(marking: Marking, proposals: Sequence[Pair], suspects: frozenset[int], side: int) -> Iterator[Ball]:
+    """Yield what is drawn on a side: pairs with their numbers, with a ``!`` where they are suspected."""
+    for number, pair in enumerate(marking.pairs):
+        text = f"{number + 1}{'!' if number in suspects else ''}"
+        scale = CHOSEN if number == marking.chosen else 1.0
+        yield Ball(pair.vertices[side], text, colour(number), scale)
+    if marking.begun is not None and marking.begun[0] == side:
+        number = len(marking.pairs)
+        yield Ball(marking.begun[1], f"{number + 1} ...", colour(number), CHOSEN)
+    for place, pair in enumerate(proposals):
+        yield Ball(pair.vertices[side], "" if place else "?", PROPOSED, 0.7 if place else 1.2)
+
+
+class MarkingStage:
+    """Balls and numbers in the scene of a server.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The server.
+    topologies : (Topology, Topology)
+        Those of the two meshes.
+    """
+
+    def __init__(self, server: Any, topologies: tuple[Topology, Topology]) -> None:
+        self._server = server
+        self._topologies = topologies
+        self._placed: dict[int, tuple[Single, Float]] = {}
+        self._labels: dict[str, Any] = {}
+        self._nodes: dict[int, Any] = {}
+        self._ball = _icosphere()
+
+    def place(self, side: int, points: Single) -> None:
+        """Take notice of where the vertices ``(V, 3)`` of a mesh are in the scene."""
+        mesh = TriangleMesh(np.asarray(points, np.float64), self._topologies[side])
+        self._placed[side] = points, mesh.vertex_normals
+
+    def draw(self, side: int, drawn: Sequence[Ball]) -> None:
+        """Draw the balls of a side, and no others."""
+        points, normals = self._placed[side]
+        vertices = np.array([ball.vertex for ball in drawn], np.int64)
+        with self._server.atomic():
+            self._show(side, drawn, points[vertices])
+            places = points[vertices] + ABOVE * RADIUS * normals[vertices]
+            self._write(side, drawn, np.asarray(places, np.float64))
+
+    def _show(self, side: int, drawn: Sequence[Ball], places: Single) -> None:
+        """Move the balls of a side; some are spare, and of no size, as new ones blink when they come."""
+        count = max(SPARE, 1 << len(drawn).bit_length())
+        positions, scales = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        colours = np.zeros((count, 3), np.uint8)
+        for row, ball in enumerate(drawn):
+            positions[row], scales[row], colours[row] = places[row], RADIUS * ball.scale, ball.colour
+        node = self._nodes.get(side)
+        if node is not None and len(node.batched_positions) == count:
+            node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
+            return
+        self._nodes[side] = self._server.scene.add_batched_meshes_simple(
+            f"/markers/{side}",
+            *self._ball,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            batched_positions=positions,
+            batched_scales=scales,
+            batched_colors=colours,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def _write(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
+        texts = {
+            f"/numbers/{side}/{row}": (ball.text, place)
+            for row, (ball, place) in enumerate(zip(drawn, places, strict=True))
+            if ball.text
+        }
+        for name in [each for each in self._labels if each.startswith(f"/numbers/{side}/")]:
+            if name not in texts:
+                self._labels.pop(name).remove()
+        for name, (text, place) in texts.items():
+            label = self._labels.get(name)
+            if label is None:
+                self._labels[name] = self._server.scene.add_label(
+                    name,
+                    text,
+                    position=place,
+                    anchor="center-center",
+                    font_screen_scale=1.1,
+                    depth_test=True,
+                )
+                continue
+            label.position = place
+            if label.text != text:
+                label.text = text
+
+
+def _icosphere() -> tuple[Float, Index]:
+    """Points and triangles of a ball of radius 1."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    return np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64)

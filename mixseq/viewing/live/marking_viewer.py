@@ -1,0 +1,199 @@
+"""The viewer in which markers are set: two meshes at rest, side by side, whose points are clicked in pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from mixseq.correspondence.markers import Markers
+from mixseq.frame_store import frame_store
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene, SceneItem
+from mixseq.sequence import MeshSequence
+from mixseq.topology import Topology
+from mixseq.viewing.live.bridge import add_bridge
+from mixseq.viewing.live.controls import notify
+from mixseq.viewing.live.marking_controls import VIEWS, MarkingControls
+from mixseq.viewing.live.marking_stage import MarkingStage, balls
+from mixseq.viewing.live.server import served
+from mixseq.viewing.live.stage import LiveStage
+from mixseq.viewing.live.viewer import ViewSettings
+from mixseq.viewing.marking import SOURCE, TARGET
+from mixseq.viewing.marking_session import MarkingSession
+from mixseq.viewing.messages import Drawn, Message
+from mixseq.viewing.playback import Playback
+
+SaveMarkers = Callable[[Markers], str]
+"""Writes markers to the file that was named when the viewer was started, and returns a sentence about it."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedMeshes:
+    """What markers are set on.
+
+    Attributes
+    ----------
+    source, target : MeshSequence
+        The meshes at rest, in their first frames.
+    names : (str, str)
+        What they are called.
+    markers : Markers
+        Those that are set at first.
+    file : str
+        What the file is called that they are saved to.
+    """
+
+    source: MeshSequence
+    target: MeshSequence
+    names: tuple[str, str]
+    markers: Markers
+    file: str
+
+    @property
+    def scene(self) -> Scene:
+        """Both as they are shown: of one size, whatever their units."""
+        items = []
+        for name, mesh in zip(self.names, (self.source, self.target), strict=True):
+            points = np.asarray(mesh.points[:1], np.float64)
+            size = float(np.linalg.norm(np.ptp(points[0], axis=0))) or 1.0
+            still = MeshSequence.from_header(mesh.header.with_times([0.0]), points / size)
+            items.append(SceneItem(name, frame_store(still)))
+        return Scene(tuple(items))
+
+
+class MarkingViewer:
+    """A running viewer for markers; make it with `marking_viewer`.
+
+    Attributes
+    ----------
+    address : str
+        Where it is, for a browser, with the token that lets it in.
+    session : MarkingSession
+        What is set.
+    """
+
+    def __init__(
+        self,
+        server: Any,
+        address: str,
+        meshes: MarkedMeshes,
+        settings: ViewSettings,
+        save: SaveMarkers,
+        stack: ExitStack,
+    ) -> None:
+        self.address = address
+        self._server = server
+        self._save = save
+        self._lock = Lock()
+        self._controls: MarkingControls | None = None  # the session may have news before they are there
+        gui, scene = server.gui, meshes.scene
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
+        gui.set_panel_label("mixseq")
+        topologies = [Topology(each.faces, each.vertex_count) for each in (meshes.source, meshes.target)]
+        self._balls = MarkingStage(server, (topologies[0], topologies[1]))
+        camera = settings.camera or VIEWS["Left"]
+        self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
+        self._playback = stack.enter_context(Playback(scene, self._stage, self._failed, threads=1))
+        self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
+        add_bridge(server, self._heard)
+        self._controls = MarkingControls(
+            server, self.session, meshes.names, meshes.file, self._look, self.save
+        )
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(320)
+        self._stage.on_click(lambda side, picked: self.session.click(side, picked.vertex), mark=False)
+        server.on_client_connect(self._connected)
+        server.on_client_disconnect(self._stage.forget)
+        self._place()
+
+    # What the session tells -----------------------------------------------------------------------------
+
+    def changed(self) -> None:
+        """Draw what is set now."""
+        controls = self._controls
+        if controls is None:  # not all is there yet
+            return
+        with self._lock:
+            session = self.session
+            examination = session.examination
+            suspects = frozenset() if examination is None else examination.suspects
+            for side in (SOURCE, TARGET):
+                self._balls.draw(side, list(balls(session.marking, session.proposals, suspects, side)))
+            controls.show()
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Tell on all pages what could not be done."""
+        self.tell(f"{what}: not done", str(error))
+
+    def save(self) -> None:
+        """Write what is set to the file."""
+        marking = self.session.marking
+        try:
+            what = self._save(marking.markers)
+        except Exception as error:
+            self.failed("save", error)
+        else:
+            self.session.kept(marking.pairs)
+            self.tell("Saved", what, good=True)
+
+    # What the playback and the page tell ----------------------------------------------------------------
+
+    def _failed(self, error: Exception) -> None:
+        self.tell("The meshes cannot be shown", str(error))
+
+    def _look(self, camera: tuple[float, float]) -> None:
+        self._stage.look(self._playback.scene, camera)
+        self._playback.refresh()
+        self._place()
+
+    def _place(self) -> None:
+        """Put balls where the meshes stand now."""
+        for side, item in enumerate(self._playback.scene.items):
+            self._balls.place(side, self._stage.standing(side, item.pose(0.0)))
+        self.changed()
+
+    def _connected(self, client: Any) -> None:
+        self._stage.welcome(client)
+        self._playback.refresh()
+
+    def _heard(self, message: Message) -> None:
+        if isinstance(message, Drawn):
+            self._stage.drawn()
+            self._playback.drawn()
+
+    def tell(self, title: str, text: str, good: bool = False) -> None:
+        """Tell something on all pages."""
+        for client in self._server.get_clients().values():
+            notify(client, title, text, good)
+
+
+@contextmanager
+def marking_viewer(
+    meshes: MarkedMeshes, settings: ViewSettings, save: SaveMarkers
+) -> Iterator[MarkingViewer]:
+    """Run a viewer in which markers are set in the background, as long as the context lasts.
+
+    Parameters
+    ----------
+    meshes : MarkedMeshes
+        What they are set on.
+    settings : ViewSettings
+        How; of its address, camera and material.
+    save : callable
+        Writes markers to their file.
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    SettingsError
+        If it cannot listen at the address.
+    """
+    with ExitStack() as stack:
+        server, address = stack.enter_context(served(settings.host, settings.port))
+        yield MarkingViewer(server, address, meshes, settings, save, stack)

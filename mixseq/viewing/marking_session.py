@@ -1,0 +1,223 @@
+"""Setting markers of two meshes: what is set now, what is proposed, and what is found out about it on a thread beside.
+
+What takes seconds is done one after the other in the background: suggestions, the other sides of both bodies, and the
+examination of the pairs of now. None of it keeps a click waiting.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from traceback import print_exception
+from typing import Protocol
+
+import numpy as np
+
+from mixseq.correspondence.examination import Examination, examine
+from mixseq.correspondence.markers import Markers
+from mixseq.correspondence.mirroring import Mirror
+from mixseq.correspondence.suggestions import suggest_markers
+from mixseq.errors import MixseqError
+from mixseq.sequence import MeshSequence
+from mixseq.topology import Topology
+from mixseq.viewing.background import Background
+from mixseq.viewing.marking import GRAB, Marking, MarkingHistory, Pair, Places
+
+
+class MarkingListener(Protocol):
+    """What is called when something happens, on any thread."""
+
+    def changed(self) -> None:
+        """Pairs, proposals, or what is known about them are others."""
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Something could not be done."""
+
+
+class MarkingSession(Background):
+    """Markers of two meshes while they are set.
+
+    Parameters
+    ----------
+    source, target : MeshSequence
+        The meshes, each in its first frame.
+    markers : Markers
+        What is set at first. If that is nothing, markers are suggested.
+    listener : MarkingListener
+        Called when something happens.
+    """
+
+    def __init__(
+        self, source: MeshSequence, target: MeshSequence, markers: Markers, listener: MarkingListener
+    ) -> None:
+        self._meshes = source, target
+        self._listener = listener
+        self._places = Places.of(*(np.asarray(mesh.points[0], np.float64) for mesh in self._meshes))
+        self._history = MarkingHistory((Marking.of(markers),))
+        self._saved = self.marking.pairs
+        self._suggested: tuple[Pair, ...] = ()
+        self._mirrors: tuple[Mirror, Mirror] | None = None
+        self._mirrored: dict[tuple[int, int], Pair | None] = {}
+        self._examined: tuple[tuple[Pair, ...], Examination] | None = None
+        self._jobs: deque[Callable[[], None]] = deque()
+        self.work = ""
+        self._jobs.extend([] if len(markers) else [self._suggest])
+        self._jobs.extend([self._find_mirrors, self._examine])
+        super().__init__(self._work)
+
+    # What there is --------------------------------------------------------------------------------------
+
+    @property
+    def marking(self) -> Marking:
+        """What is set now."""
+        return self._history.marking
+
+    @property
+    def proposals(self) -> tuple[Pair, ...]:
+        """Pairs to confirm, the first one next: mirrored ones of the newest pairs, then suggestions."""
+        marking = self.marking
+        mirrored = (self._mirrored.get(pair.vertices) for pair in reversed(marking.pairs))
+        return self._places.proposals(marking, [*filter(None, mirrored), *self._suggested])
+
+    @property
+    def examination(self) -> Examination | None:
+        """What is known about the pairs of now; None while it is not."""
+        found = self._examined
+        return found[1] if found is not None and found[0] == self.marking.pairs else None
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether other pairs are set than are in the file."""
+        return self.marking.pairs != self._saved
+
+    def kept(self, pairs: tuple[Pair, ...]) -> None:
+        """Take notice that pairs are in the file."""
+        self._saved = pairs
+        self._listener.changed()
+
+    # What a person does ---------------------------------------------------------------------------------
+
+    def click(self, side: int, vertex: int) -> None:
+        """Click a vertex: choose the pair, or accept the proposal, that is there; else set a point."""
+        with self._changed:
+            marking, proposals = self.marking, self.proposals
+            there = self._places.nearest(side, vertex, marking.pairs, GRAB)
+            proposed = self._places.nearest(side, vertex, proposals, GRAB)
+            if there is not None and there != marking.chosen:
+                after = marking.choosing(there)
+            elif proposed is not None and marking.begun is None and marking.chosen is None:
+                after = marking.with_pair(proposals[proposed])
+            else:
+                after = marking.clicked(side, vertex)
+            self._history = self._history.done(after)
+        self._went_on()
+
+    def accept(self) -> None:
+        """Set the next proposal."""
+        self._step(lambda marking: marking.with_pair(self.proposals[0]) if self.proposals else marking)
+
+    def accept_all(self) -> None:
+        """Set all proposals."""
+
+        def all_set(marking: Marking) -> Marking:
+            for pair in self.proposals:
+                marking = marking.with_pair(pair)
+            return marking
+
+        self._step(all_set)
+
+    def skip(self) -> None:
+        """Do not propose the next proposal again."""
+        self._step(lambda marking: marking.skipping(self.proposals[0]) if self.proposals else marking)
+
+    def delete(self) -> None:
+        """Delete the chosen pair, or the point that begins one."""
+        self._step(Marking.without_chosen)
+
+    def undo(self) -> None:
+        """Take back the last step."""
+        with self._changed:
+            self._history = self._history.undone()
+        self._went_on()
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        with self._changed:
+            self._history = self._history.redone()
+        self._went_on()
+
+    def suggest(self) -> None:
+        """Suggest markers, also those that were skipped before."""
+        self._step(lambda marking: Marking(marking.pairs, marking.begun, marking.chosen))
+        self._later(self._suggest)
+
+    def _step(self, change: Callable[[Marking], Marking]) -> None:
+        with self._changed:
+            self._history = self._history.done(change(self.marking))
+        self._went_on()
+
+    def _went_on(self) -> None:
+        self._mirror_pairs()
+        self._listener.changed()
+        self._later(self._examine)
+
+    # What is done beside --------------------------------------------------------------------------------
+
+    def _later(self, job: Callable[[], None]) -> None:
+        with self._changed:
+            if job not in self._jobs:
+                self._jobs.append(job)
+                self._changed.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if self._closed:
+                    return
+                job = self._jobs.popleft()
+            try:
+                job()
+            except Exception as error:
+                if not isinstance(error, MixseqError):  # a bug, but the session goes on
+                    print_exception(error)
+                self._listener.failed("markers", error)
+            self.work = ""
+            self._listener.changed()
+
+    def _tell(self, what: str) -> None:
+        self.work = what
+        self._listener.changed()
+
+    def _suggest(self) -> None:
+        self._tell("looking for markers to suggest")
+        found = suggest_markers(*self._meshes)
+        self._suggested = Marking.of(found).pairs
+
+    def _find_mirrors(self) -> None:
+        self._tell("looking for left and right")
+        found = [Mirror.of(mesh.points[0], Topology(mesh.faces, mesh.vertex_count)) for mesh in self._meshes]
+        if found[0] is not None and found[1] is not None:
+            self._mirrors = found[0], found[1]
+            self._mirror_pairs()
+
+    def _mirror_pairs(self) -> None:
+        """Find the pairs on the other side of those that are set."""
+        if self._mirrors is None:
+            return
+        for pair in self.marking.pairs:
+            if pair.vertices not in self._mirrored:
+                source, target = (
+                    mirror.partner(vertex)
+                    for mirror, vertex in zip(self._mirrors, pair.vertices, strict=True)
+                )
+                both = None if source is None or target is None else Pair((source, target))
+                self._mirrored[pair.vertices] = both
+
+    def _examine(self) -> None:
+        pairs = self.marking.pairs
+        if self._examined is not None and self._examined[0] == pairs:
+            return
+        if pairs:
+            self._tell("finding a map")
+            self._examined = pairs, examine(*self._meshes, Marking(pairs).markers)
