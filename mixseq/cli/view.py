@@ -138,6 +138,19 @@ def command(
 
     The viewer runs until Ctrl-C. On another machine, forward its port: ssh -L 8080:127.0.0.1:8080 machine.
     """
+    if markers is not None:
+        others: dict[str, Any] = {
+            "export": page,
+            "against": against,
+            "fps": rate,
+            "overlaid": overlaid or None,
+            "follow": follow,
+            "read-only": read_only or None,
+            "threads": threads,
+        }
+        for name, value in others.items():
+            if value is not None:
+                raise SettingsError(f"--{name} is not about setting markers; leave it out, or --markers")
     only_live = {
         "host": host,
         "port": port,
@@ -154,19 +167,6 @@ def command(
                 else "pages; give --export as well"
             )
             raise SettingsError(f"--{name} is about {about}")
-    if markers is not None:
-        others: dict[str, Any] = {
-            "export": page,
-            "against": against,
-            "fps": rate,
-            "overlaid": overlaid or None,
-            "follow": follow,
-            "read-only": read_only or None,
-            "threads": threads,
-        }
-        for name, value in others.items():
-            if value is not None:
-                raise SettingsError(f"--{name} is not about setting markers; leave it out, or --markers")
     if page is not None:
         _check_page(page)
         claim(page)

@@ -16,9 +16,6 @@ from mixseq.correspondence.markers import Markers
 SOURCE, TARGET = 0, 1
 """The two sides."""
 
-GRAB = 0.016
-"""A click that is so near to a marker means it, in diagonals; ours."""
-
 SAME = 0.03
 """A proposal that is so near to a pair, on either side, is that pair, in diagonals; ours."""
 
@@ -94,8 +91,8 @@ class Marking:
         return replace(self, pairs=(*self.pairs, pair))
 
     def choosing(self, number: int) -> Marking:
-        """Return it with a pair chosen."""
-        return replace(self, chosen=number)
+        """Return it with a pair chosen; none, if that was chosen before."""
+        return replace(self, chosen=None if number == self.chosen else number)
 
     def without_chosen(self) -> Marking:
         """Return it without the chosen pair; without the point that begins one, if none is chosen."""
@@ -154,21 +151,18 @@ class Places:
         one, two = (x / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0) for x in (source, target))
         return cls((one, two))
 
-    def nearest(self, side: int, vertex: int, pairs: Iterable[Pair], within: float) -> int | None:
-        """Return the number of the pair that is nearest to a vertex on a side, if one is within a distance."""
-        x, own = self.points[side], [pair.vertices[side] for pair in pairs]
-        if not own:
-            return None
-        away = np.linalg.norm(x[own] - x[vertex], axis=1)
-        number = int(away.argmin())
-        return number if away[number] <= within else None
+    def near(self, one: Pair, other: Pair) -> bool:
+        """Whether two pairs are the same on either side."""
+        return any(
+            float(np.linalg.norm(x[a] - x[b])) <= SAME
+            for x, a, b in zip(self.points, one.vertices, other.vertices, strict=True)
+        )
 
     def proposals(self, marking: Marking, candidates: Iterable[Pair]) -> tuple[Pair, ...]:
         """Return the candidates, in their order, that are neither set nor skipped, nor there twice."""
         found: list[Pair] = []
         for each in candidates:
-            known = (*marking.pairs, *found)
-            there = any(self.nearest(side, each.vertices[side], known, SAME) is not None for side in (0, 1))
+            there = any(self.near(each, other) for other in (*marking.pairs, *found))
             if not there and each.vertices not in marking.skipped:
                 found.append(each)
         return tuple(found)

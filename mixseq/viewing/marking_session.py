@@ -21,7 +21,7 @@ from mixseq.errors import MixseqError
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 from mixseq.viewing.background import Background
-from mixseq.viewing.marking import GRAB, Marking, MarkingHistory, Pair, Places
+from mixseq.viewing.marking import Marking, MarkingHistory, Pair, Places
 
 
 class MarkingListener(Protocol):
@@ -98,19 +98,18 @@ class MarkingSession(Background):
     # What a person does ---------------------------------------------------------------------------------
 
     def click(self, side: int, vertex: int) -> None:
-        """Click a vertex: choose the pair, or accept the proposal, that is there; else set a point."""
-        with self._changed:
-            marking, proposals = self.marking, self.proposals
-            there = self._places.nearest(side, vertex, marking.pairs, GRAB)
-            proposed = self._places.nearest(side, vertex, proposals, GRAB)
-            if there is not None and there != marking.chosen:
-                after = marking.choosing(there)
-            elif proposed is not None and marking.begun is None and marking.chosen is None:
-                after = marking.with_pair(proposals[proposed])
-            else:
-                after = marking.clicked(side, vertex)
-            self._history = self._history.done(after)
-        self._went_on()
+        """Set a point: a pair begins, is complete, or the chosen one is moved there."""
+        self._step(lambda marking: marking.clicked(side, vertex))
+
+    def click_ball(self, side: int, row: int) -> None:
+        """Choose the pair, or accept the proposal, whose ball was clicked: pairs come first, then what is begun."""
+        marking, proposals = self.marking, self.proposals
+        count = len(marking.pairs)
+        proposed = row - count - (marking.begun is not None and marking.begun[0] == side)
+        if 0 <= row < count:
+            self._step(lambda now: now.choosing(row) if row < len(now.pairs) else now)
+        elif 0 <= proposed < len(proposals):
+            self._step(lambda now: now.with_pair(proposals[proposed]))
 
     def accept(self) -> None:
         """Set the next proposal."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.correspondence.markers import Markers
-from mixseq.viewing.marking import GRAB, SAME, SOURCE, TARGET, Marking, MarkingHistory, Pair, Places
+from mixseq.viewing.marking import SAME, SOURCE, TARGET, Marking, MarkingHistory, Pair, Places
 
 TWO = Marking((Pair((1, 10), "nose"), Pair((2, 20))))
 
@@ -30,6 +30,11 @@ def test_a_chosen_pair_is_moved_on_either_side_and_keeps_its_name() -> None:
     moved = TWO.choosing(0).clicked(TARGET, 50)
     assert moved.pairs == (Pair((1, 50), "nose"), Pair((2, 20)))
     assert moved.chosen is None
+
+
+def test_choosing_twice_is_choosing_none() -> None:
+    assert TWO.choosing(1).choosing(1) == TWO
+    assert TWO.choosing(1).choosing(0).chosen == 0
 
 
 def test_deleting() -> None:
@@ -67,16 +72,6 @@ def places() -> Places:
     """Vertices along a diagonal of length 1, and the same on the target, ten times as large."""
     line = np.linspace(0, 1, 1001)[:, None] * np.ones(3) / np.sqrt(3)
     return Places.of(line, 10 * line)
-
-
-def test_the_nearest_pair() -> None:
-    pairs = (Pair((100, 500)), Pair((110, 700)))
-    near = int(1000 * GRAB)
-    assert places().nearest(SOURCE, 107, pairs, GRAB) == 1
-    assert places().nearest(SOURCE, 110 + near - 1, pairs, GRAB) == 1
-    assert places().nearest(SOURCE, 110 + near + 1, pairs, GRAB) is None
-    assert places().nearest(TARGET, 501, pairs, GRAB) == 0
-    assert places().nearest(TARGET, 501, (), GRAB) is None
 
 
 def test_proposals_are_new() -> None:

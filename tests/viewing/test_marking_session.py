@@ -83,24 +83,28 @@ def test_the_other_side_of_a_pair_is_proposed(listener: Listener) -> None:
         assert short().bones[mirrored.vertices[0]].startswith("fore")
         assert short().bones[mirrored.vertices[0]].endswith(".r")
         assert tall().bones[mirrored.vertices[1]].endswith(".r")
-        session.click(SOURCE, mirrored.vertices[0])  # on the ball that shows it
+        session.click_ball(TARGET, len(session.marking.pairs))
         assert session.marking.pairs[-1] == mirrored
         assert not session.proposals
 
 
-def test_a_click_on_a_marker_chooses_it(listener: Listener) -> None:
+def test_a_click_on_a_ball_chooses_its_pair(listener: Listener) -> None:
     markers = set_markers("nose", "tail4")
     with MarkingSession(short().mesh, tall().mesh, markers, listener) as session:
-        session.click(SOURCE, int(markers.source[1]))
+        session.click_ball(SOURCE, 1)
         assert session.marking.chosen == 1
         session.delete()
         assert len(session.marking.pairs) == 1
         session.undo()
         assert len(session.marking.pairs) == 2
-        session.click(TARGET, int(markers.target[0]))
+        session.click_ball(TARGET, 0)
         elsewhere = int(on_bones(tall(), "ear.l")[0])
         session.click(TARGET, elsewhere)
         assert session.marking.pairs[0].vertices == (int(markers.source[0]), elsewhere)
+        before = session.marking
+        for row in (-1, 2, 10**9):  # balls that are not there, as a page might say
+            session.click_ball(SOURCE, row)
+        assert session.marking == before
 
 
 def test_pairs_are_examined_from_ten_on(listener: Listener) -> None:
@@ -109,7 +113,7 @@ def test_pairs_are_examined_from_ten_on(listener: Listener) -> None:
         found = eventually(lambda: session.examination)
         assert found.residuals is not None
         assert len(found.residuals) == len(MARKED)
-        session.click(SOURCE, int(markers.source[0]))
+        session.click_ball(SOURCE, 0)
         session.delete()
         assert session.examination is None  # of other pairs
         found = eventually(lambda: session.examination)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from mixseq.scene.arrangement import HEIGHT
 from mixseq.topology import Topology
 from mixseq.viewing.marking import Marking, Pair
 
-RADIUS = 0.008 * HEIGHT
+RADIUS = 0.01 * HEIGHT
 """That of a ball; twice that of proposals but the next one. Ours, as all sizes here."""
 
 CHOSEN = 1.6
@@ -24,8 +24,8 @@ CHOSEN = 1.6
 ABOVE = 3.0
 """How many radii a number stands away from the surface, so that it is seen where the ball is."""
 
-SPARE = 64
-"""Balls that there are at least."""
+SPARE, AWAY = 64, 1e4
+"""Balls that there are at least, and how far below the ground they are that are not used."""
 
 PROPOSED = (40, 40, 40)
 """Colour of what is proposed."""
@@ -84,10 +84,15 @@ class MarkingStage:
         The server.
     topologies : (Topology, Topology)
         Those of the two meshes.
+    clicked : callable
+        Told the side and the number of a ball that is clicked.
     """
 
-    def __init__(self, server: Any, topologies: tuple[Topology, Topology]) -> None:
+    def __init__(
+        self, server: Any, topologies: tuple[Topology, Topology], clicked: Callable[[int, int], None]
+    ) -> None:
         self._server = server
+        self._clicked = clicked
         self._topologies = topologies
         self._placed: dict[int, tuple[Single, Float]] = {}
         self._labels: dict[str, Any] = {}
@@ -109,9 +114,10 @@ class MarkingStage:
             self._write(side, drawn, np.asarray(places, np.float64))
 
     def _show(self, side: int, drawn: Sequence[Ball], places: Single) -> None:
-        """Move the balls of a side; some are spare, and of no size, as new ones blink when they come."""
+        """Move the balls of a side; some are spare, and far away, as new ones blink when they come."""
         count = max(SPARE, 1 << len(drawn).bit_length())
-        positions, scales = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        positions = np.tile(np.array([0.0, -AWAY, 0.0], np.float32), (count, 1))
+        scales = np.full(count, RADIUS, np.float32)
         colours = np.zeros((count, 3), np.uint8)
         for row, ball in enumerate(drawn):
             positions[row], scales[row], colours[row] = places[row], RADIUS * ball.scale, ball.colour
@@ -119,7 +125,7 @@ class MarkingStage:
         if node is not None and len(node.batched_positions) == count:
             node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
             return
-        self._nodes[side] = self._server.scene.add_batched_meshes_simple(
+        node = self._nodes[side] = self._server.scene.add_batched_meshes_simple(
             f"/markers/{side}",
             *self._ball,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
@@ -130,6 +136,11 @@ class MarkingStage:
             cast_shadow=False,
             receive_shadow=False,
         )
+
+        @node.on_click  # type: ignore[untyped-decorator]
+        def _(event: Any) -> None:
+            if event.instance_index is not None:
+                self._clicked(side, event.instance_index)
 
     def _write(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
         texts = {

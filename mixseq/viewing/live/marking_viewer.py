@@ -95,7 +95,9 @@ class MarkingViewer:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 95, 120))
         gui.set_panel_label("mixseq")
         topologies = [Topology(each.faces, each.vertex_count) for each in (meshes.source, meshes.target)]
-        self._balls = MarkingStage(server, (topologies[0], topologies[1]))
+        self._balls = MarkingStage(
+            server, (topologies[0], topologies[1]), lambda side, row: self.session.click_ball(side, row)
+        )
         camera = settings.camera or VIEWS["Left"]
         self._stage = LiveStage(server, SceneColours(scene), settings.material, False, lambda _: None, camera)
         self._playback = stack.enter_context(Playback(scene, self._stage, self._failed, threads=1))
