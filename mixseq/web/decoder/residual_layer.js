@@ -2,7 +2,7 @@
 import { MixseqError, guarded } from "./errors.js";
 import { placeIn } from "./operator.js";
 import { Reader } from "./signal_coder.js";
-import { any, readFrame, residualModels } from "./residual_kernels.js";
+import { emptyFrame, readFrame, residualModels } from "./residual_kernels.js";
 
 const RUN = 16; // frames that are coded together
 const KEPT = 8; // decoded runs
@@ -68,18 +68,21 @@ function readResiduals({ count, residuals }, run, graph) {
 
 function readRun(stream, count, graph) {
   const reader = new Reader(stream), models = residualModels(), frames = [];
-  let last = new Float64Array(3 * graph.order.length);
+  let last = emptyFrame(graph.order.length);
   for (let frame = 0; frame < count; frame++) {
-    const numbers = new Float64Array(last.length), nodes = [];
-    readFrame(reader.bits(), models, graph, last, numbers);
-    reader.checked(numbers);
-    for (let node = 0; node < graph.order.length; node++) if (any(numbers, node)) nodes.push(node);
-    frames.push({
-      vertices: Uint32Array.from(nodes, (node) => graph.order[node]),
-      numbers: Float64Array.from({ length: 3 * nodes.length }, (_, k) => numbers[3 * nodes[Math.floor(k / 3)] + (k % 3)]),
-    });
-    last = numbers;
+    last = readFrame(reader.bits(), models, graph, last);
+    reader.checked(last.numbers);
+    frames.push(residualsOf(last, graph.order));
   }
   reader.finish();
   return frames;
+}
+
+function residualsOf({ numbers, displaced }, order) {
+  const nodes = [];
+  for (let node = 0; node < order.length; node++) if (displaced[node]) nodes.push(node);
+  return {
+    vertices: Uint32Array.from(nodes, (node) => order[node]),
+    numbers: Float64Array.from({ length: 3 * nodes.length }, (_, k) => numbers[3 * nodes[Math.floor(k / 3)] + (k % 3)]),
+  };
 }
