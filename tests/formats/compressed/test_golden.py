@@ -10,7 +10,7 @@ import numpy as np
 import mixseq
 from mixseq.sequence import MeshSequence
 from mixseq.surface import FaceSet, Surface
-from mixseq_io.compressed_files import read_compressed
+from mixseq_io.compressed_files import read_compressed, read_container
 from tests.formats.compressed.stream_cases import GOLDEN
 from tests.meshes import bar
 
@@ -58,3 +58,9 @@ def test_what_the_golden_file_says_of_the_time_between_frames_still_holds() -> N
     coded = read_compressed(path)
     assert coded.between is not None
     assert 0 < coded.between.length < inf
+
+
+def test_the_golden_glb_has_text_and_streams_of_the_golden_file() -> None:
+    glb, h5 = (GOLDEN / f"model-v8-between{suffix}" for suffix in (".glb", ".h5"))
+    assert read_container(glb) == read_container(h5)
+    np.testing.assert_array_equal(mixseq.load(glb).sample().points, mixseq.load(h5).sample().points)
