@@ -93,7 +93,9 @@ def _write(mesh: bpy.types.Mesh, points: Single) -> None:
             f"the mesh has {len(mesh.vertices):,} vertices, the model {len(points):,}; apply no modifiers to it, and "
             "delete nothing of it"
         )
-    mesh.attributes["position"].data.foreach_set("vector", points.reshape(-1))
+    mesh.vertices.foreach_set(
+        "co", points.reshape(-1)
+    )  # the attribute "position" would leave the bounds as they were
     mesh.update()
 
 

@@ -128,6 +128,8 @@ def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     )
     later = _off(models["compressed"], moments - 3, several["compressed"])
     yield LiveRow("beside it, compressed, 3 frames later", later, SINGLE)
+    size = np.ptp(several["compressed"][-1], axis=0)
+    yield LiveRow("its bounds", float(np.abs(several["size"] - size).max()), 1e-5, "units")
     for what, name in (("retimed by a curve", "curve"), ("retimed by a strip", "strip")):
         yield LiveRow(what, _off(models["compressed"], retimed[f"{name}_frames"], retimed[name]), SINGLE)
     astray = float(np.abs(retimed["strip_frames"] - retimed["meant"]).max())

@@ -32,6 +32,7 @@ def several(folder: Path) -> Seen:
         "moments": MOMENTS,
         "signals": [points_at(signals, moment) for moment in MOMENTS],
         "compressed": [points_at(compressed, moment) for moment in MOMENTS],
+        "size": compressed.dimensions,
     }
 
 
