@@ -122,12 +122,16 @@ class Trial:
         """Number of bytes without the residual layer."""
         return self.size - sum(len(chunk.residuals) for chunk in self.chunks)
 
+    @property
+    def basis_size(self) -> int:
+        """Number of bytes of the basis; if the vertices are a share of a larger mesh, about those of that."""
+        finer = FINER * (1 / self.candidate.share - 1)
+        return round((1 + finer) * sum(map(len, self.basis_streams)))
+
     @cached_property
     def size(self) -> int:
         """Number of bytes; if the vertices are a share of a larger mesh, about those of that."""
-        of_chunks = sum(len(chunk.coefficients) + len(chunk.residuals) for chunk in self.chunks)
-        finer = FINER * (1 / self.candidate.share - 1)
-        return round((1 + finer) * sum(map(len, self.basis_streams))) + of_chunks
+        return self.basis_size + sum(len(chunk.coefficients) + len(chunk.residuals) for chunk in self.chunks)
 
 
 def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = CHUNK) -> Trial:
