@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from mixseq_io.correspondence.markers import read_markers
     from mixseq_io.loading import load
     from mixseq_io.saving import save
+    from mixseq_io.vat.writer import write_vat
     from mixseq_io.verification import Verification, verify
 
 _HOME = {
@@ -77,6 +78,7 @@ _HOME = {
     "write": "mixseq_io",
     "write_blocks": "mixseq_io",
     "write_rig": "mixseq_io",
+    "write_vat": "mixseq_io.vat.writer",
 }
 
 __all__ = [
@@ -115,6 +117,7 @@ __all__ = [
     "write",
     "write_blocks",
     "write_rig",
+    "write_vat",
 ]
 
 

@@ -12,6 +12,7 @@ import click
 import mixseq
 from mixseq.cli.console import announce, print_table, progress_bar
 from mixseq.cli.decode_rig import RigSettings, rows
+from mixseq.cli.decode_textures import check_textures, texture_rows
 from mixseq.cli.files import (
     MODEL_EXTENSIONS,
     check_origin,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from mixseq.progress import Progress
     from mixseq.sequence import MeshSequence, SequenceHeader
     from mixseq.signals import Model
+    from mixseq_io.vat.writer import TextureName
 
 
 def _as_seconds(
@@ -55,6 +57,7 @@ def _as_seconds(
         "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
         "mixseq decode walk.h5 walk.glb --as skin --bones 30",
         "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
+        "mixseq decode walk.h5 walk.vat --max-error 0.001",
     ),
 )
 @click.argument("source", metavar="MODEL", type=FILE)
@@ -101,7 +104,12 @@ def _as_seconds(
     "--max-error",
     type=click.FloatRange(min=0, min_open=True),
     metavar="E",
-    help="Largest error of a morph, in diagonals; without it a morph is exact.",
+    help="Largest error of a morph or of textures, in diagonals; without it a morph is exact, a texture plain.",
+)
+@setting(
+    "--texture",
+    type=click.Choice(["png16", "exr"]),
+    help="Of vertex animation textures (TARGET is a folder .vat): PNG with 16 bits, or EXR.  [default: png16]",
 )
 @setting("--max-targets", type=click.IntRange(min=0), metavar="N", help="Number of morph targets at most.")
 @writer_options
@@ -123,6 +131,7 @@ def command(
     correctives: float | None,
     max_error: float | None,
     max_targets: int | None,
+    texture: TextureName | None,
     writing: dict[str, Any],
     workers: AbstractContextManager[Executor],
     claim: Claim,
@@ -132,13 +141,29 @@ def command(
 
     TARGET's format follows from its extension, see "mixseq formats". It is written while frames are decoded.
 
+    Where TARGET is a folder .vat, frames become textures that graphics cards look up: a texel for every vertex and
+    frame, or with --max-error low-rank textures, which are much smaller.
+
     With --as, TARGET is a .glb or .gltf that engines play, fitted to all frames, read back, and compared with them.
     MODEL may then be a sequence, too.
     """
     chosen = Chosen(times, frames, fps, start, end)
     settings = RigSettings(kind, bones, correctives, max_error, max_targets)
-    settings.check(velocities, writing)
+    textures = target.suffix.lower() == ".vat"
+    if textures:
+        check_textures(kind, velocities, writing)
+    else:
+        settings.check(velocities, writing, texture)
     claim(target)
+    if textures:
+        with workers as work, progress_bar(quiet) as progress:
+            sequence = _sequence(source, salvage, chosen, progress, work)
+            check_origin(target, sequence)
+            report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
+        if not quiet:
+            print_table(texture_rows(report))
+        announce(target)
+        return
     if kind is not None:
         from mixseq_io.rig_files import check_rig_target
 

@@ -16,7 +16,12 @@ if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skin
     from mixseq.sequence import MeshSequence
 
-_ONLY_FOR = {"bones": "skin", "correctives": "skin", "max_error": "morph", "max_targets": "skin or morph"}
+_ONLY_FOR = {
+    "bones": "skin",
+    "correctives": "skin",
+    "max_error": "morph (or a target .vat)",
+    "max_targets": "skin or morph",
+}
 _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
 
 
@@ -42,7 +47,7 @@ class RigSettings:
     max_error: float | None
     max_targets: int | None
 
-    def check(self, velocities: bool, writing: Mapping[str, Any]) -> None:
+    def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:
         """Refuse options that exclude each other.
 
         Raises
@@ -50,6 +55,10 @@ class RigSettings:
         SettingsError
             If there are some; the message names them.
         """
+        if texture is not None:
+            raise SettingsError(
+                "texture is for vertex animation textures; leave it out, or end the target in .vat"
+            )
         for name, kinds in _ONLY_FOR.items():
             if getattr(self, name) is not None and (self.kind is None or self.kind not in kinds):
                 option = f"--{name.replace('_', '-')}"

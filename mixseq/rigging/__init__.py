@@ -1,7 +1,8 @@
 """Skins and morph targets fitted to sequences, for engines.
 
 `rigs` says what they are, `rig_fitting` makes them: `decomposition` alternates `bones`, how they move, and
-`weights` (with `weight_kernels`), how vertices follow them; `correctives` fits targets.
+`weights` (with `weight_kernels`), how vertices follow them; `correctives` fits targets. `low_rank` fits basis vectors
+of parts, for textures.
 """
 
 from __future__ import annotations

@@ -154,3 +154,33 @@ def test_a_packed_skin_tells_how_far_it_is_off(run: Run, bent_bar: MeshSequence)
 def test_a_packed_sequence_tells_how_far_it_is_off(run: Run) -> None:
     told = succeed(run("convert", "bar.usdc", "bar.glb", "--flatten", "--set", "meshopt=1e-3"))
     assert re.search(r"points off by up to 0.000\d+ diagonals", told)
+
+
+def test_textures(run: Run) -> None:
+    plain = rows(succeed(run("decode", "model.h5", "plain.vat")))
+    low = rows(succeed(run("decode", "bar.usdc", "low.vat", "--max-error", "1e-3")))
+    assert number(low["max error"]) <= 1e-3
+    assert "basis vectors" in low["textures"]
+    assert plain["textures"].strip().startswith("plain: ")
+    told = json.loads(Path("low.vat/vat.json").read_text())
+    assert told["error"]["max"] == pytest.approx(number(low["max error"]), rel=1e-3)
+    assert sorted(each.name for each in Path("low.vat").iterdir()) == [
+        "coefficients.png", "godot.gdshader", "mesh.glb", "normals.png", "points.png", "unity.shader",
+        "unreal.hlsl", "vat.json", "webgl2.js",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("walk.vat", "--as", "skin"), "no place for --as"),
+        (("walk.vat", "--velocities"), "no place for --velocities"),
+        (("walk.vat", "--set", "meshopt=1e-3"), "no place for --meshopt"),
+        (("walk.usdc", "--set", "texture=exr"), "end the target in .vat"),
+        (("walk.usdc", "--max-error", "1e-3"), "or a target .vat"),
+    ],
+)
+def test_options_that_do_not_fit_textures(run: Run, arguments: tuple[str, ...], message: str) -> None:
+    result = run("decode", "model.h5", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr

@@ -1,0 +1,41 @@
+"""Vertex animation textures on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from mixseq.errors import SettingsError
+
+if TYPE_CHECKING:
+    from mixseq_io.vat.writer import VatReport
+
+
+def check_textures(kind: str | None, velocities: bool, writing: Mapping[str, Any]) -> None:
+    """Refuse options that textures have no place for.
+
+    Raises
+    ------
+    SettingsError
+        If there are some; the message names them.
+    """
+    given = ["as"] * (kind is not None) + ["velocities"] * velocities + list(writing)
+    if given:
+        name = given[0].replace("_", "-")
+        raise SettingsError(f"vertex animation textures (.vat) have no place for --{name}; leave it out")
+
+
+def texture_rows(report: VatReport) -> list[tuple[str, str]]:
+    """Tell what textures take, and how far they are off."""
+    from mixseq.cli.console import format_bytes
+
+    kind = report.kind if not report.rank else f"{report.kind}, {report.rank} basis vectors"
+    return [
+        (
+            "textures",
+            f"{kind}: {format_bytes(report.file_bytes)}, in memory {format_bytes(report.memory_bytes)}",
+        ),
+        ("max error", f"{report.max_error:.4g} diagonals"),
+        ("rms error", f"{report.rms_error:.4g} diagonals"),
+        ("normals", f"off by {report.normal_degrees:.3g} degrees (root mean square)"),
+    ]

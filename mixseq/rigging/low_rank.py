@@ -1,0 +1,260 @@
+r"""Sequences as sums of few basis vectors, part by part, which graphics cards evaluate from two small textures.
+
+With the part :math:`p_v` of a vertex, K basis vectors with a number at every vertex, and three coordinates of each for
+every part and frame,
+
+.. math::
+    x_t(v) = \sum_{k=1}^K b_k(v)\, u_{tk p_v}.
+
+A rigid part needs four of them: three affine functions of the place, and 1. Parts that bend need some more, and what
+is between parts goes to the one that shows it best: clustered principal components [1]_. Parts begin as those that
+motion segmentation finds; in turn, basis vectors are the principal components of the trajectories of a part, and a
+vertex joins the part whose K components leave least of its trajectory. K is what a bound on all vertices takes.
+
+References
+----------
+.. [1] M. Sattler, R. Sarlette, R. Klein. Simple and efficient compression of animation sequences. SCA 2005.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from mixseq.arrays import Float, Index
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.frame_store import frame_store
+from mixseq.progress import Progress, silent
+from mixseq.public import public
+from mixseq.rigging.bones import vertex_labels
+from mixseq.segmentation import segment
+from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
+from mixseq.threads import one_blas_thread
+from mixseq.topology import Topology
+
+_RANKS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+"""Numbers of basis vectors that parts are found for; ours."""
+
+_FURTHER = 2
+"""Parts are found for no more vectors than so many times those of the best; ours."""
+
+_ROUNDS = 12
+"""Rounds in which vertices join parts; ours."""
+
+_LEFT_OUT = 0.01
+"""What the principal components of the whole mesh may leave out, as a share of the bound; ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class LowRank:
+    """A mesh whose parts are sums of basis vectors; the formula is at the head of this module.
+
+    Attributes
+    ----------
+    header : SequenceHeader
+        Mesh and times.
+    parts : (V,) int
+        The part of every vertex, 0 to P - 1.
+    basis : (V, K) float64
+        Basis vectors, the largest number of each in each part 1 or -1; 0 where a part needs fewer.
+    coefficients : (T, P, K, 3) float64
+        Coordinates of the basis vectors in every frame, in the file's units.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If arrays do not fit each other.
+    """
+
+    header: SequenceHeader
+    parts: Index
+    basis: Float
+    coefficients: Float
+
+    def __post_init__(self) -> None:
+        vertices, rank = self.basis.shape
+        frames, parts = self.coefficients.shape[:2]
+        fits = (
+            vertices == self.header.vertex_count == len(self.parts)
+            and frames == self.header.frame_count
+            and self.coefficients.shape[2:] == (rank, 3)
+            and (not vertices or (self.parts.min() >= 0 and self.parts.max() < parts))
+        )
+        if not fits:
+            raise InvalidSequenceError(
+                f"{len(self.parts)} parts of vertices, a basis {self.basis.shape} and coefficients "
+                f"{self.coefficients.shape} do not fit {self.header.frame_count} frames of "
+                f"{self.header.vertex_count} vertices"
+            )
+
+    @property
+    def rank(self) -> int:
+        """Number of basis vectors K."""
+        return int(self.basis.shape[1])
+
+    def blocks(self, size: int = 16) -> Iterator[Float]:
+        """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
+        for start in range(0, self.header.frame_count, size):
+            yield np.stack([self._frame(each) for each in self.coefficients[start : start + size]])
+
+    def points(self) -> Float:
+        """Return all frames ``(T, V, 3)``."""
+        return np.concatenate(list(self.blocks()))
+
+    def _frame(self, coefficients: Float) -> Float:
+        return np.asarray(np.einsum("vk,vki->vi", self.basis, coefficients[self.parts]))
+
+
+@public
+def fit_low_rank(
+    sequence: Frames, max_error: float = 1e-3, parts: int | None = None, progress: Progress = silent
+) -> LowRank:
+    """Fit basis vectors of parts to a sequence, as few as a bound takes.
+
+    Parameters
+    ----------
+    sequence : MeshSequence or an open sequence
+        The animation; all of it is held in memory as float64.
+    max_error : float
+        Largest distance of a vertex in any frame, in diagonals.
+    parts : int, optional
+        Number of parts to begin with, at most; by default those of motion segmentation.
+    progress : callable
+        Told how far the work is.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If it is no sequence.
+    SettingsError
+        If `max_error` is not positive.
+    """
+    check_frames(sequence)
+    if not max_error > 0:
+        raise SettingsError(f"max_error is {max_error:g}; a positive number of diagonals is expected")
+    held = frame_store(sequence)
+    header = held.header
+    points = np.asarray(held.points[: header.frame_count], dtype=np.float64)
+    diagonal = bounding_diagonal(points[0]) or 1.0
+    faces = header.faces.astype(np.int64)
+    with one_blas_thread():
+        labels = segment(points, Topology(faces, header.vertex_count), parts=parts)
+        start = vertex_labels(faces, labels, header.vertex_count)
+        trajectories = points.swapaxes(0, 1).reshape(header.vertex_count, -1) / diagonal
+        found = _clustered(trajectories, start, max_error, progress)
+    basis = np.zeros((header.vertex_count, found.rank))
+    coefficients = np.zeros((header.frame_count, found.count, found.rank, 3))
+    for number in range(found.count):
+        own = found.parts == number
+        vectors = found.vectors(number)
+        numbers = trajectories[own] @ vectors.T
+        scale = np.abs(numbers).max(axis=0, initial=0)
+        scale[scale == 0] = 1
+        rank = len(vectors)
+        basis[own, :rank] = numbers / scale
+        shapes = (vectors * scale[:, None] * diagonal).reshape(rank, header.frame_count, 3)
+        coefficients[:, number, :rank] = shapes.swapaxes(0, 1)
+    return LowRank(header, found.parts, basis, coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """Parts of trajectories, and orthonormal vectors of each, as many as the bound takes."""
+
+    parts: Index
+    whole: Float  # (R, 3 T)
+    own: list[Float]  # (K_p, R) each
+
+    @property
+    def count(self) -> int:
+        return len(self.own)
+
+    @property
+    def rank(self) -> int:
+        return max(map(len, self.own))
+
+    @property
+    def size(self) -> int:
+        """What they take in textures, as a number to compare: basis vectors in fours, and coefficients."""
+        return -(-self.rank // 4) * (len(self.parts) + int(self.whole.shape[1]) * self.count)
+
+    def vectors(self, number: int) -> Float:
+        return np.asarray(self.own[number] @ self.whole)
+
+
+def _clustered(trajectories: Float, start: Index, bound: float, progress: Progress) -> _Clusters:
+    """Return the parts of trajectories ``(V, 3 T)`` that take fewest numbers, of those found for some ranks."""
+    whole = _directions(trajectories, _LEFT_OUT * bound)
+    tracks = trajectories @ whole.T
+
+    def clusters(parts: Index) -> _Clusters:
+        own = [
+            _needed(trajectories[parts == part], tracks[parts == part], whole, bound)
+            for part in range(int(parts.max(initial=0)) + 1)
+        ]
+        return _Clusters(parts, whole, own)
+
+    best = clusters(np.zeros_like(start))  # a single part
+    for number, rank in enumerate(_RANKS):
+        progress(number, len(_RANKS), "finding parts of low rank")
+        if rank > min(_FURTHER * best.rank, tracks.shape[1]):
+            break
+        best = min(best, clusters(_joined(tracks, start, rank)), key=lambda each: each.size)
+    progress(len(_RANKS), len(_RANKS), "finding parts of low rank")
+    return best
+
+
+def _directions(rows: Float, least: float) -> Float:
+    """Return principal directions ``(R, n)`` of rows ``(m, n)``, but for those that are not needed for any row."""
+    shorter = len(rows) < rows.shape[1]
+    gram = rows @ rows.T if shorter else rows.T @ rows
+    values, vectors = linalg.eigh(gram)
+    order = np.argsort(values)[::-1]
+    values, vectors = values[order], vectors[:, order]
+    kept = values > max(values[0], 1e-300) * 1e-20 if len(values) else values > 0
+    kept &= np.cumsum(values[::-1])[::-1] > least**2  # no row has more left than all together
+    kept[:1] = True
+    directions = vectors[:, kept].T
+    if shorter:
+        directions = directions @ rows
+        directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
+    return np.asarray(directions)
+
+
+def _joined(tracks: Float, start: Index, rank: int) -> Index:
+    """Let every vertex join the part that leaves least of it with so many vectors, in turn."""
+    parts = np.unique(start, return_inverse=True)[1].reshape(-1)
+    squares = np.square(tracks).sum(axis=1)
+    for _ in range(_ROUNDS):
+        left = np.stack(
+            [
+                squares - np.square(tracks @ _directions(tracks[parts == part], 0.0)[:rank].T).sum(axis=1)
+                for part in range(int(parts.max(initial=0)) + 1)
+            ]
+        )
+        nearer = left.argmin(axis=0)
+        stays = left[parts, np.arange(len(parts))] <= left[nearer, np.arange(len(parts))] + 1e-12 * squares
+        joined = np.where(stays, parts, nearer)
+        if np.array_equal(joined, parts):
+            break
+        parts = np.unique(joined, return_inverse=True)[1].reshape(-1)
+    return np.asarray(parts)
+
+
+def _needed(rows: Float, tracks: Float, whole: Float, bound: float) -> Float:
+    """Return the fewest principal directions ``(K, R)`` of a part's tracks that leave no more than a bound."""
+    directions = _directions(tracks, 0.0)
+
+    def left(count: int) -> float:
+        shown = (tracks @ directions[:count].T) @ (directions[:count] @ whole)
+        apart = np.square(rows - shown).reshape(len(rows), -1, 3).sum(axis=2)
+        return float(np.sqrt(apart.max(initial=0)))
+
+    low, high = 1, len(directions)
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if left(middle) <= bound else (middle + 1, high)
+    return directions[:low]

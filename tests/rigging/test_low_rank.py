@@ -1,0 +1,80 @@
+"""Basis vectors of parts, in closed form, and within what is promised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixseq.creature import walk_cycle
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.rigging.low_rank import LowRank, fit_low_rank
+from mixseq.sequence import MeshSequence, bounding_diagonal
+from tests.meshes import SEQUENCES, bar, rotation
+
+pytestmark = pytest.mark.slow
+
+
+def error(fitted: LowRank, sequence: MeshSequence) -> float:
+    """Return the largest distance, in diagonals."""
+    apart = np.linalg.norm(fitted.points() - sequence.points, axis=2).max()
+    return float(apart / (bounding_diagonal(sequence.points[0]) or 1.0))
+
+
+def test_a_rigid_body_takes_four() -> None:
+    still = bar(frames=1)
+    angles = np.linspace(0, 3, 20)
+    turned = [still.points[0] @ rotation((angle, 0.3 * angle, 0)).T + [angle, 0, 1] for angle in angles]
+    moved = MeshSequence.from_arrays(np.stack(turned), still.faces)
+    fitted = fit_low_rank(moved, 1e-6)
+    assert fitted.rank == 4
+    assert error(fitted, moved) <= 1e-6
+
+
+def test_two_rigid_bodies_take_four_each() -> None:
+    still = bar(frames=1)
+    count = still.vertex_count
+    angles = np.linspace(0, 2, 15)
+    one = np.stack([still.points[0] @ rotation((0, 0, angle)).T for angle in angles])
+    other = np.stack([still.points[0] @ rotation((0, -angle, 0)).T + [9, 0, angle] for angle in angles])
+    faces = np.concatenate([still.faces, still.faces + count])
+    both = MeshSequence.from_arrays(np.concatenate([one, other], axis=1), faces)
+    fitted = fit_low_rank(both, 1e-6)
+    assert fitted.rank == 4
+    assert len(set(fitted.parts[:count])) == len(set(fitted.parts[count:])) == 1
+
+
+@pytest.mark.parametrize("max_error", [1e-2, 1e-3, 1e-5])
+def test_the_bound_holds(max_error: float) -> None:
+    fox = walk_cycle(frames=10)
+    fitted = fit_low_rank(fox, max_error)
+    assert error(fitted, fox) <= max_error * (1 + 1e-6)
+    assert np.abs(fitted.basis).max() <= 1 + 1e-12
+
+
+def test_more_error_takes_fewer() -> None:
+    fox = walk_cycle(frames=10)
+    ranks = [fit_low_rank(fox, each).rank for each in (1e-2, 1e-3, 1e-4)]
+    assert ranks == sorted(ranks)
+    assert ranks[0] < ranks[-1]
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_odd_meshes(name: str) -> None:
+    sequence = SEQUENCES[name]()
+    assert error(fit_low_rank(sequence, 1e-3), sequence) <= 1e-3 * (1 + 1e-6)
+
+
+def test_units_do_not_matter() -> None:
+    fox = walk_cycle(frames=6)
+    large = fox.with_points(fox.points * 1024)
+    np.testing.assert_array_equal(fit_low_rank(fox, 1e-3).parts, fit_low_rank(large, 1e-3).parts)
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(SettingsError, match="max_error is 0"):
+        fit_low_rank(bar(), 0)
+    fitted = fit_low_rank(bar(), 1e-2)
+    with pytest.raises(InvalidSequenceError, match="do not fit"):
+        replace(fitted, parts=fitted.parts[1:])
