@@ -31,7 +31,7 @@ export class MeshSequencePlugin {
   async #load({ name = "", primitives }, { coding, streams, polygons }) {
     const bytes = async (view) => new Uint8Array(await this.parser.getDependency("bufferView", view));
     const materials = primitives.map(({ material }) =>
-      material === undefined ? new MeshStandardMaterial({ roughness: 0.8 }) : this.parser.getDependency("material", material));
+      material === undefined ? new MeshStandardMaterial({ color: 0xd8d0c4, roughness: 0.8 }) : this.parser.getDependency("material", material));
     const [text, data] = await Promise.all([coding, streams].map(bytes));
     const sequence = open(new TextDecoder().decode(text), data), drawn = drawnMesh(sequence);
     const mesh = new MeshSequence(sequence, drawn, await Promise.all(materials), polygons);

@@ -1,0 +1,126 @@
+// Types of mixseq.js: the decoder of compressed mesh sequences, and what draws them.
+
+/** What is wrong with a file, in one line. */
+export class MixseqError extends Error {}
+
+/** `text` is the text `coding` of a compressed model, `streams` are its streams. Bytes are checked, nothing is decoded yet. */
+export function open(text: string, streams: Uint8Array): Sequence;
+
+export interface Chunk {
+  readonly first: number;
+  readonly count: number;
+  loaded: boolean;
+}
+
+export interface Fields {
+  count: number;
+  parts: { vertices: Uint32Array; fields: Uint32Array; values: Float32Array }[];
+}
+
+export interface Polygons {
+  counts: Uint32Array;
+  corners: Uint32Array;
+}
+
+export interface Facts {
+  readonly name: string;
+  readonly fps: number;
+  readonly upAxis: "X" | "Y" | "Z";
+  readonly metresPerUnit: number;
+  readonly vertexCount: number;
+  readonly polygonCount: number;
+  readonly cornerCount: number;
+  readonly frameCount: number;
+  /** Seconds, one for every frame. */
+  readonly times: Float64Array;
+  readonly parameters: Record<string, unknown>;
+}
+
+export class Sequence implements Facts {
+  readonly name: string;
+  readonly fps: number;
+  readonly upAxis: "X" | "Y" | "Z";
+  readonly metresPerUnit: number;
+  readonly vertexCount: number;
+  readonly polygonCount: number;
+  readonly cornerCount: number;
+  readonly frameCount: number;
+  readonly times: Float64Array;
+  readonly parameters: Record<string, unknown>;
+  readonly chunks: Chunk[];
+  polygons(): Polygons;
+  /** Three vertices for each triangle. */
+  triangles(): Uint32Array;
+  fields(): Fields;
+  load(chunk: number): void;
+  /** Of all fields at a time in seconds: x, y and z of each. */
+  weights(time: number, out?: Float32Array): Float32Array;
+  /** Positions at a time in seconds: x, y and z of each vertex. */
+  at(time: number, out?: Float32Array): Float32Array;
+  frame(number: number, out?: Float32Array): Float32Array;
+  /** What is to be added to the fields, null if nothing is. */
+  residuals(time: number): Float32Array | null;
+}
+
+/** Texture coordinates at the corners, v upwards; null if there are none. */
+export function uvsOf(sequence: Sequence): Float32Array | null;
+
+/** Numbers of normals at the corners; null if all corners of a vertex share one. */
+export function hardEdgesOf(sequence: Sequence): ArrayLike<number> | null;
+
+/** All else that is on the polygons, by name. */
+export function surfaceOf(sequence: Sequence): Record<string, ArrayLike<number> | string[]>;
+
+export interface DrawnMesh {
+  triangles: Uint32Array;
+  /** Which vertex of the sequence each is. */
+  vertices: Uint32Array;
+  /** Those of one group share a normal. */
+  groups: Uint32Array;
+  /** v downwards. */
+  uvs: Float32Array | null;
+}
+
+/** The mesh as graphics cards have it, cut at seams and hard edges. */
+export function drawnMesh(sequence: Sequence): DrawnMesh;
+export function takePositions(positions: Float32Array, vertices: Uint32Array, out: Float32Array): Float32Array;
+export function takeNormals(positions: Float32Array, triangles: Uint32Array, groups: Uint32Array, out: Float32Array): Float32Array;
+
+export interface Card {
+  count: number;
+  /** Four floats for each vertex. */
+  positions: WebGLBuffer;
+  /** Three floats for each vertex. */
+  normals: WebGLBuffer;
+  evaluate(weights: Float32Array, residuals?: Float32Array | null): void;
+}
+
+/** Positions and normals as buffers of the graphics card. */
+export function fieldTextures(gl: WebGL2RenderingContext, fields: Fields, triangles: Uint32Array, vertices?: Uint32Array | null, groups?: Uint32Array | null): Card;
+
+/** The mesh sequence of a GLB file. */
+export function readGlb(file: ArrayBuffer): {
+  text: string;
+  streams: Uint8Array;
+  json: any;
+  mesh: any;
+  matrix: number[];
+};
+
+export interface RemoteSequence extends Facts {
+  polygons(): Promise<Polygons>;
+  triangles(): Promise<Uint32Array>;
+  fields(): Promise<Fields>;
+  load(chunk: number): Promise<void>;
+  uvs(): Promise<Float32Array | null>;
+  weights(time: number): Promise<Float32Array>;
+  residuals(time: number): Promise<Float32Array | null>;
+  at(time: number): Promise<Float32Array>;
+  frame(number: number): Promise<Float32Array>;
+  /** Decode all there is; `told` hears which share is done. */
+  decode(told?: (share: number) => void): Promise<void>;
+  close(): void;
+}
+
+/** Open a sequence in a Worker; `address` is that of mixseq.js, by default found out. */
+export function openRemote(text: string, streams: Uint8Array, address?: string): Promise<RemoteSequence>;
