@@ -43,9 +43,9 @@ def main() -> None:
         view_command.main([str(Path(folder, "walk.h5")), "--export", exported], standalone_mode=False)
         page = browser.new_page(viewport=SIZE)
         page.goto(f"file://{exported}")
-        page.wait_for_timeout(3000)
+        page.wait_for_timeout(8000)
         page.keyboard.press("Space")
-        page.wait_for_timeout(1000)
+        page.wait_for_timeout(3000)
         save(page, "page.png")
         browser.close()
 
