@@ -37,13 +37,14 @@
     for (const colouring of item.colourings) if (colouring.data) await unpackColours(colouring, item, stored[colouring.data - 1]);
   }
 
+  const items = description.items, source = mixseqPoseSource(decoder, () => redraw(), damaged);
+  const opening = Promise.all(items.map(openItem)); // while the graphics card gets its programs
   let renderer = mixseqRenderer(canvas);
   if (!renderer) {
     return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
   }
-  const items = description.items, source = mixseqPoseSource(decoder, () => redraw(), damaged);
   try {
-    for (const item of items) await openItem(item);
+    await opening;
   } catch (error) {
     return damaged(error);
   }
