@@ -9,8 +9,9 @@ connectivity  the same of polygons, and of texture coordinates
 frames        how many frames a second a browser makes
 sizes         bytes of GLB files, beside morph targets, gltfpack, Draco and pages
 first_frame   seconds until pages show the first frame, over a slow line
+pages         bytes and first frames of exported pages, beside those of before
 
-The last two take gltfpack and three.js from the folder node_modules that MIXSEQ_NODE_MODULES names, and DracoPy.
+Sizes and first_frame take gltfpack and three.js from the folder node_modules that MIXSEQ_NODE_MODULES names, and DracoPy.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 
 from scripts.benchmarks.common.section import markdown_table
-from scripts.benchmarks.webs import connectivity, decoding, first_frame, frames, sizes
+from scripts.benchmarks.webs import connectivity, decoding, first_frame, frames, pages, sizes
 
 NAMES = ("q_man_run", "horse_gallop", "elephant_gallop", "abc_dembones_bone")
 
@@ -32,6 +33,7 @@ SECTIONS: dict[str, tuple[Sequence[str], Sequence[str], Rows]] = {
     "frames": (frames.NAMES, frames.COLUMNS, frames.rows),
     "sizes": (NAMES, sizes.COLUMNS, sizes.rows),
     "first_frame": (NAMES, first_frame.COLUMNS, first_frame.rows),
+    "pages": (pages.NAMES, pages.COLUMNS, pages.rows),
 }
 """Animations, columns and rows of every section."""
 
