@@ -11,7 +11,8 @@ sizes         bytes of GLB files, beside morph targets, gltfpack, Draco and page
 first_frame   seconds until pages show the first frame, over a slow line
 pages         bytes and first frames of exported pages, beside those of before
 
-Sizes and first_frame take gltfpack and three.js from the folder node_modules that MIXSEQ_NODE_MODULES names, and DracoPy.
+sizes and first_frame take gltfpack and three.js from the folder node_modules that MIXSEQ_NODE_MODULES names, and
+DracoPy.
 """
 
 from __future__ import annotations
