@@ -110,7 +110,7 @@ def table(outcomes: Iterable[Outcome]) -> str:
 
 def _import_readers() -> None:
     """Import what reads files, so that forked processes need not."""
-    for package, left_out in ((mixseq_io, ()), (mixseq, ("viewing", "plots", "scene"))):
+    for package, left_out in ((mixseq_io, ()), (mixseq, ("viewing", "plots", "scene", "blender.addon"))):
         for module in walk_packages(package.__path__, f"{package.__name__}."):
             if not any(name in module.name for name in left_out):
                 import_module(module.name)

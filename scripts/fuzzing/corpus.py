@@ -19,6 +19,7 @@ from mixseq.sequence import MeshSequence, Polygons
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 
 GOLDEN = Path(__file__).parents[2] / "tests" / "formats" / "golden"
+PACKED = GOLDEN.parent / "gltf" / "packed"
 """Files of all versions."""
 
 Maker = Callable[[Path], None]
@@ -71,6 +72,10 @@ def _compressed(folder: Path) -> None:
 
 def _compressed_glb(folder: Path) -> None:
     mixseq.save(folder / "model.glb", mixseq.compress(arm(6), max_error=1e-4), still="plain")
+
+
+def _draco(folder: Path) -> None:
+    shutil.copy(PACKED / "draco.glb", folder / "walk.glb")
 
 
 def _golden(folder: Path) -> None:
@@ -193,6 +198,8 @@ MAKERS: dict[str, Maker] = {
     "abc": _written("walk.abc", velocities=True),
     "glb": _written("walk.glb", flatten=True),
     "gltf": _written("walk.gltf", flatten=True),
+    "packed": _written("walk.glb", flatten=True, meshopt=1e-3),
+    "draco": _draco,
     "skin": _rig("skin"),
     "morph": _rig("morph"),
     "npz": _written("walk.npz", velocities=True),

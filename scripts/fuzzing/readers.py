@@ -137,6 +137,8 @@ READERS: Mapping[str, Reader] = {
         (
             Sample("gltf", "walk.gltf"),
             Sample("glb", "walk.glb"),
+            Sample("packed", "walk.glb"),
+            Sample("draco", "walk.glb"),
             Sample("skin", "rig.glb"),
             Sample("morph", "rig.glb"),
         ),
