@@ -100,6 +100,7 @@ BROUGHT = {
     "docs/web.md": "walk.usdc",
     "docs/how-to/blender.md": "shot.usdc shot.abc",
     "docs/how-to/houdini.md": "shot.usdc shot.abc",
+    "docs/how-to/markers.md": "gallop.usdc horse.glb pairs.txt",
     "docs/how-to/maya.md": "shot.usdc shot.abc",
     "docs/how-to/unreal-unity.md": "shot.abc",
     "docs/how-to/web.md": "shot.glb",
@@ -114,7 +115,7 @@ BROUGHT = {
 NOT_RUN = {
     r"pip install |python -m venv |\. \.?venv/bin/activate": "installs",
     r"scripts/(demo|test|check|docs|fuzz)": "sets up and runs tools; continuous integration does that",
-    r"export MIXSEQ_DATA=": "names a folder of the reader's",
+    r"export MIXSEQ_(DATA|NODE_MODULES)=": "names a folder of the reader's",
     r"scripts/bench \w+|(MIXSEQ_DATA=FOLDER )?scripts/paper": "measures for minutes to hours, with data of others",
     r"python docs/images/\w+.py": "draws for minutes",
     r"mixseq .* --cluster tcp:": "needs other machines; tests/test_cluster.py has a cluster here",

@@ -9,7 +9,7 @@ import click
 from mixseq.cli.console import announce
 from mixseq.cli.options import FILE, examples
 from mixseq.cli.overwriting import Claim, overwrite_option
-from mixseq.cli.settings import CommandWithSettings
+from mixseq.cli.settings import CommandWithSettings, setting
 
 PLATFORMS = ("linux-x64", "macos-arm64", "windows-x64")
 RELEASES = ("4.2", "5.1")
@@ -18,7 +18,9 @@ RELEASES = ("4.2", "5.1")
 @click.command(
     "blender",
     cls=CommandWithSettings,
-    epilog=examples("mixseq blender --out extensions", "mixseq blender --blender 5.1 --platform windows-x64"),
+    epilog=examples(
+        "mixseq blender --out extensions", "mixseq blender --set blender=5.1 --set platform=windows-x64"
+    ),
 )
 @click.option(
     "--out",
@@ -26,14 +28,14 @@ RELEASES = ("4.2", "5.1")
     default=Path(),
     help="Folder for the extension, made if missing.  [default: this one]",
 )
-@click.option(
+@setting(
     "--platform",
     "platforms",
     type=click.Choice(PLATFORMS),
     multiple=True,
     help="Where Blender runs; may be given several times.  [default: as here]",
 )
-@click.option(
+@setting(
     "--blender",
     "release",
     type=click.Choice(RELEASES),

@@ -66,7 +66,7 @@ def test_what_a_model_was_made_from_is_not_overwritten(
 
 
 def test_models_are_only_saved_under_their_extension(folder: Path, bar_model: Model) -> None:
-    with pytest.raises(OutputError, match=r"old\.usdc: models are HDF5 files; end the name in \.h5"):
+    with pytest.raises(OutputError, match=r"old\.usdc: models are HDF5 or GLB files; end the name in \.h5"):
         mixseq.save("old.usdc", bar_model)
     assert (folder / "old.usdc").read_bytes() == b"somebody's work"
 

@@ -232,7 +232,7 @@ def nearest(
                     if distance >= apart[most - 1]:
                         break
                 if distance < apart[most - 1]:
-                    _insert(node, other, distance, similar, found, apart)
+                    _insert(node, np.int64(other), distance, similar, found, apart)
 
 
 @joined

@@ -256,7 +256,13 @@ def _graph(
     batches = tuple(slice(a, b) for a, b in pairwise(ends))
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    starts, ring = renumbered(ring_starts, ring, order, place)
+    given = (
+        frozen(ring_starts),
+        frozen(ring),
+        order,
+        frozen(place),
+    )  # as stencils have them: one type to numba
+    starts, ring = renumbered(*given)
     counts = counts[order]
     known = np.arange(neighbours.shape[1]) < counts[:, None]
     neighbours = np.where(known, place[neighbours[order]], 0)
