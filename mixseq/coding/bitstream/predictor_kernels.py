@@ -236,7 +236,9 @@ def nearest(
 
 
 @joined
-def _insert(node: int, other: int, distance: float, similar: Small, found: Small, apart: Float) -> None:
+def _insert(
+    node: int, other: int | np.int64, distance: float, similar: Small, found: Small, apart: Float
+) -> None:
     """Insert a node into the nearest ones at squared distances `apart` (most,), whose last one is farther."""
     place = len(apart) - 1
     while place > 0 and apart[place - 1] > distance:
