@@ -85,6 +85,36 @@ def packed_triangles(triangles: NDArray[Any]) -> bytes:
     return bytes(meshopt.encode_gltf_buffer(triangles.astype(np.uint32).reshape(-1), "TRIANGLES"))
 
 
+def order_for_packing(
+    triangles: NDArray[Any], vertex_count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return an order that packs well, of triangles as strips would go, of vertices as triangles need them.
+
+    Parameters
+    ----------
+    triangles : (F, 3) unsigned int
+        Vertices of every triangle, below `vertex_count`.
+    vertex_count : int
+        How many vertices there are; those that no triangle uses come last.
+
+    Returns
+    -------
+    triangles : (F, 3) int
+        The same triangles in another order, of renumbered vertices.
+    order : (V,) int
+        Which vertex each of the new ones was.
+    """
+    import meshopt
+
+    corners = np.ascontiguousarray(triangles, dtype=np.uint32).reshape(-1)
+    renumbered, places, _ = meshopt.reorder_mesh(corners, True, True)
+    # The package knows no vertices beyond the last that is used, and gives those between no place.
+    unused = np.setdiff1d(np.arange(vertex_count), corners)
+    used = np.unique(corners)
+    order = np.concatenate([used[np.argsort(places[used])], unused]).astype(np.int64)
+    return renumbered.astype(np.int64).reshape(-1, 3), order
+
+
 def octahedral(vectors: ArrayLike, bits: int) -> Rows:
     """Return unit vectors ``(n, 3)`` for the filter OCTAHEDRAL: ``(n, 4)`` bytes of at most 8 bits."""
     import meshopt

@@ -2,8 +2,8 @@
 
 Points and texture coordinates are fixed-point numbers: multiples of a power of two, which readers see as float32 (the
 filter EXPONENTIAL). So what is rounded is rounded once, differences are exact, and no node has to scale anything.
-Normals are bytes (``KHR_mesh_quantization``) on the octahedron. Triangles keep their order, but may begin with
-another of their corners. All is packed as ``EXT_meshopt_compression``.
+Normals are bytes (``KHR_mesh_quantization``) on the octahedron. Triangles may begin with another of their corners.
+All is packed as ``EXT_meshopt_compression``.
 
 Specification: https://github.com/KhronosGroup/glTF/blob/main/extensions/2.0/Vendor/EXT_meshopt_compression/README.md
 """

@@ -26,6 +26,7 @@ from mixseq_io.gltf.document_edits import unknown_extensions
 from mixseq_io.gltf.json_fields import Fields
 from mixseq_io.gltf.meshopt import require_package
 from mixseq_io.gltf.packing_roles import Roles, add_as_it_is
+from mixseq_io.gltf.vertex_order import neighbours_together
 
 ROUNDING = "mixseq:rounding"
 """In the ``extras`` of the asset: how far points are off at most, in diagonals of their meshes."""
@@ -55,6 +56,7 @@ def packed(document: Document, error: float) -> Layout:
             f"{document.path}: {listed(unknown)} may refer to what is packed; leave meshopt out, or write the "
             "sequence alone (--flatten, flatten=True)"
         )
+    document = neighbours_together(document)
     roles = Roles(document, error)
     json = deepcopy({key: each for key, each in document.json.items() if key not in _REPLACED})
     layout = Layout(json)

@@ -33,7 +33,7 @@ Add = Callable[[Layout, Values, Fields], int | None]
 """Adds the numbers of an accessor to a layout and returns the new accessor; None if it had better stay as it is."""
 
 _TRIANGLES = 4
-_EXPONENTS = {"TEXCOORD": UV_EXPONENT, "COLOR": -10, "NORMAL": -8, "_VERTEX": 0}
+_EXPONENTS = {"TEXCOORD": UV_EXPONENT, "COLOR": -10, "NORMAL": -6, "_VERTEX": 0}
 """Of attributes by the first word of their names; normals only of some morph targets. Colours are off by 1/2048."""
 
 _UNIT = 1e-3

@@ -14,6 +14,7 @@ from mixseq.errors import FormatError, MissingExtraError, SettingsError
 from mixseq_io.gltf import meshopt
 from mixseq_io.gltf.meshopt import fixed_point, octahedral, packed_attributes, packed_triangles, unpacked
 from tests.formats.gltf.packed_files import FOLDER
+from tests.formats.gltf.turned import turned
 from tests.formats.gltf_maker import load
 
 pytest.importorskip("meshopt")
@@ -46,11 +47,6 @@ def vertices() -> NDArray[np.uint8]:
     rows = np.zeros(20, [("a", "<u2"), ("b", "<u2"), ("c", "<f4")])
     rows["a"], rows["b"], rows["c"] = number * 300 % 65536, 7, 1 + number / 7
     return rows.view(np.uint8).reshape(20, 8)
-
-
-def turned(triangles: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Let every triangle begin with the corner with which it is the smallest triple."""
-    return [min((a, b, c), (b, c, a), (c, a, b)) for a, b, c in triangles.tolist()]
 
 
 @pytest.mark.parametrize("data", [VERSION_0, VERSION_1], ids=["version 0", "version 1"])
