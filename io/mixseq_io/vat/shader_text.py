@@ -18,6 +18,7 @@ def shader(name: str, told: dict[str, Any]) -> str:
     )
     values["LOW_RANK"] = str(int(told["kind"] != "plain"))
     values["PART_SCALE"] = f"{told['part_scale']:.1f}"
+    values["COLUMNS"] = str(told["textures"].get("coefficients", {"width": 1})["width"])
     values["NORMALS_HEIGHT"] = str(told["textures"]["normals"]["height"])
     for key in ("points", "normals", "coefficients"):
         texture = told["textures"].get(key, {"offset": 0.0, "scale": 1.0})

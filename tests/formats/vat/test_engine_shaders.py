@@ -1,0 +1,266 @@
+"""Shaders for engines, run by a browser as the engines would run them: their text, with what engines put around it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mixseq.creature import walk_cycle
+from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq_io.vat.texels import Texels
+from mixseq_io.vat.writer import VatReport, write_vat
+from tests.formats.vat.test_images import unpacked
+from tests.viewing.conftest import browser, new_page, page
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.slow
+
+__all__ = ["browser", "new_page", "page"]
+
+KINDS = {"plain": None, "low rank": 1e-3}
+FRAMES = [0, 3, 3.5, 6.25]
+
+TRANSFORMED = """({ shader, input, outputs, images, lookup, seconds }) => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const compiled = (kind, text) => {
+    const made = gl.createShader(kind);
+    gl.shaderSource(made, text);
+    gl.compileShader(made);
+    if (!gl.getShaderParameter(made, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(made));
+    return made;
+  };
+  const program = gl.createProgram();
+  gl.attachShader(program, compiled(gl.VERTEX_SHADER, shader));
+  gl.attachShader(program, compiled(gl.FRAGMENT_SHADER, "#version 300 es\\nvoid main() {}"));
+  gl.transformFeedbackVaryings(program, outputs, gl.SEPARATE_ATTRIBS);
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+  gl.useProgram(program);
+  images.forEach(({ sampler, width, height, pixels }, unit) => {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, new Float32Array(pixels));
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.uniform1i(gl.getUniformLocation(program, sampler), unit);
+  });
+  const buffer = (data, use) => {
+    const made = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, made);
+    gl.bufferData(gl.ARRAY_BUFFER, data, use);
+    return made;
+  };
+  buffer(new Float32Array(lookup), gl.STATIC_DRAW);
+  const place = gl.getAttribLocation(program, input);
+  gl.enableVertexAttribArray(place);
+  gl.vertexAttribPointer(place, 2, gl.FLOAT, false, 0, 0);
+  const count = lookup.length / 2;
+  const out = outputs.map(() => buffer(12 * count, gl.STREAM_READ));
+  gl.bindBuffer(gl.ARRAY_BUFFER, null);
+  gl.enable(gl.RASTERIZER_DISCARD);
+  const found = seconds.map((now) => {
+    gl.uniform4f(gl.getUniformLocation(program, "Clock"), now, 0, 0, 0);
+    out.forEach((each, index) => gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, index, each));
+    gl.beginTransformFeedback(gl.POINTS);
+    gl.drawArrays(gl.POINTS, 0, count);
+    gl.endTransformFeedback();
+    return out.map((each) => {
+      const values = new Float32Array(3 * count);
+      gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, each);
+      gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, values);
+      return Array.from(values);
+    });
+  });
+  return { found, error: gl.getError() };
+}"""
+"""Points and normals of a vertex shader, at seconds."""
+
+
+class Engine(NamedTuple):
+    """How an engine differs from glTF, and what it puts around a shader.
+
+    Attributes
+    ----------
+    shader : callable
+        GLSL of WebGL2, from the text of the file.
+    mirror : callable
+        Its points, from those of glTF.
+    scale : float
+        Their units in one of glTF.
+    turned : bool
+        Whether its importer turns pictures and v upside down.
+    """
+
+    shader: Callable[[str], str]
+    mirror: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    scale: float = 1.0
+    turned: bool = False
+
+
+def godot(text: str) -> str:
+    """Godot's language is GLSL with other names, values of uniforms and hints."""
+    text = re.sub(r"shader_type.*;", "", text)
+    text = re.sub(r"uniform sampler2D (\w+) *:[^;]*;", r"uniform highp sampler2D \1;", text)
+    text = re.sub(r"uniform float (\w+) = ([^;]*);", r"const float \1 = \2;", text)
+    return f"""#version 300 es
+    precision highp float;
+    uniform vec4 Clock[1];
+    in vec2 lookup;
+    out vec3 point_out;
+    out vec3 normal_out;
+    vec3 VERTEX;
+    vec3 NORMAL;
+    #define TIME Clock[0].x
+    #define UV2 lookup
+    {text}
+    void main() {{ vertex(); point_out = VERTEX; normal_out = NORMAL; }}"""
+
+
+HLSL_MAIN = """
+struct Shown { float4 position : SV_Position; float3 at : POINT_OUT; float3 direction : NORMAL_OUT; };
+Shown main(float2 lookup : LOOKUP) { Shown shown; BODY shown.position = float4(shown.at, 1); return shown; }
+"""
+
+
+def unity(text: str) -> str:
+    """Between CGPROGRAM and ENDCG; of what Unity includes only what the shader names."""
+    rate = re.search(r'_Rate \("[^"]*", Float\) = (\S+)', text)
+    assert rate
+    program = text[text.index("CGPROGRAM") + len("CGPROGRAM") : text.index("ENDCG")]
+    program = re.sub(r"#(pragma|include).*\n", "", program).replace(
+        "float _Rate;", f"#define _Rate {rate.group(1)}"
+    )
+    body = """appdata_full v; v.texcoord1 = float4(lookup, 0, 0); v.vertex = 0; v.normal = 0; vert(v);
+    shown.at = v.vertex.xyz; shown.direction = v.normal;"""
+    return from_hlsl(
+        """struct appdata_full { float4 vertex; float3 normal; float4 texcoord1; };
+        struct SurfaceOutputStandard { float3 Albedo; float Smoothness; };
+        #define _Time float4(0, seconds, 0, 0)
+        #define sampler2D Texture2D
+        SamplerState nearest;
+        #define tex2Dlod(image, at) image.SampleLevel(nearest, (at).xy, (at).w)
+        """
+        + program
+        + HLSL_MAIN.replace("BODY", body)
+    )
+
+
+def unreal(text: str) -> str:
+    """The body of a function of the inputs, and of outputs after the first."""
+    fps, frames = re.search(r"times\n// (\S+), modulo (\d+)", text).groups()  # type: ignore[union-attr]
+    body = f"""shown.direction = 0;
+    shown.at = Custom(lookup, fmod(seconds * {fps}, {frames} - 1), 0, shown.direction);"""
+    return from_hlsl(
+        """Texture2D Points; Texture2D Normals; Texture2D Coefficients;
+        float3 Custom(float2 Lookup, float Frame, float3 Rest, inout float3 Normal) {"""
+        + text
+        + "}"
+        + HLSL_MAIN.replace("BODY", body)
+    )
+
+
+def from_hlsl(text: str) -> str:
+    """Compile HLSL to SPIR-V, and that to GLSL; without the compilers the test is skipped."""
+    if not (shutil.which("glslangValidator") and shutil.which("spirv-cross")):
+        pytest.skip("needs glslangValidator and spirv-cross (Debian: glslang-tools, spirv-cross)")
+    source = "cbuffer Clock { float seconds; };\n" + text
+    with tempfile.TemporaryDirectory() as folder:
+        spirv = Path(folder) / "shader.spv"
+        options = ["-D", "-V", "-Od", "--stdin", "-S", "vert", "-e", "main", "-o", str(spirv)]
+        compiled = subprocess.run(
+            ["glslangValidator", *options], input=source, text=True, capture_output=True, check=False
+        )
+        assert compiled.returncode == 0, compiled.stdout
+        glsl = ["spirv-cross", "--es", "--version", "300", "--flatten-ubo", str(spirv)]
+        return subprocess.check_output(glsl, text=True)
+
+
+ENGINES = {
+    "godot.gdshader": Engine(godot, lambda points: points),
+    "unity.shader": Engine(unity, lambda points: points * [-1, 1, 1], turned=True),
+    "unreal.hlsl": Engine(unreal, lambda points: 100 * points[:, [0, 2, 1]], scale=100.0),
+}
+
+
+@pytest.fixture(scope="module")
+def fox() -> MeshSequence:
+    return walk_cycle(frames=8)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def written(
+    fox: MeshSequence, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, VatReport]:
+    folder = tmp_path_factory.mktemp("textures") / "fox.vat"
+    return folder, write_vat(folder, fox, KINDS[request.param])
+
+
+def images(folder: Path, shader: str, turned: bool) -> list[dict[str, object]]:
+    """Textures as engines have them, numbers between 0 and 1, by the samplers' names."""
+    found = []
+    for sampler in re.findall(r"uniform highp sampler2D (\w+);", shader):
+        (name,) = (each for each in ("points", "normals", "coefficients") if each in sampler.lower())
+        file = folder / f"{name}.png"
+        if not file.exists():
+            continue  # plain textures have no coefficients
+        pixels = unpacked(file.read_bytes())
+        shares = np.zeros((*pixels.shape[:2], 4), np.float32)
+        shares[:, :, : pixels.shape[2]] = pixels / np.float32(np.iinfo(pixels.dtype).max)
+        shares = shares[::-1] if turned else shares
+        height, width = pixels.shape[:2]
+        found.append(
+            {"sampler": sampler, "width": width, "height": height, "pixels": shares.ravel().tolist()}
+        )
+    return found
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_engines_draw_the_frames(
+    name: str, written: tuple[Path, VatReport], fox: MeshSequence, page: Page
+) -> None:
+    """At frames, and between two of them, where motion is straight."""
+    folder, report = written
+    engine = ENGINES[name]
+    shader = engine.shader((folder / name).read_text())
+    vat = json.loads((folder / "vat.json").read_text())
+    x, y = np.arange(vat["texels"]) % vat["width"] + 0.5, np.arange(vat["texels"]) // vat["width"] + 0.5
+    lookup = np.stack([x / vat["width"], y / vat["height"]], axis=1)
+    if engine.turned:
+        lookup[:, 1] = 1 - lookup[:, 1]
+    shown = page.evaluate(
+        TRANSFORMED,
+        {
+            "shader": shader,
+            "input": re.findall(r"\bin vec2 (\w+);", shader)[0],
+            "outputs": re.findall(r"\bout vec3 (\w+);", shader),
+            "images": images(folder, shader, engine.turned),
+            "lookup": lookup.ravel().tolist(),
+            "seconds": [frame / fox.header.fps for frame in FRAMES],
+        },
+    )
+    assert shown["error"] == 0
+    texels, diagonal = Texels.of(fox.header), bounding_diagonal(engine.mirror(fox.points[0]))
+    for frame, (points, normals) in zip(FRAMES, shown["found"], strict=True):
+        before, share = int(frame), frame % 1
+        two = fox.points[before : before + 2]
+        expected = engine.mirror((1 - share) * two[0] + share * two[1])[texels.vertices]
+        apart = np.linalg.norm(np.reshape(points, (-1, 3)) - expected, axis=1).max() / diagonal
+        assert apart <= report.max_error + 2e-6
+        if share == 0:
+            sides = texels.normals_of(two[:1])[0] @ engine.mirror(np.eye(3) / engine.scale).T
+            angles = np.degrees(
+                np.arccos(np.clip(np.sum(np.reshape(normals, (-1, 3)) * sides, axis=1), -1, 1))
+            )
+            assert np.sqrt(np.mean(angles**2)) < 1.2 * report.normal_degrees + 0.1
