@@ -6,22 +6,28 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixseq.errors import OutputError
+from mixseq.errors import OutputError, SettingsError
 from mixseq.public import public
 
 if TYPE_CHECKING:
     from mixseq.rigging.rigs import Morph, Skin
 
-RIG_EXTENSIONS = (".glb", ".gltf")
+GLTF = (".glb", ".gltf")
+USD = (".usd", ".usda", ".usdc", ".usdz")
+RIG_EXTENSIONS = (*GLTF, *USD)
 """Of the files that hold skins and morphs."""
 
 
 @public
 def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | None = None) -> None:
-    """Write a skin or a morph as glTF, which engines play: ``.glb`` is binary, ``.gltf`` text with everything in it.
+    """Write a skin or a morph, for engines and for animators.
 
-    Texture coordinates, hard edges and names of materials go along, pictures do not. Numbers are float32. The file
-    appears when it is complete, as those of `mixseq_io.write_blocks` do, and `mixseq_io.read` reads it.
+    glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
+    is text, ``.usdz`` a package; a skin has a skeleton and blend shapes there (UsdSkel).
+
+    Texture coordinates, hard edges and names of materials go along, and into USD the materials of a USD file that the
+    sequence came from. Numbers are float32. The file appears when it is complete, as those of
+    `mixseq_io.write_blocks` do, and `mixseq_io.read` reads it.
 
     Parameters
     ----------
@@ -31,16 +37,16 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | 
         What to write, made by `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled``
         moves them.
     meshopt : float, optional
-        Quantise and pack everything (``EXT_meshopt_compression``), points off by at most so many diagonals of their
-        mesh, each target, too; weights and bones are exact.
+        Of glTF: quantise and pack everything (``EXT_meshopt_compression``), points off by at most so many diagonals
+        of their mesh, each target, too; weights and bones are exact.
 
     Raises
     ------
     OutputError
-        If the name does not end in .glb or .gltf, the file cannot be written or would be too large, or a skin has
-        more than 65535 bones.
+        If the name does not end in one of these, the file cannot be written or would be too large, a skin for glTF
+        has more than 65535 bones, or USD does not know the up axis.
     SettingsError
-        If `meshopt` is not between 0 and 1.
+        If `meshopt` is not between 0 and 1, or given for USD.
     TypeError
         If `rig` is something else.
     InvalidSequenceError
@@ -49,10 +55,22 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | 
     Warns
     -----
     MixseqWarning
-        If glTF cannot hold something of the mesh, shows it under a node that turns and scales it, or times are moved.
+        If the format cannot hold something of the mesh, glTF shows it under a node that turns and scales it, times are
+        moved, or materials of USD are only names.
     """
     file = Path(path)
     check_rig_target(file)
+    if file.suffix.lower() in USD:
+        from mixseq_io.usd.rig_writer import write_usd_rig
+
+        if meshopt is not None:
+            raise SettingsError(f"{file}: only glTF is packed by meshopt; leave it out, or write .glb")
+        write_usd_rig(file, rig)
+    else:
+        _write_gltf_rig(file, rig, meshopt)
+
+
+def _write_gltf_rig(file: Path, rig: Skin | Morph, meshopt: float | None) -> None:
     from mixseq.rigging.rigs import Skin
     from mixseq_io.atomic import replacing
     from mixseq_io.gltf.morph_rig import morphed_scene
@@ -73,9 +91,10 @@ def check_rig_target(path: Path) -> None:
     Raises
     ------
     OutputError
-        If the name does not end in .glb or .gltf.
+        If the name does not end in that of a glTF or USD file.
     """
     if path.suffix.lower() not in RIG_EXTENSIONS:
         raise OutputError(
-            f"{path}: skins and morphs are written as glTF; end the name in {' or '.join(RIG_EXTENSIONS)}"
+            f"{path}: skins and morphs are written as glTF or USD; end the name in {', '.join(RIG_EXTENSIONS[:-1])} "
+            f"or {RIG_EXTENSIONS[-1]}"
         )

@@ -82,7 +82,7 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     """Read a file back and tell what is in it, and how far it is from the sequence."""
     from mixseq.cli.console import format_bytes
     from mixseq.rigging.rigs import Skin
-    from mixseq_io.gltf.measuring import measure, size_as_frames
+    from mixseq_io.rig_measuring import measure, size_as_frames
 
     found = measure(path, sequence)
     first, last = rig.header.times[[0, -1]]

@@ -1,7 +1,6 @@
 r"""A base mesh with the targets of a `Morph`, as glTF has them.
 
-A target is displacements ``d_m`` and weights ``w_tm``; both are scaled so that weights stay within [-1, 1], where
-programs have sliders:  ``w d = (w / s) (s d)`` with ``s_m = max_t |w_tm|``. Targets that are never used are left out.
+A target is displacements ``d_m`` and weights ``w_tm``, scaled to where sliders are (`mixseq_io.rig_arrays.shape_of`).
 
 glTF blends normals as it does points, ``n_t ~ n_0 + sum_m w_tm e_m`` before they are normalised. Targets are modes
 here, not shapes to be seen one at a time, so the ``e_m`` are those that come closest to the true normals ``N_t`` of all
@@ -16,7 +15,7 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#animations
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, Json, Layout, append
 from mixseq_io.gltf.morphs import MovingMesh, key_times
 from mixseq_io.gltf.new_document import new_scene
+from mixseq_io.rig_arrays import numbered_names, shape_of
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
@@ -110,19 +110,25 @@ def morphed_scene(morph: Morph) -> Layout:
         If points or times do not fit into float32.
     """
     layout, meshes = new_scene(morph.header)
-    animate(layout, morph.header, add_targets(layout, meshes, morph))
+    animate(layout, morph.header, add_targets(layout, meshes, shape_of(morph)))
     return layout
 
 
 def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
     """Give the meshes of a document points, normals and targets.
 
+    Parameters
+    ----------
+    layout, meshes
+        The document, and its meshes.
+    morph : Morph
+        What they show, with weights within [-1, 1].
+
     Returns
     -------
     list of Track
         The track of the weights, with a value for every target; none if there are no targets.
     """
-    morph = _scaled(morph)
     base = as_float32(morph.base[None], 0, "glTF")[0]
     targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
     for mesh in meshes:
@@ -134,27 +140,6 @@ def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> l
         entry["weights"] = morph.weights[0].astype(np.float32).tolist()
         entry["extras"] = {"targetNames": numbered_names("mode", len(targets))}
     return [Track([mesh.node for mesh in meshes], "weights", morph.weights.astype(np.float32))]
-
-
-def numbered_names(word: str, count: int) -> list[str]:
-    """Return names that sort as their numbers do.
-
-    Examples
-    --------
-    >>> numbered_names("bone", 2), numbered_names("mode", 101)[-1]
-    (['bone_00', 'bone_01'], 'mode_100')
-    """
-    width = max(2, len(str(count - 1)))
-    return [f"{word}_{number:0{width}d}" for number in range(count)]
-
-
-def _scaled(morph: Morph) -> Morph:
-    largest = np.abs(morph.weights).max(axis=0, initial=0)
-    used = largest > 0
-    scale = largest[used]
-    return replace(
-        morph, targets=morph.targets[used] * scale[:, None, None], weights=morph.weights[:, used] / scale
-    )
 
 
 def _add(layout: Layout, mesh: MovingMesh, morph: Morph, base: Single, targets: Single) -> None:

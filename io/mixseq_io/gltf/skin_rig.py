@@ -1,11 +1,17 @@
-"""A mesh that follows bones, as glTF has it.
+r"""A mesh that follows bones, as glTF has it.
 
-A joint's node turns by ``R_tb`` and stands at ``c_tb``; its inverse bind matrix takes the pivot ``p_b`` to the origin,
-so that a point goes to ``R_tb (r_v - p_b) + c_tb``, which is the formula of `mixseq.rigging.rigs.Skin`. glTF adds morph
-targets before the skin moves the mesh, as that formula does.
+Joints are nodes in a tree. The node of joint b turns and moves relative to its parent's, by rotation and translation
+of `mixseq.rigging.rigs.Skin.local`, which in the world takes the axes ``A_b`` at the pivot ``p_b`` to ``R_tb A_b`` at
+``c_tb``. Its inverse bind matrix takes them to the axes of the world at the origin,
 
-Bones lie side by side under one node, which also turns and scales what is not in metres with Y up: nodes above a
-skinned mesh do not move it, those above its joints do.
+.. math:: \begin{pmatrix} A_b & p_b \\ 0 & 1 \end{pmatrix}^{-1} =
+          \begin{pmatrix} A_b^T & -A_b^T p_b \\ 0 & 1 \end{pmatrix},
+
+so that a point goes to ``R_tb (r_v - p_b) + c_tb``, which is the formula of the skin. glTF adds morph targets before
+the skin moves the mesh, as that formula does. Properties of a node that stand still have no track.
+
+The roots lie under one node, which also turns and scales what is not in metres with Y up: nodes above a skinned mesh
+do not move it, those above its joints do.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 """
@@ -16,12 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import OutputError
-from mixseq.rigging.rigs import Morph, Skin
+from mixseq.rigging.rigs import Skin, rotation_matrices
+from mixseq.sequence import bounding_diagonal
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf.buffers import VERTICES, Json, Layout, append
-from mixseq_io.gltf.morph_rig import Track, add_targets, animate, numbered_names
+from mixseq_io.gltf.morph_rig import Track, add_targets, animate
 from mixseq_io.gltf.morphs import MovingMesh
 from mixseq_io.gltf.new_document import named, new_meshes, upright
+from mixseq_io.rig_arrays import four_influences, shape_of, steadied
 
 MOST_BONES = 65535
 _MOST_OF_A_BYTE = 256
@@ -43,79 +51,69 @@ def skinned_scene(skin: Skin) -> Layout:
         )
     layout, meshes = new_meshes(skin.header)
     document = layout.document
-    shape = Morph(skin.header, skin.rest, skin.targets, skin.target_weights)
-    of_targets = add_targets(layout, meshes, shape)
+    of_targets = add_targets(layout, meshes, shape_of(skin))
     root, joints, of_bones = _add_bones(document, skin)
     document["skins"] = [
-        {**named(skin.header.name), "inverseBindMatrices": _inverse_binds(layout, skin), "joints": joints}
+        {
+            **named(skin.header.name),
+            "inverseBindMatrices": _inverse_binds(layout, skin),
+            "joints": joints,
+            "skeleton": root,
+        }
     ]
-    joint, weight = four_influences(skin)
+    bones, weights = four_influences(skin)
+    numbers = bones.astype(np.uint8 if skin.bone_count <= _MOST_OF_A_BYTE else np.uint16)
     for mesh in meshes:
         document["nodes"][mesh.node]["skin"] = 0
-        _attach(layout, mesh, joint, weight)
+        _attach(layout, mesh, numbers, weights)
     document["scene"] = 0
     document["scenes"] = [{"nodes": [root, *(mesh.node for mesh in meshes)]}]
     animate(layout, skin.header, [*of_bones, *of_targets])
     return layout
 
 
-def four_influences(
-    skin: Skin,
-) -> tuple[NDArray[np.unsignedinteger], NDArray[np.float32]]:
-    """Return bones and weights ``(V, 4)`` as glTF demands them.
-
-    Every bone of a vertex occurs once, the largest weight comes first, bones without weight are number 0, and the
-    weights add to one in float32.
-    """
-    bones = skin.influences.copy()
-    weights = skin.weights.copy()
-    for column in range(1, bones.shape[1]):
-        for earlier in range(column):
-            again = bones[:, column] == bones[:, earlier]
-            weights[again, earlier] += weights[again, column]
-            weights[again, column] = 0.0
-    order = np.argsort(-weights, axis=1, kind="stable")
-    bones = np.take_along_axis(bones, order, axis=1)
-    rounded = np.take_along_axis(weights, order, axis=1).astype(np.float32)
-    rounded[:, 0] = 1 - rounded[:, 1:].astype(np.float64).sum(axis=1)
-    dtype = np.uint8 if skin.bone_count <= _MOST_OF_A_BYTE else np.uint16
-    return np.where(rounded > 0, bones, 0).astype(dtype), rounded
-
-
 def _add_bones(document: Json, skin: Skin) -> tuple[int, list[int], list[Track]]:
     """Add a node for every bone, as in the first frame, and one above them; return these and the tracks."""
-    rotations = skin.rotations.astype(np.float32)
-    translations = as_float32(skin.translations, 0, "glTF", "bone")
-    joints, tracks = [], []
-    for bone, name in enumerate(numbered_names("bone", skin.bone_count)):
+    local, skeleton = skin.local(), skin.skeleton
+    rotations = steadied(local.rotations, 1.0).astype(np.float32)
+    places = steadied(local.translations, bounding_diagonal(skin.rest))
+    translations = as_float32(places, 0, "glTF", "bone")
+    root = append(document, "nodes", {"name": "skeleton", "children": [], **upright(skin.header)})
+    joints: list[int] = []
+    tracks: list[Track] = []
+    for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
         turn, place = rotations[:, bone], translations[:, bone]
         joint = append(
             document,
             "nodes",
             {"name": name, "rotation": turn[0].tolist(), "translation": place[0].tolist()},
         )
+        above = document["nodes"][root if parent < 0 else joints[parent]]
+        above.setdefault("children", []).append(joint)
         joints.append(joint)
         tracks += [Track([joint], "rotation", turn), Track([joint], "translation", place)]
-    root = append(document, "nodes", {"name": "skeleton", "children": joints, **upright(skin.header)})
     return root, joints, tracks
 
 
 def _inverse_binds(layout: Layout, skin: Skin) -> int:
-    """Add the matrices that take every pivot to the origin; return their accessor."""
+    """Add the matrices that take the axes of every joint at rest to those of the world; return their accessor."""
+    pivots = as_float32(skin.pivots[None], 0, "glTF", "the pivot of bone")[0].astype(np.float64)
+    back = rotation_matrices(skin.skeleton.axes).swapaxes(1, 2)
     matrices = np.tile(np.eye(4, dtype=np.float32), (skin.bone_count, 1, 1))
-    matrices[:, 3, :3] = -as_float32(skin.pivots[None], 0, "glTF", "the pivot of bone")[0]  # column by column
+    matrices[:, :3, :3] = back.swapaxes(1, 2)  # column by column
+    matrices[:, 3, :3] = -np.einsum("bij,bj->bi", back, pivots)
     return layout.add_array(matrices.reshape(-1, 16))
 
 
 def _attach(
     layout: Layout,
     mesh: MovingMesh,
-    joint: NDArray[np.unsignedinteger],
-    weight: NDArray[np.float32],
+    bones: NDArray[np.unsignedinteger],
+    weights: NDArray[np.float32],
 ) -> None:
     """Give the vertices of a mesh their bones."""
     for each in mesh.primitives:
         attributes = each.entry["attributes"]
         own = mesh.scene_mesh.vertices
-        attributes["JOINTS_0"] = layout.add_array(joint[own][each.vertices], target=VERTICES)
-        attributes["WEIGHTS_0"] = layout.add_array(weight[own][each.vertices], target=VERTICES)
+        attributes["JOINTS_0"] = layout.add_array(bones[own][each.vertices], target=VERTICES)
+        attributes["WEIGHTS_0"] = layout.add_array(weights[own][each.vertices], target=VERTICES)

@@ -174,7 +174,7 @@ def _values(
     for mesh, space in placed:
         own = mesh.points(local)
         yield f"{mesh.path}.points", Vt.Vec3fArrayFromBuffer(own)
-        yield f"{mesh.path}.extent", _extent(own)
+        yield f"{mesh.path}.extent", extent_of(own)
         if mesh.normals:
             normals = _normals(mesh.normals, points[mesh.scene_mesh.vertices], mesh.scene_mesh, space)
             yield f"{mesh.path}.{mesh.normals.attribute}", Vt.Vec3fArrayFromBuffer(normals)
@@ -185,7 +185,7 @@ def _values(
             if mesh.velocities:
                 yield f"{mesh.path}.velocities", Vt.Vec3fArrayFromBuffer(mesh.points(local))
     for bounds in cast.bounds:
-        yield f"{bounds.path}.extent", _extent(_box(bounds, points, time))
+        yield f"{bounds.path}.extent", extent_of(_box(bounds, points, time))
 
 
 def _in_spaces(vectors: FloatArray, placed: list[tuple[Placed, Space]], *, direction: bool) -> FloatArray:
@@ -220,7 +220,7 @@ def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
     return np.concatenate([corners @ to_local[:3, :3] + to_local[3, :3], bounds.others(time)])
 
 
-def _extent(points: FloatArray) -> Any:
+def extent_of(points: FloatArray) -> Any:
     if not len(points):
         return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's box around nothing
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))

@@ -95,11 +95,7 @@ def write_usd(
             "whole_stage retimes what a layer is laid over; leave out flatten, write .usdc, and give sources=..., the "
             "time of the original that every frame shows"
         )
-    if header.up_axis == "X":
-        raise OutputError(
-            f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
-            "write .npz or .h5"
-        )
+    check_up_axis(path, header)
     original = _original(path, header, flatten, onto)
     if whole_stage and not original:
         raise OutputError(
@@ -138,7 +134,7 @@ def write_usd(
             unpacked = temporary.with_suffix(".usdc")
             layer, _, samples = begun(unpacked)
             save(layer, samples)
-            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, _folders(header, pack_from))
+            elsewhere = pack(layer, temporary, path.with_suffix(".usdc").name, folders_of(header, pack_from))
         elif clips:
             folder.make()
             save_in_clips(*begun(temporary), clips, folder)
@@ -146,11 +142,7 @@ def write_usd(
         else:
             layer, _, samples = begun(temporary)
             save(layer, samples)
-    if elsewhere:
-        warn(
-            f"{path}: what is no texture in the original's folder is not packed: {shortened(elsewhere)}; if textures "
-            "may be shared, name their folder with pack_from=... (--pack-from)"
-        )
+    warn_of_unpacked(path, elsewhere)
     if not clips:
         folder.warn_if_unused()
 
@@ -180,7 +172,25 @@ def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
     return True
 
 
-def _folders(header: SequenceHeader, pack_from: str | PathLike[str] | None) -> list[Path]:
+def check_up_axis(path: Path, header: SequenceHeader) -> None:
+    """Refuse an up axis that USD does not know."""
+    if header.up_axis == "X":
+        raise OutputError(
+            f"{path}: USD stages have Y or Z up, this mesh has X; turn it with convert_units (--convert-axes Y), or "
+            "write .npz or .h5"
+        )
+
+
+def warn_of_unpacked(path: Path, files: list[str]) -> None:
+    """Warn of what `pack` left out."""
+    if files:
+        warn(
+            f"{path}: what is no texture in the original's folder is not packed: {shortened(files)}; if textures "
+            "may be shared, name their folder with pack_from=... (--pack-from)"
+        )
+
+
+def folders_of(header: SequenceHeader, pack_from: str | PathLike[str] | None = None) -> list[Path]:
     """Return where textures may be that are packed, and the file itself, which may be a package."""
     origin = header.surface.origin
     file = [Path(origin.path)] if origin and origin.format == "USD" else []
@@ -218,7 +228,7 @@ def _original(
     named = is_gone(origin) and any(each.material for each in header.surface.face_sets)
     bare = ", and materials are written by name only" if named else ""
     if not flatten:
-        _check_not_needed(path, file)
+        check_not_needed(path, file)
     if flatten or packed:
         if is_gone(origin) and (bare or not flatten):
             warn(f"{path} stands alone: the original {file} is gone{bare}")
@@ -237,7 +247,7 @@ def _original(
         return None
 
 
-def _check_not_needed(path: Path, original: Path) -> None:
+def check_not_needed(path: Path, original: Path) -> None:
     """Refuse to replace an original, or a layer that it uses."""
     if not path.exists():
         return

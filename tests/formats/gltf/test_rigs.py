@@ -14,66 +14,14 @@ from numpy.typing import NDArray
 import mixseq
 from mixseq.creature import walk_cycle
 from mixseq.errors import InvalidSequenceError, MixseqWarning, OutputError
-from mixseq.rigging.rigs import Morph, Skin
+from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
 from mixseq.sequence import MeshSequence
-from mixseq_io.gltf.measuring import measure, size_as_frames
-from mixseq_io.gltf.skin_rig import four_influences
+from mixseq_io.rig_arrays import four_influences
+from mixseq_io.rig_measuring import measure, size_as_frames
 from tests.formats.conftest import dressed, lossy
 from tests.formats.gltf_files import Gltf, read, validate
-from tests.meshes import bar, bent, rotation, tube
-
-QUARTER = np.pi / 2
-
-
-def hinge(frames: int = 4, targets: int = 0, **header: Any) -> Skin:
-    """Return a bar along z whose upper half turns about x by a quarter: what `tests.meshes.bent` does."""
-    points, faces = tube(5, 15)
-    mesh = MeshSequence.from_arrays(np.tile(points, (frames, 1, 1)), faces, fps=10, name="bar").header
-    upper = np.clip((points[:, 2] - 2.0) / 0.8 + 0.5, 0.0, 1.0)
-    angles = np.linspace(0, QUARTER, frames)
-    still = np.tile([0.0, 0, 0, 1], (frames, 1))
-    turning = np.stack([np.sin(angles / 2), 0 * angles, 0 * angles, np.cos(angles / 2)], axis=1)
-    count = len(points)
-    rng = np.random.default_rng(targets)
-    return Skin(
-        header=replace(mesh, **header),
-        rest=points,
-        pivots=np.array([[0.0, 0, 0], [0, 0, 2]]),
-        rotations=np.stack([still, turning], axis=1),
-        translations=np.tile([[0.0, 0, 0], [0, 0, 2]], (frames, 1, 1)),
-        influences=np.tile([0, 1, 0, 0], (count, 1)),
-        weights=np.stack([1 - upper, upper, 0 * upper, 0 * upper], axis=1),
-        targets=0.1 * rng.normal(size=(targets, count, 3)),
-        target_weights=rng.normal(size=(frames, targets)),
-    )
-
-
-def random_skin(sequence: MeshSequence, bones: int = 7, targets: int = 2) -> Skin:
-    """Return a skin without any structure over the mesh of a sequence."""
-    rng = np.random.default_rng(bones)
-    header = sequence.header
-    t, v = header.frame_count, header.vertex_count
-    turns = rng.normal(size=(t, bones, 4))
-    weights = rng.random((v, 4))
-    return Skin(
-        header=header,
-        rest=np.asarray(sequence.points[0], dtype=np.float64),
-        pivots=rng.normal(size=(bones, 3)),
-        rotations=turns / np.linalg.norm(turns, axis=2, keepdims=True),
-        translations=rng.normal(size=(t, bones, 3)),
-        influences=rng.integers(0, bones, (v, 4)),
-        weights=weights / weights.sum(axis=1, keepdims=True),
-        targets=rng.normal(size=(targets, v, 3)),
-        target_weights=rng.normal(size=(t, targets)),
-    )
-
-
-def swelling(frames: int = 4) -> Morph:
-    """Return a bar that grows in x by 0, 3, 0, -3 ... halves of its width."""
-    points, faces = tube(5, 15)
-    mesh = MeshSequence.from_arrays(np.tile(points, (frames, 1, 1)), faces, fps=10, name="bar")
-    weights = 3 * np.sin(QUARTER * np.arange(frames)).round()[:, None]
-    return Morph(mesh.header, points, points[None] * [0.5, 0, 0], weights)
+from tests.formats.rig_maker import AXES, QUARTER, carried, hinge, random_skin, swelling
+from tests.meshes import bar, bent, rotation
 
 
 def written(path: Path, rig: Skin | Morph) -> Gltf:
@@ -111,21 +59,48 @@ def test_a_hinge_comes_back_as_it_bends(tmp_path: Path, suffix: str) -> None:
 def test_of_a_hinge_only_the_hinge_is_animated(tmp_path: Path) -> None:
     file = written(tmp_path / "a.glb", hinge())
     tracks = channels(file)
-    assert set(tracks) == {("bone_01", "rotation")}
-    half = np.linspace(0, QUARTER, 4) / 2
-    np.testing.assert_allclose(
-        tracks["bone_01", "rotation"][:, [0, 3]], np.stack([np.sin(half), np.cos(half)], 1)
-    )
+    assert set(tracks) == {("upper", "rotation")}
+    for angle, turn in zip(np.linspace(0, QUARTER, 4), tracks["upper", "rotation"], strict=True):
+        expected = rotation((angle, 0, 0)) @ rotation_matrices(AXES)
+        np.testing.assert_allclose(rotation_matrices(turn), expected, atol=1e-6)
     (animation,) = file.json["animations"]
     assert (animation["name"], animation["extras"]) == ("bar", {"fps": 10.0})
     np.testing.assert_array_equal(
         file.accessor(animation["samplers"][0]["input"]), np.array([0, 0.1, 0.2, 0.3], np.float32)
     )
+
+
+def test_joints_are_a_tree_with_their_names_and_axes(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.glb", hinge())
+    nodes = file.json["nodes"]
     (skin,) = file.json["skins"]
-    assert [file.json["nodes"][joint]["name"] for joint in skin["joints"]] == ["bone_00", "bone_01"]
-    binds = file.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4)
-    np.testing.assert_array_equal(binds[1], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, -2, 1]])
-    assert file.json["nodes"][skin["joints"][1]]["translation"] == [0, 0, 2]
+    lower, upper = (nodes[joint] for joint in skin["joints"])
+    assert [lower["name"], upper["name"]] == ["lower", "upper"]
+    assert [nodes[child]["name"] for child in nodes[skin["skeleton"]]["children"]] == ["lower"]
+    assert [nodes[child]["name"] for child in lower["children"]] == ["upper"]
+    assert "children" not in upper
+    assert upper["translation"] == [0, 0, 2]
+    binds = file.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+    at_rest = np.eye(4)
+    at_rest[:3, :3], at_rest[:3, 3] = rotation_matrices(AXES), [0, 0, 2]
+    np.testing.assert_allclose(binds[1] @ at_rest, np.eye(4), atol=1e-6)
+
+
+def test_a_child_that_leaves_its_joint_has_a_track_of_that(tmp_path: Path) -> None:
+    skin = hinge()
+    away = np.array(skin.translations)
+    away[:, 1, 0] += [0, 0.5, 0.25, 0]
+    file = written(tmp_path / "a.glb", replace(skin, translations=away))
+    tracks = channels(file)
+    assert set(tracks) == {("upper", "rotation"), ("upper", "translation")}
+    np.testing.assert_allclose(tracks["upper", "translation"], away[:, 1], atol=1e-6)
+
+
+def test_children_of_a_joint_that_moves_stand_still_in_its_axes(tmp_path: Path) -> None:
+    skin = carried(hinge())
+    file = written(tmp_path / "a.glb", skin)
+    assert set(channels(file)) == {("lower", "rotation"), ("lower", "translation")}
+    np.testing.assert_allclose(read(tmp_path / "a.glb").points, skin.points(), atol=1e-6)
 
 
 def test_between_keys_bones_turn_on_arcs(tmp_path: Path) -> None:
@@ -294,9 +269,9 @@ def test_pygltflib_and_trimesh_load_them(tmp_path: Path) -> None:
         assert len(mesh.faces) == len(rig.header.faces)
 
 
-@pytest.mark.parametrize("name", ["a.usdc", "a.h5", "a"])
+@pytest.mark.parametrize("name", ["a.abc", "a.h5", "a"])
 def test_other_names_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OutputError, match=r"written as glTF; end the name in .glb or .gltf"):
+    with pytest.raises(OutputError, match=r"written as glTF or USD; end the name in \.glb, .* or \.usdz"):
         mixseq.write_rig(tmp_path / name, swelling())
     assert list(tmp_path.iterdir()) == []
 
@@ -317,7 +292,7 @@ def test_what_is_too_large_for_float32_is_refused_and_an_old_file_stays(tmp_path
     skin, morph = hinge(targets=1), swelling()
     refused: list[tuple[Skin | Morph, str]] = [
         (replace(skin, rest=skin.rest * 1e39), "vertex 0"),
-        (replace(skin, pivots=skin.pivots * 1e39), "the pivot of bone 1"),
+        (replace(skin, skeleton=replace(skin.skeleton, pivots=skin.pivots * 1e39)), "the pivot of bone 1"),
         (replace(skin, translations=skin.translations * 1e39), "bone 1"),
         (replace(morph, targets=morph.targets * 1e39), "a target of vertex 0"),
         (replace(morph, header=morph.header.with_times([0, 1e6, 1e6 + 1e-3, 2e6])), "frames 1 and 2 are at"),

@@ -1,4 +1,4 @@
-r"""How far a glTF file is from the sequence that it was made from, as readers see it.
+r"""How far a file with a skin or a morph is from the sequence that it was made from, as readers see it.
 
 With the points :math:`x_t(v)` of the sequence, those of the file :math:`y_t(v)`, the centroid :math:`\bar x_t` of a
 frame and the diagonal :math:`D` of the first one:
@@ -18,11 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.arrays import IntArray
 from mixseq.sequence import MeshSequence, SequenceHeader, bounding_diagonal
 from mixseq_io.gltf.buffers import glb_size
 from mixseq_io.gltf.morphs import Morphs
 from mixseq_io.gltf.new_document import new_scene, upright
-from mixseq_io.gltf.reader import open_gltf
+from mixseq_io.registry import open_sequence
+from mixseq_io.rig_files import GLTF
 from mixseq_io.scene_meshes import split
 
 
@@ -50,14 +52,11 @@ def measure(path: Path, sequence: MeshSequence) -> Measured:
     FormatError
         If it cannot be read.
     """
-    kept = np.concatenate(
-        [
-            np.arange(sequence.vertex_count)[mesh.vertices]
-            for mesh in split(sequence.header)
-            if mesh.polygons.counts.size
-        ]
-    )
-    turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)), (4, 4))[:3, :3]
+    gltf = path.suffix.lower() in GLTF
+    kept = _with_polygons(sequence.header) if gltf else np.arange(sequence.vertex_count)
+    turn = np.reshape(upright(sequence.header).get("matrix", np.eye(4)) if gltf else np.eye(4), (4, 4))[
+        :3, :3
+    ]
     largest = squares = spread = 0.0
     for points, shown in _pairs(path, sequence):
         here = points[kept].astype(np.float64) @ turn  # columns of the file are rows here
@@ -83,11 +82,17 @@ def size_as_frames(header: SequenceHeader) -> int:
     return glb_size(layout)
 
 
+def _with_polygons(header: SequenceHeader) -> IntArray:
+    """Return the vertices of objects that have polygons: glTF has no place for others."""
+    vertices = np.arange(header.vertex_count)
+    return np.concatenate([vertices[mesh.vertices] for mesh in split(header) if mesh.polygons.counts.size])
+
+
 def _pairs(path: Path, sequence: MeshSequence) -> Iterator[tuple[NDArray[np.floating], NDArray[np.float64]]]:
     """Yield the points of every frame of a sequence, and those that the file shows then."""
-    with open_gltf(path, prim="/") as reader:
+    with open_sequence(path, prim="/") as reader:
         there = reader.header.times
-        # The nearest: times are float32 in the file, and a file that stands still has a single frame.
+        # The nearest: times are float32 in glTF, and a file that stands still has a single frame.
         nearest = np.searchsorted((there[1:] + there[:-1]) / 2, sequence.times)
         number = 0
         for block in reader.blocks():

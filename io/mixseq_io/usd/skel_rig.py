@@ -1,0 +1,182 @@
+r"""USD, writing: a mesh that follows joints and blend shapes (UsdSkel).
+
+Below a SkelRoot are the meshes, a Skeleton and a SkelAnimation. The Skeleton tells where joints are at rest: bind
+transforms in the world, with the axes ``A_b`` at the pivot ``p_b``, and rest transforms relative to the parent. The
+animation turns and moves every joint relative to its parent, by `mixseq.rigging.rigs.Skin.local`, so that UsdSkel takes
+a point from the bind pose to ``R_tb (r_v - p_b) + c_tb``, which is the formula of `mixseq.rigging.rigs.Skin`. As there,
+blend shapes move the points before joints do. A morph has a Skeleton without joints, which only names the animation.
+
+Joints are named by paths (``hips/leg``) of names that USD has letters for; ``jointNames`` keeps the others.
+
+Specifications: https://openusd.org/release/api/_usd_skel__schemas.html,
+https://openusd.org/release/api/_usd_skel__skinning.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from mixseq.arrays import Float
+from mixseq.rigging.rigs import Morph, Skin, rotation_matrices
+from mixseq.rigging.skeletons import Skeleton
+from mixseq.sequence import bounding_diagonal
+from mixseq_io.blocks import as_float32
+from mixseq_io.rig_arrays import four_influences, numbered_names, shape_of, steadied
+from mixseq_io.usd.component import define_component
+from mixseq_io.usd.frame_values import Cast, Placed, extent_of, frames
+from mixseq_io.usd.layers import declare
+from mixseq_io.usd.paths import Identifiers, time_codes
+
+
+def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
+    """Author a skin or a morph.
+
+    Parameters
+    ----------
+    layer : Sdf.Layer
+        A layer with times and units only.
+    target : Path
+        Where it will be.
+    rig : Skin or Morph
+        What to author.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If a number is too large for float32.
+
+    Warns
+    -----
+    MixseqWarning
+        If materials overlap, or are written by name only.
+    """
+    shape = shape_of(rig)
+    cast = define_component(layer, target, rig.header, velocities=False)
+    _put_base(layer, cast, shape)
+    stage = Usd.Stage.Open(layer)
+    root = stage.GetDefaultPrim()
+    root.SetTypeName("SkelRoot")
+    names = Identifiers(*(child.GetName() for child in root.GetChildren()))
+    skeleton = UsdSkel.Skeleton.Define(stage, root.GetPath().AppendChild(names.take("skeleton")))
+    animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("animation"))
+    codes = time_codes(rig.header.times, rig.header.fps)
+    modes = numbered_names("mode", len(shape.targets))
+    if isinstance(rig, Skin):
+        _define_joints(skeleton, rig.skeleton)
+        _animate_joints(animation, skeleton, rig, codes)
+    _animate_shapes(animation, modes, shape, codes)
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    for mesh in cast.meshes:
+        binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(mesh.path))
+        binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+        _add_shapes(stage, binding, mesh, modes, shape.targets)
+        if isinstance(rig, Skin):
+            _add_influences(binding, mesh, rig)
+    extent = UsdGeom.Boundable(root).CreateExtentAttr()
+    for code, box in zip(codes.tolist(), _extents(rig), strict=True):
+        extent.Set(box, code)
+
+
+def _put_base(layer: Sdf.Layer, cast: Cast, shape: Morph) -> None:
+    """Give the meshes the points of the base, and what follows from them, at no time in particular."""
+    declare(layer, cast)
+    ((_, values),) = frames(cast, np.zeros(1), np.zeros(1), [(0, shape.base[None], None)])
+    for path, value in values.items():
+        layer.GetAttributeAtPath(path).default = value
+
+
+def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
+    paths: list[str] = []
+    siblings: dict[int, Identifiers] = {}
+    for name, parent in zip(joints.names, joints.parents.tolist(), strict=True):
+        own = siblings.setdefault(parent, Identifiers()).take(name)
+        paths.append(own if parent < 0 else f"{paths[parent]}/{own}")
+    turns, places = joints.local_rest()
+    skeleton.CreateJointsAttr(Vt.TokenArray(paths))
+    skeleton.CreateJointNamesAttr(Vt.TokenArray(joints.names))
+    skeleton.CreateBindTransformsAttr(_matrices(joints.axes, joints.pivots))
+    skeleton.CreateRestTransformsAttr(_matrices(turns, places))
+
+
+def _matrices(rotations: Float, translations: Float) -> Vt.Matrix4dArray:
+    """Return transforms of quaternions ``(B, 4)`` and translations ``(B, 3)``, for rows: x' = x M."""
+    matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
+    matrices[:, :3, :3] = rotation_matrices(rotations).swapaxes(1, 2)
+    matrices[:, 3, :3] = translations
+    return Vt.Matrix4dArrayFromBuffer(matrices)
+
+
+def _animate_joints(
+    animation: UsdSkel.Animation, skeleton: UsdSkel.Skeleton, skin: Skin, codes: NDArray[np.float64]
+) -> None:
+    local = skin.local()
+    rotations = steadied(local.rotations, 1.0).astype(np.float32)
+    places = steadied(local.translations, bounding_diagonal(skin.rest))
+    translations = as_float32(places, 0, "USD", "bone", header=skin.header)
+    animation.CreateJointsAttr(skeleton.GetJointsAttr().Get())
+    # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
+    _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
+    _set(animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes)
+    animation.CreateScalesAttr(Vt.Vec3hArray(skin.bone_count, Gf.Vec3h(1, 1, 1)))
+
+
+def _animate_shapes(
+    animation: UsdSkel.Animation, modes: list[str], shape: Morph, codes: NDArray[np.float64]
+) -> None:
+    if not modes:
+        return
+    animation.CreateBlendShapesAttr(Vt.TokenArray(modes))
+    weights = [Vt.FloatArrayFromBuffer(each) for each in shape.weights.astype(np.float32)]
+    _set(animation.CreateBlendShapeWeightsAttr(), weights, codes)
+
+
+def _set(attribute: Usd.Attribute, values: list[Vt.Vec3fArray], codes: NDArray[np.float64]) -> None:
+    """Give an attribute a value at every time, or a single one where it stands still."""
+    if all(value == values[0] for value in values):
+        attribute.Set(values[0])
+        return
+    for code, value in zip(codes.tolist(), values, strict=True):
+        attribute.Set(value, code)
+
+
+def _add_influences(binding: UsdSkel.BindingAPI, mesh: Placed, skin: Skin) -> None:
+    bones, weights = (each[mesh.scene_mesh.vertices] for each in four_influences(skin))
+    of_vertex, width = False, bones.shape[1]
+    joints = Vt.IntArrayFromBuffer(bones.astype(np.int32).reshape(-1))
+    binding.CreateJointIndicesPrimvar(of_vertex, width).Set(joints)
+    binding.CreateJointWeightsPrimvar(of_vertex, width).Set(Vt.FloatArrayFromBuffer(weights.reshape(-1)))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
+
+
+def _add_shapes(
+    stage: Usd.Stage, binding: UsdSkel.BindingAPI, mesh: Placed, modes: list[str], targets: Float
+) -> None:
+    """Add the targets that move a mesh, each with the points that it moves."""
+    path = Sdf.Path(mesh.path)
+    names = Identifiers(*(child.GetName() for child in stage.GetPrimAtPath(path).GetChildren()))
+    used, paths = [], []
+    for mode, target in zip(modes, as_float32(targets, 0, "USD", "a target of vertex"), strict=True):
+        offsets = target[mesh.scene_mesh.vertices]
+        moved = np.flatnonzero(offsets.any(axis=1))
+        if not moved.size:
+            continue
+        shape = UsdSkel.BlendShape.Define(stage, path.AppendChild(names.take(mode)))
+        shape.CreateOffsetsAttr(Vt.Vec3fArrayFromBuffer(offsets[moved]))
+        shape.CreatePointIndicesAttr(Vt.IntArrayFromBuffer(moved.astype(np.int32)))
+        used.append(mode)
+        paths.append(shape.GetPath())
+    if used:
+        binding.CreateBlendShapesAttr(Vt.TokenArray(used))
+        binding.CreateBlendShapeTargetsRel().SetTargets(paths)
+
+
+def _extents(rig: Skin | Morph) -> Iterator[Vt.Vec3fArray]:
+    """Yield the box around every frame."""
+    for block in rig.blocks():
+        for points in block:
+            yield extent_of(points)
