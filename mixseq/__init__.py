@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mixseq.operations.interpolation import interpolate
     from mixseq.operations.segmenting import segment
     from mixseq.retargeting.transfer import transfer
-    from mixseq.rigging import Morph, Skin, fit_morph, fit_skin
+    from mixseq.rigging import Morph, Skeleton, Skin, fit_morph, fit_skin
     from mixseq.sequence import MeshSequence, Polygons, SequenceHeader
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
@@ -55,6 +55,7 @@ _HOME = {
     "Polygons": "mixseq.sequence",
     "PoseMap": "mixseq.signals.pose",
     "SequenceHeader": "mixseq.sequence",
+    "Skeleton": "mixseq.rigging",
     "Skin": "mixseq.rigging",
     "Topology": "mixseq.topology",
     "Verification": "mixseq_io.verification",
@@ -92,6 +93,7 @@ __all__ = [
     "Polygons",
     "PoseMap",
     "SequenceHeader",
+    "Skeleton",
     "Skin",
     "Topology",
     "Verification",

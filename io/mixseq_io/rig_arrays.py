@@ -78,5 +78,5 @@ def steadied(values: Float, unit: float) -> Float:
     [[1.0], [3.0]]
     """
     largest = max(unit, float(np.abs(values).max(initial=0.0)))
-    still = (np.abs(values - values[:1]) <= _ROUNDING * largest).all(axis=(0, 2))
-    return np.where(still[:, None], values[:1], values)
+    moved = np.abs(values - values[:1]).max(axis=(0, 2), keepdims=True)
+    return np.where(moved <= _ROUNDING * largest, values[:1], values)

@@ -1,13 +1,14 @@
 """Skins and morph targets fitted to sequences, for engines.
 
-`rigs` says what they are, `rig_fitting` makes them: `decomposition` alternates `bones`, how they move, and
-`weights` (with `weight_kernels`), how vertices follow them; `correctives` fits targets. `low_rank` fits basis vectors
-of parts, for textures.
+`rigs` says what they are, `skeletons` how bones hang together, `rig_fitting` makes them: `decomposition` alternates
+`bones`, how they move, and `weights` (with `weight_kernels`), how vertices follow them; `correctives` fits targets.
+`low_rank` fits basis vectors of parts, for textures.
 """
 
 from __future__ import annotations
 
 from mixseq.rigging.rig_fitting import fit_morph, fit_skin
 from mixseq.rigging.rigs import Morph, Skin
+from mixseq.rigging.skeletons import Skeleton
 
-__all__ = ["Morph", "Skin", "fit_morph", "fit_skin"]
+__all__ = ["Morph", "Skeleton", "Skin", "fit_morph", "fit_skin"]

@@ -17,6 +17,7 @@ from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.correctives import fit_correctives, fit_targets
 from mixseq.rigging.decomposition import decompose
 from mixseq.rigging.rigs import INFLUENCES, Morph, Skin, without_sign_jumps
+from mixseq.rigging.skeletons import Skeleton
 from mixseq.rigging.weights import Binding
 from mixseq.segmentation import segment
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
@@ -189,7 +190,7 @@ def _skin_of(
     return Skin(
         header=header,
         rest=diagonal * binding.rest + centres[0],
-        pivots=diagonal * pivots + centres[0],
+        skeleton=Skeleton.flat(diagonal * pivots + centres[0]),
         rotations=without_sign_jumps(quaternions),
         translations=diagonal * places + centres[:, None],
         influences=influences,

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.polygons import frozen
+from mixseq.rigging.skeletons import LocalMotion, Skeleton
 from mixseq.sequence import SequenceHeader
 
 INFLUENCES = 4
@@ -43,12 +44,12 @@ class Skin:
         Mesh and times.
     rest : (V, 3) float64
         Rest shape r, in the file's units.
-    pivots : (B, 3) float64
-        Points p that the bones turn about, in the rest shape.
+    skeleton : Skeleton
+        The bones: their names and tree, and the pivots p that they turn about, in the rest shape.
     rotations : (T, B, 4) float64
-        Unit quaternions x, y, z, w; along the frames without jumps of sign.
+        R, in the world: unit quaternions x, y, z, w; along the frames without jumps of sign.
     translations : (T, B, 3) float64
-        Where the pivots are, c.
+        Where the pivots are, c, in the world.
     influences : (V, 4) int64
         Bone of every weight.
     weights : (V, 4) float64
@@ -67,7 +68,7 @@ class Skin:
 
     header: SequenceHeader
     rest: Float
-    pivots: Float
+    skeleton: Skeleton
     rotations: Float
     translations: Float
     influences: Index
@@ -76,9 +77,8 @@ class Skin:
     target_weights: Float
 
     def __post_init__(self) -> None:
-        t, v, b, m = (self.header.frame_count, self.header.vertex_count, len(self.pivots), len(self.targets))
+        t, v, b, m = (self.header.frame_count, self.header.vertex_count, self.bone_count, len(self.targets))
         _take(self, "rest", (v, 3))
-        _take(self, "pivots", (b, 3))
         _take(self, "rotations", (t, b, 4))
         _take(self, "translations", (t, b, 3))
         _take(self, "weights", (v, INFLUENCES))
@@ -113,7 +113,20 @@ class Skin:
     @property
     def bone_count(self) -> int:
         """Number of bones B."""
-        return len(self.pivots)
+        return self.skeleton.bone_count
+
+    @property
+    def pivots(self) -> Float:
+        """Points p ``(B, 3)`` that the bones turn about, in the rest shape."""
+        return self.skeleton.pivots
+
+    def local(self) -> LocalMotion:
+        """Return how joints stand to their parents: rotations ``(T, B, 4)`` and translations ``(T, B, 3)``.
+
+        Rotations have no jumps of sign along the frames.
+        """
+        found = self.skeleton.to_local(self.rotations, self.translations)
+        return replace(found, rotations=without_sign_jumps(found.rotations))
 
     def blocks(self, size: int = 16) -> Iterator[Float]:
         """Iterate over the points in blocks ``(n, V, 3)`` of at most `size` frames."""
@@ -128,9 +141,9 @@ class Skin:
     def resampled(self, times: ArrayLike, fps: float | None = None) -> Skin:
         """Return the same skin at other times.
 
-        Rotations turn at a constant rate from frame to frame, by the shorter way (spherical linear interpolation,
-        Shoemake 1985); pivots and weights of targets move straight. That is what engines do between keys, and by it
-        the result is what they show of the original keys.
+        Relative to their parents, bones turn at a constant rate from frame to frame, by the shorter way (spherical
+        linear interpolation, Shoemake 1985); joints and weights of targets move straight. That is what engines do
+        between keys, and by it the result is what they show of the original keys.
 
         Parameters
         ----------
@@ -148,13 +161,18 @@ class Skin:
         """
         header = self.header.with_times(times, fps)
         before, after, share = _between(self.header, header.times)
-        p, q = self.rotations[before], self.rotations[after]
+        local = self.local()
+        p, q = local.rotations[before], local.rotations[after]
         q = q * np.where(np.sum(p * q, axis=2, keepdims=True) < 0, -1.0, 1.0)
+        moved = LocalMotion(
+            _slerp(p, q, share[:, None, None]), _mixed(local.translations, before, after, share)
+        )
+        rotations, translations = self.skeleton.to_world(moved)
         return replace(
             self,
             header=header,
-            rotations=without_sign_jumps(_slerp(p, q, share[:, None, None])),
-            translations=_mixed(self.translations, before, after, share),
+            rotations=without_sign_jumps(rotations),
+            translations=translations,
             target_weights=_mixed(self.target_weights, before, after, share),
         )
 

@@ -96,7 +96,7 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
             "no place for other files to build on; leave out --onto",
         ),
         (("out.glb", "--as", "skin", "--clips", "3"), "no place for clips; leave out --clips, or --as"),
-        (("out.usdc", "--as", "skin"), "skins and morphs are written as glTF; end the name in .glb or .gltf"),
+        (("out.abc", "--as", "skin"), "skins and morphs are written as glTF or USD; end the name in .glb, "),
         (("out.glb", "--as", "skin", "--times", "0", "--end", "1"), "leave out --start and --end"),
         (("nowhere/out.glb", "--as", "skin"), "does not exist; make it first"),
     ],

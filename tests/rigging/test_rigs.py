@@ -10,7 +10,7 @@ import pytest
 
 import mixseq
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.rigging import Morph, Skin
+from mixseq.rigging import Morph, Skeleton, Skin
 from mixseq.rigging.rigs import rotation_matrices, without_sign_jumps
 from mixseq.sequence import MeshSequence
 from tests.meshes import rotation, tetrahedron
@@ -32,7 +32,7 @@ def a_skin() -> Skin:
     return Skin(
         header=HEADER,
         rest=POINTS,
-        pivots=np.array([[0.0, 0, 0], [1, -1, -1]]),
+        skeleton=Skeleton.flat(np.array([[0.0, 0, 0], [1, -1, -1]])),
         rotations=np.array([[[0, 0, 0, 1], quaternion((0, 0, t * np.pi / 2))] for t in range(3)]),
         translations=np.array([[[0.0, 0, 0], [1, -1, -1 + t]] for t in range(3)]),
         influences=np.array([[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0]]),

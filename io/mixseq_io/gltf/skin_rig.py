@@ -62,10 +62,10 @@ def skinned_scene(skin: Skin) -> Layout:
         }
     ]
     bones, weights = four_influences(skin)
-    numbers = bones.astype(np.uint8 if skin.bone_count <= _MOST_OF_A_BYTE else np.uint16)
+    narrow = bones.astype(np.uint8) if skin.bone_count <= _MOST_OF_A_BYTE else bones.astype(np.uint16)
     for mesh in meshes:
         document["nodes"][mesh.node]["skin"] = 0
-        _attach(layout, mesh, numbers, weights)
+        _attach(layout, mesh, narrow, weights)
     document["scene"] = 0
     document["scenes"] = [{"nodes": [root, *(mesh.node for mesh in meshes)]}]
     animate(layout, skin.header, [*of_bones, *of_targets])

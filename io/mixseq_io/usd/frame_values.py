@@ -221,6 +221,7 @@ def _box(bounds: Bounds, points: FloatArray, time: float) -> FloatArray:
 
 
 def extent_of(points: FloatArray) -> Any:
+    """Return the box around points ``(n, 3)``, as USD has it."""
     if not len(points):
         return Vt.Vec3fArray([Gf.Range3f().GetMin(), Gf.Range3f().GetMax()])  # USD's box around nothing
     return Vt.Vec3fArrayFromBuffer(np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float32))

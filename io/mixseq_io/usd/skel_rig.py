@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,14 +97,14 @@ def _define_joints(skeleton: UsdSkel.Skeleton, joints: Skeleton) -> None:
     for name, parent in zip(joints.names, joints.parents.tolist(), strict=True):
         own = siblings.setdefault(parent, Identifiers()).take(name)
         paths.append(own if parent < 0 else f"{paths[parent]}/{own}")
-    turns, places = joints.local_rest()
+    rest = joints.local_rest()
     skeleton.CreateJointsAttr(Vt.TokenArray(paths))
     skeleton.CreateJointNamesAttr(Vt.TokenArray(joints.names))
     skeleton.CreateBindTransformsAttr(_matrices(joints.axes, joints.pivots))
-    skeleton.CreateRestTransformsAttr(_matrices(turns, places))
+    skeleton.CreateRestTransformsAttr(_matrices(rest.rotations, rest.translations))
 
 
-def _matrices(rotations: Float, translations: Float) -> Vt.Matrix4dArray:
+def _matrices(rotations: Float, translations: Float) -> Any:
     """Return transforms of quaternions ``(B, 4)`` and translations ``(B, 3)``, for rows: x' = x M."""
     matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
     matrices[:, :3, :3] = rotation_matrices(rotations).swapaxes(1, 2)
@@ -122,7 +123,7 @@ def _animate_joints(
     # The numbers of a Gf.Quatf lie in memory as x, y, z, w.
     _set(animation.CreateRotationsAttr(), [Vt.QuatfArrayFromBuffer(each) for each in rotations], codes)
     _set(animation.CreateTranslationsAttr(), [Vt.Vec3fArrayFromBuffer(each) for each in translations], codes)
-    animation.CreateScalesAttr(Vt.Vec3hArray(skin.bone_count, Gf.Vec3h(1, 1, 1)))
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * skin.bone_count))
 
 
 def _animate_shapes(
@@ -135,7 +136,7 @@ def _animate_shapes(
     _set(animation.CreateBlendShapeWeightsAttr(), weights, codes)
 
 
-def _set(attribute: Usd.Attribute, values: list[Vt.Vec3fArray], codes: NDArray[np.float64]) -> None:
+def _set(attribute: Usd.Attribute, values: list[Any], codes: NDArray[np.float64]) -> None:
     """Give an attribute a value at every time, or a single one where it stands still."""
     if all(value == values[0] for value in values):
         attribute.Set(values[0])
