@@ -1,0 +1,105 @@
+"""three.js plays skins and morphs as Python shows them, at their frames and between."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import mixseq
+from mixseq.arrays import Float
+from mixseq.rigging.rigs import Morph, Skin
+from mixseq.sequence import MeshSequence
+from mixseq_io.rig_measuring import measure
+from tests.formats.rig_maker import carried, hinge, swelling
+from tests.viewing.conftest import Keep, browser, keep, new_page, page
+from tests.web.site import ADDRESS, serve, three
+from tests.web.test_three import floats
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+__all__ = ["browser", "keep", "new_page", "page"]  # fixtures
+
+pytestmark = pytest.mark.slow
+
+NEAR = 2e-6
+"""Diagonals that positions may be off by: sums of float32."""
+
+PLAY = """async (times) => {
+  const { GLTFLoader } = await import("three/addons/loaders/GLTFLoader.js");
+  const THREE = globalThis.THREE ?? await import("three");
+  const { scene, animations } = await new GLTFLoader().loadAsync("rig.glb");
+  const mixer = new THREE.AnimationMixer(scene), meshes = [], joints = [];
+  animations.forEach((clip) => mixer.clipAction(clip).setLoop(THREE.LoopOnce).play());
+  animations.forEach((clip) => { mixer.clipAction(clip).clampWhenFinished = true; });
+  scene.traverse((thing) => thing.isMesh && meshes.push(thing));
+  scene.traverse((thing) => thing.isBone && joints.push([thing.name, thing.parent.name]));
+  const packed = (array) => btoa(Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte)).join(""));
+  const place = new THREE.Vector3(), more = new THREE.Vector3();
+  const frames = times.map((time) => {
+    mixer.setTime(time);
+    scene.updateMatrixWorld(true);
+    return meshes.map((mesh) => {
+      const { position, _vertex } = mesh.geometry.attributes, targets = mesh.geometry.morphAttributes.position ?? [];
+      const points = new Float32Array(3 * position.count);
+      for (let vertex = 0; vertex < position.count; vertex++) {
+        place.fromBufferAttribute(position, vertex);
+        targets.forEach((each, number) =>
+          place.addScaledVector(more.fromBufferAttribute(each, vertex), mesh.morphTargetInfluences[number]));
+        if (mesh.isSkinnedMesh) (mesh.applyBoneTransform ?? mesh.boneTransform).call(mesh, vertex, place);
+        place.applyMatrix4(mesh.matrixWorld).toArray(points, 3 * _vertex.getX(vertex));
+      }
+      return packed(points);
+    });
+  });
+  return { frames, joints };
+}"""
+"""Skins by three.js's own function, morph targets by its influences; rows are the sequence's vertices, of single meshes."""
+
+
+def played(page: Page, file: Path, times: Float, kind: str = "trimesh") -> tuple[Float, list[list[str]]]:
+    """Return the points ``(n, V, 3)`` of a file at some times, and its bones with their parents."""
+    head, files = three(kind)
+    serve(page, {**files, "rig.glb": file.read_bytes(), "index.html": f"<!doctype html><body>{head}"})
+    page.goto(f"{ADDRESS}index.html")
+    found = page.evaluate(PLAY, times.tolist())
+    points = [np.concatenate([floats(mesh, 3) for mesh in frame]) for frame in found["frames"]]
+    return np.array(points, dtype=np.float64), found["joints"]
+
+
+def near(rig: Skin | Morph, shown: Float, times: Float) -> float:
+    """Return how far points are from a rig at times, in diagonals."""
+    expected = rig.resampled(times).points()
+    return float(np.abs(shown - expected).max() / np.linalg.norm(np.ptp(expected[0], axis=0)))
+
+
+@pytest.mark.parametrize("kind", ["trimesh", "npm"])
+@pytest.mark.parametrize("name", ["hinge", "carried", "corrected", "swelling"])
+def test_rigs_are_played_as_they_are(page: Page, tmp_path: Path, name: str, kind: str) -> None:
+    rigs: dict[str, Skin | Morph] = {
+        "hinge": hinge(),
+        "carried": carried(hinge()),
+        "corrected": hinge(targets=2),
+        "swelling": swelling(),
+    }
+    rig = rigs[name]
+    mixseq.write_rig(tmp_path / "rig.glb", rig)
+    times = np.array([0, 0.04, 0.1, 0.15, 0.2, 0.26, 0.3])
+    shown, joints = played(page, tmp_path / "rig.glb", times, kind)
+    assert near(rig, shown, times) < NEAR
+    assert joints == ([["lower", "skeleton"], ["upper", "lower"]] if isinstance(rig, Skin) else [])
+
+
+@pytest.mark.realdata
+def test_a_real_rig_is_as_far_off_as_is_told(page: Page, tmp_path: Path, data: Path) -> None:
+    wolf = mixseq.read(data / "npz" / "q_wolf_gallop.npz")
+    mixseq.write_rig(tmp_path / "rig.glb", mixseq.fit_skin(wolf, bones=20))
+    shown, _ = played(page, tmp_path / "rig.glb", wolf.times - wolf.times[0])
+    there = MeshSequence.from_header(wolf.header, shown)
+    told = measure(tmp_path / "rig.glb", wolf)
+    found = mixseq.compare(wolf, there)
+    assert found.max_error == pytest.approx(told.max_error, rel=1e-3)
+    assert found.kg_percent == pytest.approx(told.kg_percent, rel=1e-3)
