@@ -35,17 +35,27 @@ def four_influences(skin: Skin) -> tuple[Index, NDArray[np.float32]]:
 
 
 def shape_of(rig: Skin | Morph) -> Morph:
-    """Return what a rig has before bones move it: base and targets, with weights within [-1, 1], where sliders are.
+    r"""Return what a rig has before bones move it, with weights from 0 to 1.
 
-    Targets and weights are scaled, ``w d = (w / s) (s d)`` with ``s_m = max_t |w_tm|``; targets that are never used
-    are left out.
+    That is where programs have sliders; Blender and Unity take what is less for 0. With the least and the largest
+    weight of every target, over the frames, it is the same shape:
+
+    .. math:: x + \sum_m w_{tm} d_m = \Bigl( x + \sum_m w^-_m d_m \Bigr)
+              + \sum_m \frac{w_{tm} - w^-_m}{w^+_m - w^-_m} (w^+_m - w^-_m) d_m .
+
+    Targets whose weight never changes are in the base then.
     """
     shape = rig if isinstance(rig, Morph) else Morph(rig.header, rig.rest, rig.targets, rig.target_weights)
-    largest = np.abs(shape.weights).max(axis=0, initial=0)
-    used = largest > 0
-    scale = largest[used]
+    if not len(shape.targets):
+        return shape
+    least = shape.weights.min(axis=0)
+    spread = shape.weights.max(axis=0) - least
+    used = spread > 0
     return replace(
-        shape, targets=shape.targets[used] * scale[:, None, None], weights=shape.weights[:, used] / scale
+        shape,
+        base=shape.base + np.einsum("m,mvi->vi", least, shape.targets),
+        targets=shape.targets[used] * spread[used, None, None],
+        weights=(shape.weights[:, used] - least[used]) / spread[used],
     )
 
 

@@ -91,7 +91,7 @@ def _as_seconds(
     "--as",
     "kind",
     type=click.Choice(["skin", "morph"]),
-    help="Write glTF for engines: a skin over moving bones, or a mesh with few morph targets.",
+    help="Write glTF or USD for engines: a skin over moving bones, or a mesh with few morph targets.",
 )
 @setting("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
 @setting(
@@ -144,8 +144,8 @@ def command(
     Where TARGET is a folder .vat, frames become textures that graphics cards look up: a texel for every vertex and
     frame, or with --max-error low-rank textures, which are much smaller.
 
-    With --as, TARGET is a .glb or .gltf that engines play, fitted to all frames, read back, and compared with them.
-    MODEL may then be a sequence, too.
+    With --as, TARGET is a .glb or .gltf that engines play, or USD with a skeleton; it is fitted to all frames, read
+    back, and compared with them. MODEL may then be a sequence, too.
     """
     chosen = Chosen(times, frames, fps, start, end)
     settings = RigSettings(kind, bones, correctives, max_error, max_targets)

@@ -82,17 +82,21 @@ def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[st
     """Read a file back and tell what is in it, and how far it is from the sequence."""
     from mixseq.cli.console import format_bytes
     from mixseq.rigging.rigs import Skin
+    from mixseq_io.rig_files import GLTF
     from mixseq_io.rig_measuring import measure, size_as_frames
 
     found = measure(path, sequence)
     first, last = rig.header.times[[0, -1]]
     frames = f"{rig.header.frame_count:,} from {first:g} to {last:g} s at {rate_text(rig.header.fps)} frames per second"
-    return [
+    table = [
         ("keys", frames),
         *([("bones", f"{rig.bone_count}")] if isinstance(rig, Skin) else []),
         ("morph targets", f"{len(rig.targets)}"),
         ("max error", f"{found.max_error:.4g} diagonals"),
         ("rms error", f"{found.rms_error:.4g} diagonals"),
         ("KG error", f"{found.kg_percent:.4g} %"),
-        ("every frame", f"would be {format_bytes(size_as_frames(sequence.header))} as a morph target each"),
     ]
+    if path.suffix.lower() in GLTF:
+        size = format_bytes(size_as_frames(sequence.header))
+        table.append(("every frame", f"would be {size} as a morph target each"))
+    return table

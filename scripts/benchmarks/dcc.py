@@ -1,8 +1,9 @@
 """A shot through the pipeline and back: Blender exports a walker, mixseq works on it, Blender imports the results.
 
 Blender (bpy) is installed into out/blender, unless MIXSEQ_BLENDER names a Python that has it. Every frame of every
-result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Then the
-extension shows models, live, installed into a Blender of its own. Leaves out/dcc.json. Ends with 1 if a row fails.
+result is compared with the scene itself at that moment, of which 120 frames per second are exported, too. Then rigs
+are imported, and the extension shows models, live, installed into a Blender of its own. Leaves out/dcc.json. Ends with
+1 if a row fails.
 
 Usage: scripts/bench dcc [--only WORD] [--keep FOLDER] [--json FILE]
 """
@@ -20,13 +21,14 @@ from pathlib import Path
 
 from scripts.benchmarks.blender.environment import run
 from scripts.benchmarks.blender.live_rows import TITLES, LiveRow, live_rows
+from scripts.benchmarks.blender.rig_rows import rig_rows
 from scripts.benchmarks.blender.rows import BY_ITSELF, Row, by_itself, measured
 from scripts.benchmarks.blender.tasks import TASKS
 from scripts.benchmarks.blender.truth import Truth
 from scripts.benchmarks.blender.ways import WAYS, made
 
-LIVE = "live"
-"""Name of the rows about the extension, for ``--only``."""
+RIGS, LIVE = "rigs", "live"
+"""Names of the rows about rigs and about the extension, for ``--only``."""
 
 COLUMNS = ("positions", "velocities", "materials", "UVs", "paths", "camera", "range")
 
@@ -36,7 +38,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        if options.only != LIVE:
+        if options.only not in (RIGS, LIVE):
             run("exporting", folder)
         print("| way | task | frames | rms | max | " + " | ".join(COLUMNS) + " |")
         print("|" + (5 + len(COLUMNS)) * "---|", flush=True)
@@ -45,11 +47,12 @@ def main() -> int:
             rows.append(row)
             print(_line(row), flush=True)
         live = []
-        if options.only in LIVE:
-            print(f"\n{TITLES}", flush=True)
-            for live_row in live_rows(folder, _data()):
-                live.append(live_row)
-                print(live_row, flush=True)
+        for name, kind in ((RIGS, rig_rows), (LIVE, live_rows)):
+            if options.only in name:
+                print(f"\n| {name} in Blender {TITLES}", flush=True)
+                for live_row in kind(folder, _data()):
+                    live.append(live_row)
+                    print(live_row, flush=True)
     for row in rows:
         for note in row.notes:
             print(f"{row.way}, {row.task}: {note}", file=sys.stderr)

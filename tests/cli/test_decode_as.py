@@ -184,3 +184,12 @@ def test_options_that_do_not_fit_textures(run: Run, arguments: tuple[str, ...], 
     result = run("decode", "model.h5", *arguments)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["skin", "morph"])
+@pytest.mark.parametrize("target", ["bar.usda", "bar.usdz"])
+def test_usd_tells_its_error_as_gltf_does(run: Run, target: str, kind: str, bent_bar: MeshSequence) -> None:
+    table = rows(succeed(run("decode", "model.h5", target, "--as", kind, "--set", "max_targets=2")))
+    found = mixseq.compare(bent_bar, mixseq.read(target))
+    assert number(table["max error"]) == pytest.approx(found.max_error, rel=1e-3)
+    assert "every frame" not in table

@@ -14,7 +14,7 @@ from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence import MeshSequence
 from mixseq_io.rig_measuring import measure
 from tests.formats.rig_maker import carried, hinge, swelling
-from tests.viewing.conftest import Keep, browser, keep, new_page, page
+from tests.viewing.conftest import browser, keep, new_page, page
 from tests.web.site import ADDRESS, serve, three
 from tests.web.test_three import floats
 
@@ -37,7 +37,7 @@ PLAY = """async (times) => {
   animations.forEach((clip) => { mixer.clipAction(clip).clampWhenFinished = true; });
   scene.traverse((thing) => thing.isMesh && meshes.push(thing));
   scene.traverse((thing) => thing.isBone && joints.push([thing.name, thing.parent.name]));
-  const packed = (array) => btoa(Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte)).join(""));
+  const packed = ({ buffer }) => btoa(Array.from(new Uint8Array(buffer), (byte) => String.fromCharCode(byte)).join(""));
   const place = new THREE.Vector3(), more = new THREE.Vector3();
   const frames = times.map((time) => {
     mixer.setTime(time);
@@ -57,7 +57,7 @@ PLAY = """async (times) => {
   });
   return { frames, joints };
 }"""
-"""Skins by three.js's own function, morph targets by its influences; rows are the sequence's vertices, of single meshes."""
+"""Skins by three.js's own function, morph targets by its influences; rows are the vertices of single meshes."""
 
 
 def played(page: Page, file: Path, times: Float, kind: str = "trimesh") -> tuple[Float, list[list[str]]]:

@@ -122,7 +122,7 @@ def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> l
     layout, meshes
         The document, and its meshes.
     morph : Morph
-        What they show, with weights within [-1, 1].
+        What they show, with weights from 0 to 1.
 
     Returns
     -------

@@ -65,7 +65,8 @@ class LiveRow:
         return f"| {self.what} | {self.value:.2g} | {sign} {self.limit:.2g} {self.unit} | {passed} |"
 
 
-TITLES = "| live in Blender | measured | passes with | passed |\n|---|---|---|---|"
+TITLES = "| measured | passes with | passed |\n|---|---|---|---|"
+"""Of the columns after the first."""
 
 
 def live_rows(folder: Path, data: Path | None) -> Iterator[LiveRow]:

@@ -77,6 +77,12 @@ def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
     names = {
         "meshes": {each.name: _mesh_names(each) for each in meshes},
         "objects": sorted((_path(each), each.type) for each in scene.objects),
+        "bones": [
+            [bone.name, bone.parent.name if bone.parent else ""]
+            for each in scene.objects
+            if each.type == "ARMATURE"
+            for bone in each.data.bones
+        ],
         "lenses": [round(each.data.lens, 3) for each in cameras],
         "frame_start": scene.frame_start,
         "frame_end": scene.frame_end,

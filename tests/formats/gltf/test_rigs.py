@@ -115,7 +115,9 @@ def test_correctives_move_the_rest_shape_before_the_bones_do(tmp_path: Path) -> 
     file = written(tmp_path / "a.glb", skin)
     np.testing.assert_allclose(read(tmp_path / "a.glb").points, skin.points(), atol=1e-6)
     weights = channels(file)["bar", "weights"].reshape(4, 3)
-    np.testing.assert_array_equal(np.abs(weights).max(axis=0), 1)  # scaled to where sliders are
+    np.testing.assert_array_equal(
+        [weights.min(axis=0), weights.max(axis=0)], [[0] * 3, [1] * 3]
+    )  # as sliders have
     mesh = file.json["meshes"][0]
     assert mesh["extras"]["targetNames"] == ["mode_00", "mode_01", "mode_02"]
     np.testing.assert_array_equal(np.float32(mesh["weights"]), weights[0])
@@ -192,12 +194,12 @@ def test_a_morph_comes_back(tmp_path: Path, suffix: str) -> None:
     file = written(tmp_path / f"a{suffix}", morph)
     back = read(tmp_path / f"a{suffix}")
     np.testing.assert_allclose(back.points, morph.points(), atol=1e-6)
-    np.testing.assert_array_equal(channels(file)["bar", "weights"], [0, 1, 0, -1])
+    np.testing.assert_array_equal(channels(file)["bar", "weights"], [0.5, 1, 0.5, 0])
     (target,) = file.primitives("bar")[0]["targets"]
-    np.testing.assert_allclose(file.accessor(target["POSITION"]), 1.5 * morph.base * [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(file.accessor(target["POSITION"]), 3 * morph.base * [1, 0, 0], atol=1e-6)
 
 
-def test_targets_that_are_never_used_are_left_out(tmp_path: Path) -> None:
+def test_targets_whose_weights_never_change_are_in_the_base(tmp_path: Path) -> None:
     morph = swelling()
     more = replace(
         morph,
@@ -205,6 +207,9 @@ def test_targets_that_are_never_used_are_left_out(tmp_path: Path) -> None:
         weights=np.append(morph.weights, 0 * morph.weights, axis=1),
     )
     assert len(written(tmp_path / "a.glb", more).primitives("bar")[0]["targets"]) == 1
+    held = replace(more, weights=np.append(morph.weights, 0 * morph.weights + 0.5, axis=1))
+    assert len(written(tmp_path / "c.glb", held).primitives("bar")[0]["targets"]) == 1
+    np.testing.assert_allclose(read(tmp_path / "c.glb").points, held.points(), atol=1e-6)
     none = replace(morph, targets=morph.targets[:0], weights=morph.weights[:, :0])
     file = written(tmp_path / "b.glb", none)
     assert "targets" not in file.primitives("bar")[0]
@@ -294,7 +299,7 @@ def test_what_is_too_large_for_float32_is_refused_and_an_old_file_stays(tmp_path
         (replace(skin, rest=skin.rest * 1e39), "vertex 0"),
         (replace(skin, skeleton=replace(skin.skeleton, pivots=skin.pivots * 1e39)), "the pivot of bone 1"),
         (replace(skin, translations=skin.translations * 1e39), "bone 1"),
-        (replace(morph, targets=morph.targets * 1e39), "a target of vertex 0"),
+        (replace(morph, targets=1e39 * morph.targets, weights=abs(morph.weights)), "a target of vertex 0"),
         (replace(morph, header=morph.header.with_times([0, 1e6, 1e6 + 1e-3, 2e6])), "frames 1 and 2 are at"),
     ]
     for rig, words in refused:
