@@ -37,8 +37,11 @@
     for (const colouring of item.colourings) if (colouring.data) await unpackColours(colouring, item, stored[colouring.data - 1]);
   }
 
-  const items = description.items, source = mixseqPoseSource(decoder, () => redraw(), damaged);
+  const items = description.items, source = mixseqPoseSource(decoder, () => opened && redraw(), damaged);
+  let opened = false;
   const opening = Promise.all(items.map(openItem)); // while the graphics card gets its programs
+  const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, following: description.following, colour: "" };
+  source.want(items.map((_, mesh) => request(mesh, 0)));
   let renderer = mixseqRenderer(canvas);
   if (!renderer) {
     return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
@@ -48,6 +51,7 @@
   } catch (error) {
     return damaged(error);
   }
+  opened = true;
   let meshes = items.map(renderer.meshOf);
 
   // State ---------------------------------------------------------------------------------------------------------
@@ -55,7 +59,6 @@
   const period = description.period, clock = mixseqClock(items, period, redraw);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
-  const state = { wires: false, grid: true, overlaid: description.overlaid && items.length > 1, following: description.following, colour: "" };
   let panels = [], drawn = 0, asked = false, last = null, pace = 0;
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
@@ -82,18 +85,18 @@
       clock.advance((now - last) / 1000);
       pace = 0.8 * pace + 0.2 * (now - last);
     }
-    last = clock.playing ? now : null;
     const shown = items.map(shownOf);
     source.want(upcoming());
     if (shown.every(Boolean)) show(shown);
+    last = clock.playing && drawn ? now : null; // time begins with the first pose
     tellTime();
-    if (clock.playing) redraw();
+    if (clock.playing && drawn) redraw();
   }
 
   /** Which pose of a mesh: where its vertices are, and what colours show. */
   function request(mesh, pose) {
     const { name, top, data: stored } = items[mesh].colourings[colouringOf(items[mesh])];
-    return { mesh, pose, time: items[mesh].times[pose], ...(top && !stored ? { measure: name, top } : {}) };
+    return { mesh, pose, time: pose && items[mesh].times[pose], ...(top && !stored ? { measure: name, top } : {}) };
   }
 
   /** The poses of this moment and of those to come, the first first. */
@@ -133,7 +136,9 @@
   const tinted = () => state.overlaid && state.colour === "clay";
 
   /** The number of the chosen colouring of an item, or of its first one if it has no such. */
-  const colouringOf = (item) => Math.max(item.colourings.findIndex(({ name }) => name === state.colour), 0);
+  function colouringOf({ colourings }) {
+    return Math.max(colourings.findIndex(({ name }) => name === state.colour), 0);
+  }
 
   function tellTime() {
     const { start, fps } = base(), frame = (time) => mixseqFrame((start + time) * fps), slider = element("time");

@@ -13,16 +13,7 @@ export function readLabels(reader, number, { order, width, neighbours, counts })
   for (let node = 0; node < order.length; node++) {
     const first = node * width, last = first + counts[node] - 1;
     for (let at = first; at <= last; at++) votes[nodes[neighbours[at]]]++;
-    // Of equally many votes those of the nearest neighbour, the last one, count.
-    const winner = (without) => {
-      let best = -1;
-      for (let at = last; at >= first; at--) {
-        const label = nodes[neighbours[at]];
-        if (label !== without && (best < 0 || votes[label] > votes[best])) best = label;
-      }
-      return best;
-    };
-    const one = winner(-1), other = winner(one), most = one < 0 ? 0 : votes[one];
+    const one = winner(nodes, neighbours, first, last, votes, -1), other = winner(nodes, neighbours, first, last, votes, one), most = one < 0 ? 0 : votes[one];
     models.contexts[0] = most * VOTES + (other < 0 ? 0 : votes[other]);
     models.contexts[1] = most * VOTES + counts[node];
     for (let at = first; at <= last; at++) votes[nodes[neighbours[at]]] = 0;
@@ -40,4 +31,14 @@ export function readLabels(reader, number, { order, width, neighbours, counts })
   if (used.size !== number || Math.max(...used) >= number) throw new MixseqError("labels are not those of the parts; it is damaged");
   for (let node = 0; node < order.length; node++) labels[order[node]] = nodes[node];
   return labels;
+}
+
+/** The label with most votes of neighbours, but for one; of equally many votes those of the nearest neighbour, the last one, count. */
+function winner(nodes, neighbours, first, last, votes, without) {
+  let best = -1;
+  for (let at = last; at >= first; at--) {
+    const label = nodes[neighbours[at]];
+    if (label !== without && (best < 0 || votes[label] > votes[best])) best = label;
+  }
+  return best;
 }

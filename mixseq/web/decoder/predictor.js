@@ -1,5 +1,6 @@
 // Predict the values of signals over a graph, from those before it. Mirrors coding/bitstream/predictor.py.
 import { UNIT, entries, learn, nearest, rounded, solve, trust } from "./predictor_kernels.js";
+import { copyRows } from "./stencils.js";
 
 const SIMILAR = 8, SIMILAR_FRAMES = 16; // nodes that are most like a node are joined to it: vertices, or frames
 const SEARCHED = 5; // signals, times their coordinates, when these are looked for
@@ -79,15 +80,16 @@ function withMore(graph, { similar, found }, most) {
   const size = graph.order.length, width = graph.width + most;
   const neighbours = new Int32Array(size * width), weights = new Float64Array(size * width);
   const counts = graph.counts.map((count, node) => count + found[node]);
-  for (let node = 0; node < size; node++) {
-    const own = graph.counts[node], row = node * width;
-    for (let i = 0; i < own; i++) {
-      neighbours[row + i] = graph.neighbours[node * graph.width + i];
-      weights[row + i] = graph.weights[node * graph.width + i];
-    }
-    for (let i = 0; i < found[node]; i++) neighbours[row + own + i] = similar[node * most + i];
-  }
+  copyRows(graph, { width, neighbours, weights });
+  addSimilar(graph.counts, similar, found, most, neighbours, width);
   return { width, neighbours, counts, weights };
+}
+
+function addSimilar(counts, similar, found, most, neighbours, width) {
+  for (let node = 0; node < counts.length; node++) {
+    const first = node * width + counts[node];
+    for (let i = 0; i < found[node]; i++) neighbours[first + i] = similar[node * most + i];
+  }
 }
 
 /** Steps of so many nodes, in units: smaller on coarse levels, whose errors finer ones inherit. */

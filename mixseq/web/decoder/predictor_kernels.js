@@ -107,29 +107,6 @@ export function nearest(signals, { width, neighbours, counts }, exhaustive, most
   for (let axis = 0; axis < dim; axis++) {
     for (let node = 0; node < size; node++) points[node * dim + axis] = signals[axis][node];
   }
-  const look = (node, other) => {
-    if (seen[other] === node) return;
-    seen[other] = node;
-    const farthest = apart[most - 1];
-    let distance = 0;
-    for (let a = node * dim, b = other * dim, end = a + dim; a < end; a++, b++) {
-      const one = points[a] - points[b];
-      distance += one * one;
-      if (distance >= farthest) return;
-    }
-    insert(node, other, distance);
-  };
-  const insert = (node, other, distance) => {
-    const row = node * most;
-    let place = most - 1;
-    for (; place > 0 && apart[place - 1] > distance; place--) {
-      apart[place] = apart[place - 1];
-      similar[row + place] = similar[row + place - 1];
-    }
-    apart[place] = distance;
-    similar[row + place] = other;
-    if (found[node] < most) found[node]++;
-  };
   for (let node = 0; node < size; node++) {
     const first = node * width, end = first + counts[node];
     apart.fill(Infinity);
@@ -137,27 +114,55 @@ export function nearest(signals, { width, neighbours, counts }, exhaustive, most
     if (node < exhaustive) {
       distancesBefore(signals, node, distances);
       for (let other = 0; other < node; other++) {
-        if (distances[other] < apart[most - 1] && seen[other] !== node) insert(node, other, distances[other]);
+        if (distances[other] < apart[most - 1] && seen[other] !== node) insert(node, other, distances[other], apart, similar, found);
       }
       continue;
     }
     for (let at = first; at < end; at++) {
       const beside = neighbours[at];
-      for (let j = 0; j < counts[beside]; j++) look(node, neighbours[beside * width + j]);
-      for (let j = 0; j < found[beside]; j++) look(node, similar[beside * most + j]);
+      for (let j = 0; j < counts[beside]; j++) look(node, neighbours[beside * width + j], points, dim, seen, apart, similar, found);
+      for (let j = 0; j < found[beside]; j++) look(node, similar[beside * most + j], points, dim, seen, apart, similar, found);
     }
   }
   return { similar, found };
 }
 
+/** Add another node to those that are nearest to a node, if it is one of them and was not seen yet. */
+function look(node, other, points, dim, seen, apart, similar, found) {
+  if (seen[other] === node) return;
+  seen[other] = node;
+  const farthest = apart[apart.length - 1];
+  let distance = 0;
+  for (let a = node * dim, b = other * dim, end = a + dim; a < end; a++, b++) {
+    const one = points[a] - points[b];
+    distance += one * one;
+    if (distance >= farthest) return;
+  }
+  insert(node, other, distance, apart, similar, found);
+}
+
+function insert(node, other, distance, apart, similar, found) {
+  const most = apart.length, row = node * most;
+  let place = most - 1;
+  for (; place > 0 && apart[place - 1] > distance; place--) {
+    apart[place] = apart[place - 1];
+    similar[row + place] = similar[row + place - 1];
+  }
+  apart[place] = distance;
+  similar[row + place] = other;
+  if (found[node] < most) found[node]++;
+}
+
 /** Write the squared distances of a node from all nodes before it, signal by signal. */
 function distancesBefore(signals, node, distances) {
   distances.fill(0, 0, node);
-  for (const signal of signals) {
-    const here = signal[node];
-    for (let other = 0; other < node; other++) {
-      const one = signal[other] - here;
-      distances[other] += one * one;
-    }
+  for (let k = 0; k < signals.length; k++) addDistances(signals[k], node, distances);
+}
+
+function addDistances(signal, node, distances) {
+  const here = signal[node];
+  for (let other = 0; other < node; other++) {
+    const one = signal[other] - here;
+    distances[other] += one * one;
   }
 }

@@ -51,12 +51,20 @@ export class SignalCoder {
 
   /** The next signal, in 64ths of a step, in the order of vertices, or frames. */
   read(reader) {
-    const { graph, predictor, numbers, activity, around } = this, values = new Float64Array(numbers.length);
+    const { graph, predictor, numbers, activity, around } = this;
+    if (this.known) { // nothing has to be learned from the last signal
+      learnSizes(numbers, graph, activity, around);
+      predictor.finish();
+    }
     readSignal(reader.bits(), this.models, this.known++, predictor, numbers, activity, around);
     reader.checked(predictor.values);
-    for (let node = 0; node < values.length; node++) values[graph.order[node]] = predictor.values[node];
-    learnSizes(numbers, graph, activity, around);
-    predictor.finish();
-    return values;
+    return inOrderOf(graph.order, predictor.values);
   }
+}
+
+/** The values of nodes in the order of vertices, or frames. */
+function inOrderOf(order, nodes) {
+  const values = new Float64Array(nodes.length);
+  for (let node = 0; node < nodes.length; node++) values[order[node]] = nodes[node];
+  return values;
 }

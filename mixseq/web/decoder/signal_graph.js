@@ -14,32 +14,53 @@ const ROOTS = 6; // of nodes without neighbours
  * `beside`), pairs that close the holes (`ends`, `others`), neighbours after (`newStarts`, `newBeside`).
  */
 export function meshGraph(triangles, count) {
-  const size = triangles.length, ends = new Int32Array(size), others = new Int32Array(size);
-  for (let k = 0; k < size; k++) {
-    ends[k] = triangles[k];
-    others[k] = triangles[k % 3 === 2 ? k - 2 : k + 1];
-  }
-  const fine = adjacency(ends, others, size, count);
+  const fine = adjacency(new Int32Array(triangles), nextCorners(triangles), triangles.length, count);
   const neighbours = new Int32Array(count * MOST), counts = new Int32Array(count);
-  const levels = coarserLevels(fine, count, neighbours, counts);
-  const order = new Int32Array(count), left = new Uint8Array(count).fill(1);
-  for (const { gone } of levels) for (const node of gone) left[node] = 0;
-  let roots = 0;
-  for (let node = 0; node < count; node++) if (left[node]) order[roots++] = node;
-  for (let place = 1; place < roots; place++) {
-    const node = order[place], first = Math.max(0, place - ROOTS);
-    counts[node] = place - first;
-    for (let k = first; k < place; k++) neighbours[node * MOST + k - first] = order[k];
-  }
-  for (let level = levels.length - 1, place = roots; level >= 0; level--) {
+  const levels = coarserLevels(fine, count, neighbours, counts), order = new Int32Array(count), away = new Uint8Array(count);
+  levels.forEach(({ gone }) => mark(gone, away));
+  let place = listOthers(away, order);
+  joinRoots(order.subarray(0, place), neighbours, counts);
+  for (let level = levels.length - 1; level >= 0; level--) {
     order.set(levels[level].gone, place);
     place += levels[level].gone.length;
   }
-  const weights = new Float64Array(count * MOST);
-  for (let node = 0; node < count; node++) {
+  return { graph: inOrder(order, neighbours, counts, means(counts), MOST, fine, false), levels };
+}
+
+/** Vertices at the corners that come after these in their triangles. */
+function nextCorners(triangles) {
+  const next = new Int32Array(triangles.length);
+  for (let k = 0; k < next.length; k++) next[k] = triangles[k % 3 === 2 ? k - 2 : k + 1];
+  return next;
+}
+
+function mark(nodes, marks) {
+  for (let k = 0; k < nodes.length; k++) marks[nodes[k]] = 1;
+}
+
+/** List the nodes that are not marked; returns how many. */
+function listOthers(marks, list) {
+  let count = 0;
+  for (let node = 0; node < marks.length; node++) if (!marks[node]) list[count++] = node;
+  return count;
+}
+
+/** Nodes that no level has are predicted from those just before them. */
+function joinRoots(roots, neighbours, counts) {
+  for (let place = 1; place < roots.length; place++) {
+    const node = roots[place], first = Math.max(0, place - ROOTS);
+    counts[node] = place - first;
+    for (let k = first; k < place; k++) neighbours[node * MOST + k - first] = roots[k];
+  }
+}
+
+/** Equal weights of all neighbours of a node. */
+function means(counts) {
+  const weights = new Float64Array(counts.length * MOST);
+  for (let node = 0; node < counts.length; node++) {
     for (let i = 0; i < counts[node]; i++) weights[node * MOST + i] = 1 / counts[node];
   }
-  return { graph: inOrder(order, neighbours, counts, weights, MOST, fine, false), levels };
+  return weights;
 }
 
 /** The graph of consecutive frames: first and last, those in the middle, and so on by halves. */
@@ -119,23 +140,26 @@ function coarserLevels({ starts, beside }, count, neighbours, counts) {
     const nodes = byDegree(starts, count), fewest = starts[nodes[0] + 1] - starts[nodes[0]];
     const gone = independent(nodes, starts, beside, Math.max(WIDEST, fewest));
     const { ends, others } = collapse(gone, starts, beside, neighbours, counts);
-    const away = new Uint8Array(count);
-    for (const node of gone) away[node] = 1;
-    const allEnds = new Int32Array(beside.length / 2 + ends.length), allOthers = new Int32Array(allEnds.length);
-    let size = ends.length;
+    const allEnds = new Int32Array(beside.length / 2 + ends.length), allOthers = new Int32Array(allEnds.length), away = new Uint8Array(count);
     allEnds.set(ends);
     allOthers.set(others);
-    for (let node = 0; node < count; node++) {
-      if (away[node]) continue;
-      for (let at = starts[node]; at < starts[node + 1]; at++) {
-        if (beside[at] < node || away[beside[at]]) continue;
-        allEnds[size] = node;
-        allOthers[size++] = beside[at];
-      }
-    }
-    const after = adjacency(allEnds, allOthers, size, count);
+    mark(gone, away);
+    const size = addOthers(starts, beside, away, ends.length, allEnds, allOthers), after = adjacency(allEnds, allOthers, size, count);
     levels.push({ gone, starts, beside, ends, others, newStarts: after.starts, newBeside: after.beside });
     ({ starts, beside } = after);
   }
   return levels;
+}
+
+/** Add the pairs of neighbours that stay to lists of so many pairs; returns how many there are then. */
+function addOthers(starts, beside, away, size, ends, others) {
+  for (let node = 0; node < away.length; node++) {
+    if (away[node]) continue;
+    for (let at = starts[node]; at < starts[node + 1]; at++) {
+      if (beside[at] < node || away[beside[at]]) continue;
+      ends[size] = node;
+      others[size++] = beside[at];
+    }
+  }
+  return size;
 }

@@ -63,16 +63,18 @@ const constant = (size) => new Float32Array(size).fill(1 / Math.sqrt(size));
 function addVector(basis, part, coder, reader, unit) {
   let squares = 0;
   const { shapes, owners } = basis, fields = Array.from({ length: shapes ? 3 : 1 }, () => {
-    const values = coder.read(reader), field = new Float32Array(values.length);
-    for (let i = 0; i < values.length; i++) {
-      squares += values[i] * values[i];
-      field[i] = values[i] * unit;
-    }
-    return field;
+    const values = coder.read(reader);
+    squares = addSquares(values, squares);
+    return Float32Array.from(values, (value) => value * unit);
   });
   const norm = Math.sqrt(squares) * unit;
   if (!(norm < LARGEST)) throw new MixseqError("basis vectors are beyond single precision");
   if (squares || (shapes && !owners.length)) add(basis, part, fields, norm);
+}
+
+function addSquares(values, sum) {
+  for (let i = 0; i < values.length; i++) sum += values[i] * values[i];
+  return sum;
 }
 
 function add({ parts, owners, norms }, part, fields, norm) {

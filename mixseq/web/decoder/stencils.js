@@ -9,27 +9,33 @@ const HUB = 32; // slopes at nodes with more neighbours do not count
 export function stencils({ graph, levels }) {
   const size = graph.order.length, width = WIDEST;
   const found = { width, neighbours: new Int32Array(size * width), counts: graph.counts.slice(), weights: new Float64Array(size * width) };
-  for (let node = 0; node < size; node++) {
-    for (let i = 0; i < graph.counts[node]; i++) {
-      found.neighbours[node * width + i] = graph.neighbours[node * graph.width + i];
-      found.weights[node * width + i] = graph.weights[node * graph.width + i];
-    }
-  }
+  copyRows(graph, found);
   let lengths = levels.length ? new Float64Array(levels[0].beside.length).fill(1) : null;
-  for (const level of levels) {
+  levels.forEach((level) => {
     const after = lengthsAfter(level, lengths);
     bend(level, lengths, after, graph.place, found);
     lengths = after;
-  }
+  });
   return found;
+}
+
+/** Copy what nodes are predicted from to rows that may be wider. */
+export function copyRows({ width, neighbours, counts, weights }, to) {
+  for (let node = 0; node < counts.length; node++) {
+    for (let i = 0; i < counts[node]; i++) {
+      to.neighbours[node * to.width + i] = neighbours[node * width + i];
+      to.weights[node * to.width + i] = weights[node * width + i];
+    }
+  }
 }
 
 /** Write the stencils of vertices that go, from lengths of edges before and after. */
 function bend({ gone, starts, beside, newStarts, newBeside }, lengths, newLengths, place, found) {
   const slot = new Int32Array(place.length).fill(-1); // where a vertex is in the two lists
   const listed = new Int32Array(MOST * (HUB + 1)), shares = new Float64Array(MOST * (HUB + 1));
-  for (const vertex of gone) {
-    const first = starts[vertex], degree = Math.min(starts[vertex + 1] - first, MOST);
+  const across = new Uint8Array(HUB); // whether the way there leads over the vertex
+  for (let k = 0; k < gone.length; k++) {
+    const vertex = gone[k], first = starts[vertex], degree = Math.min(starts[vertex + 1] - first, MOST);
     let slope = 0; // of the vertex, by its own value
     for (let at = first; at < first + degree; at++) slope += 1 / lengths[at];
     slope /= degree;
@@ -42,15 +48,15 @@ function bend({ gone, starts, beside, newStarts, newBeside }, lengths, newLength
     for (let i = 0; i < degree; i++) {
       const around = beside[first + i], side = lengths[first + i], low = newStarts[around], high = newStarts[around + 1];
       if (high - low > HUB) continue;
-      const across = (at) => {
-        const where = slot[newBeside[at]];
-        return where >= 0 && where < degree && newLengths[at] >= side + lengths[first + where];
-      };
       let number = 1; // of neighbours that are left, and one
-      for (let at = low; at < high; at++) if (!across(at)) number++;
+      for (let at = low; at < high; at++) {
+        const where = slot[newBeside[at]];
+        across[at - low] = where >= 0 && where < degree && newLengths[at] >= side + lengths[first + where] ? 1 : 0;
+        number += 1 - across[at - low];
+      }
       const own = 1 / (number * side);
       for (let at = low; at < high; at++) {
-        if (across(at)) continue;
+        if (across[at - low]) continue;
         const other = newBeside[at];
         if (slot[other] < 0) {
           slot[other] = size;
@@ -93,6 +99,23 @@ function write(node, degree, size, total, listed, shares, place, { width, neighb
 /** The lengths of the edges after vertices went, from those before: always the shortest. */
 function lengthsAfter({ gone, starts, beside, ends, newStarts, newBeside }, lengths) {
   const found = new Float64Array(newBeside.length).fill(Infinity);
+  keepLengths(starts, beside, lengths, newStarts, newBeside, found);
+  for (let k = 0, count = 0; k < gone.length; k++) {
+    const vertex = gone[k], first = starts[vertex], last = starts[vertex + 1];
+    if (last - first < 2) continue;
+    const best = ends[count], side = lengths[find(beside, first, last, best)];
+    for (let at = first; at < last; at++) {
+      if (beside[at] === best) continue;
+      shorten(best, beside[at], side + lengths[at], newStarts, newBeside, found);
+      shorten(beside[at], best, side + lengths[at], newStarts, newBeside, found);
+      count++;
+    }
+  }
+  return found;
+}
+
+/** Take over the lengths of edges that stay. */
+function keepLengths(starts, beside, lengths, newStarts, newBeside, found) {
   for (let vertex = 0; vertex < starts.length - 1; vertex++) {
     let at = starts[vertex];
     const end = starts[vertex + 1];
@@ -101,21 +124,9 @@ function lengthsAfter({ gone, starts, beside, ends, newStarts, newBeside }, leng
       if (at < end && beside[at] === newBeside[where]) found[where] = lengths[at];
     }
   }
-  const shorten = (one, other, length) => {
-    const where = find(newBeside, newStarts[one], newStarts[one + 1], other);
-    found[where] = Math.min(found[where], length);
-  };
-  let count = 0;
-  for (const vertex of gone) {
-    const first = starts[vertex], last = starts[vertex + 1];
-    if (last - first < 2) continue;
-    const best = ends[count], side = lengths[find(beside, first, last, best)];
-    for (let at = first; at < last; at++) {
-      if (beside[at] === best) continue;
-      shorten(best, beside[at], side + lengths[at]);
-      shorten(beside[at], best, side + lengths[at]);
-      count++;
-    }
-  }
-  return found;
+}
+
+function shorten(one, other, length, starts, beside, lengths) {
+  const where = find(beside, starts[one], starts[one + 1], other);
+  lengths[where] = Math.min(lengths[where], length);
 }

@@ -117,7 +117,7 @@ def _loaded(what: Shipped, rate: int) -> tuple[float, int]:
         while (
             shown := page.evaluate("globalThis.shown ?? null")
         ) is None:  # pages may forbid to wait for a function
-            page.wait_for_timeout(50)
+            page.wait_for_timeout(20)
         sent = line.sent
         browser.close()
     return shown / 1000, sent

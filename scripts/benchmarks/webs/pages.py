@@ -95,8 +95,7 @@ def first_frame(browser: Browser, page: Path) -> float:
     opened = browser.new_page(viewport={"width": 1280, "height": 800})
     opened.add_init_script(_WATCH)
     opened.goto(page.absolute().as_uri())
-    first = None
-    while first is None:
-        first = opened.evaluate("window.firstFrame")
+    while (first := opened.evaluate("window.firstFrame ?? null")) is None:
+        opened.wait_for_timeout(20)  # who asks all the time takes a processor away from the page
     opened.close()
     return float(first)
