@@ -70,6 +70,12 @@ def _contacts(path: str, _: Given) -> Any:
     return read_contacts(path)
 
 
+def _skeleton(path: str, _: Given) -> Any:
+    from mixseq_io.skeleton_files import read_skeleton
+
+    return read_skeleton(path)
+
+
 def _labels(path: str, given: Given) -> Any:
     from mixseq_io.labels.reading import read_labels
 
@@ -113,6 +119,7 @@ _BY_NAME: dict[str, Read] = {
     "parts": _labels,
     "bones": _labels,
     "points": _mesh,
+    "skeleton": _skeleton,
     "keys": _keys,
     "retiming": _retiming,
     "curve": _pairs,

@@ -133,10 +133,20 @@ def bearers(document: Document, node: Fields, index: int) -> list[int]:
     skin = node.index("skin")
     if skin is None:
         return [index]
-    fields = document.item("skins", skin)
-    joints = fields.integers("joints")
+    return joints_of(document, document.item("skins", skin))
+
+
+def joints_of(document: Document, skin: Fields) -> list[int]:
+    """Return the nodes that are a skin's joints.
+
+    Raises
+    ------
+    FormatError
+        If there are no such nodes.
+    """
+    joints = skin.integers("joints")
     if not joints:
-        raise fields.error("has no joints; the file is damaged")
+        raise skin.error("has no joints; the file is damaged")
     for joint in joints:
         document.item("nodes", joint)
     return joints
@@ -169,15 +179,7 @@ def read_shape(document: Document, scene: Scene, node: int, weld: Weld) -> Shape
 
 def _read_skin(document: Document, index: int, joints: Sequence[int], weld: Weld) -> Skin:
     fields = document.item("skins", index)
-    binds = fields.index("inverseBindMatrices")
-    inverse_binds = np.tile(np.eye(4), (len(joints), 1, 1))
-    if binds is not None:
-        matrices = document.accessor(binds)
-        if matrices.ndim != 2 or matrices.shape[1] != 16 or len(matrices) < len(joints):
-            raise fields.error(
-                f"has {len(joints)} joints, but inverse bind matrices of shape {matrices.shape}"
-            )
-        inverse_binds = matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+    inverse_binds = inverse_binds_of(document, fields, len(joints))
     joint, weight = influences(weld.primitives)
     if not joint.size:
         raise fields.error("moves a mesh that has no JOINTS_0 and WEIGHTS_0; the file is damaged")
@@ -187,6 +189,23 @@ def _read_skin(document: Document, index: int, joints: Sequence[int], weld: Weld
         )
     rows = weld.representatives
     return Skin(joints, inverse_binds, _normalised(joint[rows], weight[rows], len(joints)))
+
+
+def inverse_binds_of(document: Document, skin: Fields, count: int) -> NDArray[np.float64]:
+    """Return a skin's matrices ``(J, 4, 4)`` from the mesh to each of its `count` joints.
+
+    Raises
+    ------
+    FormatError
+        If they do not fit the joints.
+    """
+    binds = skin.index("inverseBindMatrices")
+    if binds is None:
+        return np.tile(np.eye(4), (count, 1, 1))
+    matrices = document.accessor(binds)
+    if matrices.ndim != 2 or matrices.shape[1] != 16 or len(matrices) < count:
+        raise skin.error(f"has {count} joints, but inverse bind matrices of shape {matrices.shape}")
+    return matrices[:count].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
 
 def _normalised(joint: NDArray[np.int64], weight: NDArray[np.float64], joints: int) -> csr_array:

@@ -1,0 +1,73 @@
+r"""The joints of a glTF skin, as they were when the mesh was bound to them.
+
+The inverse bind matrix :math:`I_j` of a joint takes the mesh to the joint's axes, so that the joint lies at
+:math:`I_j^{-1}` in the space of the mesh. What takes that space to the world moves with the joints; it is taken where
+the nodes stand, of the first joint without a parent, :math:`W_r I_r`, so that the joint r stands as its node does:
+
+.. math:: M_j = W_r I_r I_j^{-1}.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixseq.arrays import Float
+from mixseq_io.gltf.compression import plain
+from mixseq_io.gltf.document import Document, load_document
+from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.node_tree import Scene, read_scene
+from mixseq_io.gltf.world_points import inverse_binds_of, joints_of
+from mixseq_io.skeleton_files import choose_skeleton, skeleton_of
+
+if TYPE_CHECKING:
+    from mixseq.rigging.skeletons import Skeleton
+
+
+def read_joints(path: Path, name: str | None) -> Skeleton:
+    """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
+    document = plain(load_document(path))
+    scene = read_scene(document)
+    different: dict[frozenset[int], int] = {}
+    for number, skin in enumerate(document.items("skins")):
+        different.setdefault(frozenset(joints_of(document, skin)), number)
+    skins = list(different.values())
+    told = [document.item("skins", number).text("name") for number in skins]
+    names = [
+        (own if own and told.count(own) == 1 else f"skin {number}", own)
+        for number, own in zip(skins, told, strict=True)
+    ]
+    skin = document.item("skins", skins[choose_skeleton(path, names, name)])
+    joints = joints_of(document, skin)
+    parents = _parents(scene, joints)
+    labels = [scene.nodes[joint].text("name") for joint in joints]
+    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+
+
+def _parents(scene: Scene, joints: Sequence[int]) -> list[int]:
+    """Return the number of the nearest joint above each; nodes between them are none."""
+    number = {joint: i for i, joint in enumerate(joints)}
+    return [next((number[node] for node in scene.above(joint)[1:] if node in number), -1) for joint in joints]
+
+
+def _bind_pose(document: Document, scene: Scene, skin: Fields, parents: Sequence[int]) -> Float:
+    """Return the matrices ``(J, 4, 4)`` from each joint to the world."""
+    joints = joints_of(document, skin)
+    world = scene.world(joints, {})
+    if (
+        "inverseBindMatrices" not in skin
+    ):  # the mesh is in the space of every joint: these are bound where they are
+        return np.concatenate([world[joint] for joint in joints])
+    inverse_binds = inverse_binds_of(document, skin, len(joints))
+    flat = np.abs(np.linalg.det(inverse_binds)) < np.finfo(np.float64).tiny
+    if flat.any() or not np.isfinite(inverse_binds).all():
+        raise skin.error(
+            "has an inverse bind matrix that cannot be inverted, or is not finite; the file is damaged"
+        )
+    root = parents.index(-1)
+    return np.asarray(world[joints[root]][0] @ inverse_binds[root] @ np.linalg.inv(inverse_binds))
