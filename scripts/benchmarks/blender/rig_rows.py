@@ -44,7 +44,7 @@ def rig_rows(folder: Path, data: Path | None) -> Iterator[LiveRow]:
         jobs.append(
             {
                 "open": {"file": str(file), "fps": round(sequence.fps)},
-                "frames": list(range(sequence.frame_count)),
+                "frames": [*range(sequence.frame_count), *_between(sequence)],
                 "output": str(file.with_suffix("")) + file.suffix[1:],
             }
         )
@@ -68,9 +68,11 @@ def _rigs(data: Path | None) -> dict[str, tuple[MeshSequence, Skin | Morph]]:
 
 def _rows(name: str, sequence: MeshSequence, rig: Skin | Morph, file: Path, seen: Seen) -> Iterator[LiveRow]:
     (key,) = (key for key in seen.arrays if key.startswith("points/"))
-    shown = _upright(seen.arrays[key])
+    shown, later = np.split(_upright(seen.arrays[key]), [sequence.frame_count])
     diagonal = float(np.linalg.norm(np.ptp(sequence.points[0], axis=0)))
     yield LiveRow(f"{name}, beside the rig", float(np.abs(shown - rig.points()).max()) / diagonal, NEAR)
+    halves = rig.resampled(sequence.times[0] + np.array(_between(sequence)) / sequence.fps).points()
+    yield LiveRow(f"{name}, between frames", float(np.abs(later - halves).max()) / diagonal, NEAR)
     told = measure(file, sequence).max_error
     found = mixseq.compare(sequence, MeshSequence.from_header(sequence.header, shown)).max_error
     yield LiveRow(f"{name}, its error, beside {told:.3g} that is told", abs(found - told), NEAR)
@@ -82,6 +84,11 @@ def _rows(name: str, sequence: MeshSequence, rig: Skin | Morph, file: Path, seen
         }
         others = sum(bones.get(bone) not in (parent, parent or "skeleton") for bone, parent in meant.items())
         yield LiveRow(f"{name}, bones with other names or parents", others, 0, "bones")
+
+
+def _between(sequence: MeshSequence) -> list[float]:
+    """Return some moments in the middle between frames."""
+    return [frame + 0.5 for frame in range(0, sequence.frame_count - 1, 5)]
 
 
 def _upright(points: Float) -> Float:
