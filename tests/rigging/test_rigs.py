@@ -93,6 +93,18 @@ def test_between_frames_bones_turn_evenly_and_move_straight() -> None:
     np.testing.assert_allclose(a_morph().resampled([0.15]).weights, [[1, -1]], atol=1e-12)
 
 
+def test_between_frames_children_stay_at_their_joints() -> None:
+    flat = a_skin()
+    places = np.array([[[0.0, 0, 0], [1, -1, -1]], [[0, 0, 0], [1, 1, -1]], [[0, 0, 0], [-1, 1, -1]]])
+    turns = np.array([[quaternion((0, 0, t * np.pi / 2))] * 2 for t in range(3)])
+    whole = replace(flat, rotations=turns, translations=places)
+    tree = replace(whole, skeleton=replace(flat.skeleton, parents=np.array([-1, 0])))
+    np.testing.assert_allclose(tree.points(), whole.points(), atol=1e-12)
+    between = tree.resampled([0.05]).translations[0, 1]
+    np.testing.assert_allclose(between, [np.sqrt(2), 0, -1], atol=1e-12)  # on an arc about the parent
+    np.testing.assert_allclose(whole.resampled([0.05]).translations[0, 1], [1, 0, -1], atol=1e-12)
+
+
 def test_bones_turn_the_shorter_way() -> None:
     skin = a_skin()
     turned = replace(skin, rotations=skin.rotations * np.array([1, -1, 1])[:, None, None])
