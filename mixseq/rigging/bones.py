@@ -1,16 +1,6 @@
-r"""Bones: where they start, and how they move given the weights of vertices.
+r"""Bones: where they start, and motions as matrices.
 
-Given weights, the motions :math:`M_{tb} = (R_{tb}, T_{tb})` of a frame minimise
-:math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2`. One bone after the other takes the best rigid motion of
-what the others leave, :math:`q_t(v) = x_t(v) - \sum_{c \ne b} w_{vc} M_{tc} \tilde r_v` (Le and Deng 2012):
-
-.. math::
-    R_{tb} = \operatorname*{nearest\ rotation\ to} \sum_v w_{vb} (q_v - w_{vb} \bar q)(r_v - \bar r)^T, \quad
-    T_{tb} = \bar q - R_{tb} \bar r, \quad
-    \bar r = \frac{\sum_v w_{vb}^2 r_v}{\sum_v w_{vb}^2}, \quad \bar q = \frac{\sum_v w_{vb} q_v}{\sum_v w_{vb}^2}
-
-All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
-:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that a sweep over the bones costs nothing per vertex.
+A motion of frame t, :math:`M_{tb} = (R_{tb}, T_{tb})`, is held transposed, ``(4, 3)``, next to those of all frames.
 """
 
 from __future__ import annotations
@@ -18,48 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.geometry.rigid import aligning_rotations, kabsch, nearest_rotations
+from mixseq.geometry.rigid import kabsch, nearest_rotations
 from mixseq.rigging.weights import Binding
 from mixseq.segmentation.rigid_error import moments, union_errors
-
-SWEEPS = 10
-"""Sweeps over the bones between two rounds of weights; the value is ours."""
-
-HELD = 1e-9
-"""How strongly a rotation holds to the one before, relative to what turns it: it decides where points are on a line."""
-
-
-def move(tracks: Float, binding: Binding, motions: Float, sweeps: int = SWEEPS) -> Float:
-    """Fit the motions of bones.
-
-    Parameters
-    ----------
-    tracks : (V, 3T) float64
-        Positions of every vertex, frame by frame.
-    binding : Binding
-        How vertices follow the bones.
-    motions : (B, 4, 3T) float64
-        Transposed motions to start from; bones that no vertex follows keep theirs.
-    sweeps : int
-        How often every bone is moved.
-    """
-    bones, frames = len(motions), motions.shape[2] // 3
-    rows = binding.matrix(bones)
-    seen = np.asarray(rows.T @ tracks).reshape(bones, 4, -1)
-    products = np.asarray((rows.T @ rows).todense()).reshape(bones, 4, 4 * bones)
-    result = motions.copy()
-    flat = result.reshape(4 * bones, -1)
-    own = [products[b, :, 4 * b : 4 * b + 4] for b in range(bones)]
-    for _ in range(sweeps):
-        for b in np.flatnonzero([m[3, 3] > 0 for m in own]).tolist():
-            left = (seen[b] - products[b] @ flat + own[b] @ result[b]).reshape(4, frames, 3)
-            source, target = own[b][3, :3] / own[b][3, 3], left[3] / own[b][3, 3]
-            covariance = left[:3].transpose(1, 2, 0) - left[3][:, :, None] * source
-            spread = np.trace(own[b][:3, :3]) - own[b][3, 3] * (source @ source)
-            before = result[b].reshape(4, frames, 3)[:3].transpose(1, 2, 0)
-            turn = aligning_rotations(covariance + HELD * max(spread, HELD) * before)
-            result[b] = transposed(turn, target - turn @ source)
-    return result
 
 
 def transposed(rotations: Float, translations: Float) -> Float:

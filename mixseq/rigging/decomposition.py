@@ -2,40 +2,53 @@ r"""Smooth skinning decomposition: weights, rest positions and motions of bones,
 
 .. math:: \min \sum_{t, v} \Bigl| \sum_b w_{vb} \bigl( R_{tb} r_v + T_{tb} \bigr) - x_t(v) \Bigr|^2
 
-Le and Deng (2012) alternate weights (`mixseq.rigging.weights`) and motions (`mixseq.rigging.bones`); rest positions,
-which they take from a frame, are fitted here too. Bones start as near-rigid parts instead of clusters of vertices;
-where more are asked for they are seeded where the error is largest. Rounds are accelerated.
+Le and Deng (2012) alternate weights (`mixseq.rigging.weights`) and motions (`mixseq.rigging.jointed_motions`); rest
+positions, which they take from a frame, are fitted here too. Bones start as near-rigid parts instead of clusters of
+vertices; where more are asked for they are seeded where the error is largest. Rounds are accelerated.
+
+Bones are free at first. Then they are hung into a tree (`mixseq.rigging.bone_tree`), and as few joints slide as keep
+the error within a tenth of that of free bones: those that come apart most, each counted with the weight of its bone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.progress import Progress
-from mixseq.rigging.bones import merged, motion_of, move, on_rotations, seeded
+from mixseq.rigging.bone_tree import bone_tree
+from mixseq.rigging.bones import merged, motion_of, on_rotations, seeded
+from mixseq.rigging.jointed_motions import Joints, attached, move
 from mixseq.rigging.rigs import INFLUENCES
 from mixseq.rigging.weights import Binding, bind
 
 GAIN = 3e-3
 """Rounds end when the error falls by less than this fraction of itself a round; values here are ours."""
 
+WORSE = 1.1
+"""Root mean square error of bones in a tree, at most, relative to free ones."""
+
 _FEW = 3  # rounds that this is averaged over
 _EXACT = 1e-9  # root mean square error, in diagonals, that is rounding
+_NEARLY = 1e-6  # root mean square error, in diagonals, that no joint has to slide for
 _BETWEEN = 2  # rounds before more bones are seeded
+_TRIED = 3  # of all rounds, one in so many is for a number of sliding joints
 
 
 def decompose(
-    tracks: Float, labels: Index, most: int, rounds: int, progress: Progress
-) -> tuple[Binding, Float]:
-    """Find weights, rest positions and motions of bones.
+    tracks: Float, faces: Index, labels: Index, most: int, rounds: int, progress: Progress
+) -> tuple[Binding, Float, Joints]:
+    """Find weights, rest positions and motions of bones that hang in a tree.
 
     Parameters
     ----------
     tracks : (V, 3T) float64
         Positions of every vertex, frame by frame; centred, in diagonals.
+    faces : (F, 3) int64
+        Triangles.
     labels : (V,) int64
         The bone that every vertex starts with.
     most : int
@@ -50,6 +63,7 @@ def decompose(
     binding : Binding
     motions : (B, 4, 3T) float64
         Transposed motions of the bones.
+    joints : Joints
     """
     labels = merged(tracks, labels, most)
     rest = tracks[:, :3].copy()
@@ -67,33 +81,100 @@ def decompose(
         motions = np.concatenate([motions, new])
         for _ in range(_BETWEEN):
             binding = bind(tracks, motions, binding, free_rest=False)
-            motions = move(tracks, binding, motions)
-    return _alternated(tracks, binding, move(tracks, binding, motions), exact, rounds, progress)
+            motions, _ = move(tracks, binding, motions, Joints.loose(len(motions)))
+    loose = Joints.loose(len(motions))
+    motions, _ = move(tracks, binding, motions, loose)
+
+    def told(done: int) -> None:
+        progress(done, 2 * rounds + 1, "fitting weights and bones")
+
+    binding, motions, _ = _alternated(tracks, binding, motions, loose, exact, rounds, told)
+    return _hung(tracks, faces, *_without_idle(binding, motions), rounds, lambda done: told(rounds + done))
 
 
 def _alternated(
-    tracks: Float, binding: Binding, motions: Float, exact: float, rounds: int, progress: Progress
-) -> tuple[Binding, Float]:
-    """Fit weights with rest positions, and motions, in turn.
+    tracks: Float,
+    binding: Binding,
+    motions: Float,
+    joints: Joints,
+    enough: float,
+    rounds: int,
+    told: Callable[[int], None],
+) -> tuple[Binding, Float, Joints]:
+    """Fit weights with rest positions, and motions, in turn, until the squared error is small enough or falls no more.
 
     Every round starts from where the last ones lead: rest positions and motions go on by a fraction j / (j + 3) of
     their last step (Nesterov 1983), j counting the rounds since the error grew; such a round is taken back.
     """
     rest, before = binding.rest, motions
-    past, good = [binding.errors.sum()], 0
+    past, good = [np.inf], 0
     for done in range(rounds):
-        progress(done, rounds + 1, "fitting weights and bones")
+        told(done)
         on = good / (good + 3.0)
         ahead = replace(binding, rest=binding.rest + on * (binding.rest - rest))
-        going = on_rotations(motions + on * (motions - before))
+        going = attached(on_rotations(motions + on * (motions - before)), joints)
         bound = bind(tracks, going, ahead)
         if good and bound.errors.sum() > past[-1]:
             good = 0
             continue
         good += 1
         rest, before = binding.rest, motions
-        binding, motions = bound, move(tracks, bound, going)
+        binding = bound
+        motions, joints = move(tracks, bound, going, joints)
         past.append(binding.errors.sum())
-        if past[-1] <= exact or (len(past) > _FEW and past[-1] > (1 - GAIN) ** (2 * _FEW) * past[-1 - _FEW]):
+        if past[-1] <= enough or (len(past) > _FEW and past[-1] > (1 - GAIN) ** (2 * _FEW) * past[-1 - _FEW]):
             break
-    return binding, motions
+    return binding, motions, joints
+
+
+def _without_idle(binding: Binding, motions: Float) -> tuple[Binding, Float]:
+    """Leave out bones that no vertex follows."""
+    used = np.unique(binding.influences[binding.weights > 0])
+    return _renumbered(binding, used, len(motions)), motions[used]
+
+
+def _renumbered(binding: Binding, order: Index, bones: int) -> Binding:
+    """Number the bones of a binding by their places in an order."""
+    places = np.zeros(bones, dtype=np.int64)
+    places[order] = np.arange(len(order))
+    return replace(binding, influences=np.where(binding.weights > 0, places[binding.influences], 0))
+
+
+def _hung(
+    tracks: Float, faces: Index, binding: Binding, motions: Float, rounds: int, told: Callable[[int], None]
+) -> tuple[Binding, Float, Joints]:
+    """Hang free bones into a tree with as few sliding joints as the error allows."""
+    order, joints = bone_tree(faces, binding, motions)
+    binding, motions = _renumbered(binding, order, len(order)), motions[order]
+    most = max(WORSE**2 * binding.errors.sum(), _NEARLY**2 * tracks.size / 3)
+    apart = _coming_apart(binding, motions, joints)
+    fewest, enough, tries = 0, len(apart), 0
+    found = binding, motions, replace(joints, sliding=np.ones(len(order), dtype=bool))
+    while fewest < enough:  # that many sliding joints keep the error
+        told(tries := tries + 1)
+        count = (fewest + enough) // 2
+        sliding = joints.sliding.copy()
+        sliding[apart[:count]] = True
+        tried = _alternated(
+            tracks, binding, motions, replace(joints, sliding=sliding), most, rounds // _TRIED, _silent
+        )
+        if tried[0].errors.sum() <= most:
+            found, enough = tried, count
+        else:
+            fewest = count + 1
+    return _alternated(tracks, *found, _EXACT**2 * tracks.size / 3, rounds // _TRIED, _silent)
+
+
+def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:
+    """Return the bones with parents, those whose joints come apart most at the largest cost first."""
+    bones = np.flatnonzero(joints.parents >= 0)
+    apart = motions[joints.parents[bones]] - motions[bones]
+    gaps = np.einsum("bi,bij->bj", joints.pivots[bones], apart[:, :3]) + apart[:, 3]
+    weights = np.zeros(len(motions))
+    np.add.at(weights, binding.influences, np.square(binding.weights))
+    costs = np.sum(np.square(gaps), axis=1) * weights[bones]
+    return np.asarray(bones[np.argsort(-costs, kind="stable")])
+
+
+def _silent(done: int) -> None:
+    """Tell nothing."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,8 @@ from mixseq.public import public
 from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.correctives import fit_correctives, fit_targets
 from mixseq.rigging.decomposition import decompose
-from mixseq.rigging.rigs import INFLUENCES, Morph, Skin, without_sign_jumps
+from mixseq.rigging.jointed_motions import Joints
+from mixseq.rigging.rigs import Morph, Skin, without_sign_jumps
 from mixseq.rigging.skeletons import Skeleton
 from mixseq.rigging.weights import Binding
 from mixseq.segmentation import segment
@@ -35,6 +37,9 @@ def fit_skin(
     progress: Progress = silent,
 ) -> Skin:
     """Fit bones, at most four weights a vertex, and corrective targets to a sequence.
+
+    Bones hang in a tree and turn about the joints to their parents. Joints that would cost more than a tenth of the
+    error slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
 
     Parameters
     ----------
@@ -56,7 +61,8 @@ def fit_skin(
     Returns
     -------
     Skin
-        With the rest shape fitted too; it stays near the first frame. Bones that no vertex follows are left out.
+        With the rest shape fitted too; it stays near the first frame. Bones that neither a vertex nor a bone with
+        vertices follows are left out.
         Weights of a vertex decrease; unused ones are zero, of bone zero.
 
     Raises
@@ -85,11 +91,12 @@ def fit_skin(
         centred = (points - centres[:, None]) / diagonal
         labels, most = _starting_bones(header, centred, bones)
         tracks = np.ascontiguousarray(centred.swapaxes(0, 1).reshape(header.vertex_count, -1))
-        binding, motions = decompose(tracks, labels, most, rounds, progress)
-        skin = _skin_of(header, binding, motions, diagonal, centres)
+        faces = header.faces.astype(np.int64)
+        found = decompose(tracks, faces, labels, most, rounds, progress)
+        skin = _skin_of(header, *found, diagonal, centres)
         if correctives is None:
             return skin
-        progress(rounds, rounds + 1, "fitting correctives")
+        progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
         skin, reached = fit_correctives(skin, points, correctives * diagonal, max_targets)
     _warn_if_missed(reached / diagonal, correctives, len(skin.targets), "correctives", "bones or max_targets")
     return skin
@@ -171,29 +178,27 @@ def _starting_bones(
 
 
 def _skin_of(
-    header: SequenceHeader, binding: Binding, motions: Float, diagonal: float, centres: Float
+    header: SequenceHeader, binding: Binding, motions: Float, joints: Joints, diagonal: float, centres: Float
 ) -> Skin:
     """Bring a decomposition of centred frames, in diagonals, to the units of the file; leave out idle bones."""
     order = np.argsort(-binding.weights, axis=1, kind="stable")
     weights = np.take_along_axis(binding.weights, order, axis=1)
     influences = np.take_along_axis(binding.influences, order, axis=1)
-    used, renumbered = np.unique(influences[weights > 0], return_inverse=True)
-    influences = np.zeros_like(influences)
-    influences[weights > 0] = renumbered
-    followers = np.zeros((len(used), len(weights)))
-    for column in range(INFLUENCES):
-        np.add.at(followers, (influences[:, column], np.arange(len(weights))), weights[:, column])
-    pivots = followers @ binding.rest / followers.sum(axis=1, keepdims=True)
-    m = motions[used].reshape(len(used), 4, -1, 3).transpose(2, 0, 3, 1)  # (T, B, 3, 4)
+    used = np.isin(np.arange(len(motions)), influences[weights > 0])
+    kept = (joints.below() & used).any(axis=1)
+    place = np.cumsum(kept) - 1
+    parents, pivots = joints.parents[kept], joints.pivots[kept]
+    m = motions[kept].reshape(kept.sum(), 4, -1, 3).transpose(2, 0, 3, 1)  # (T, B, 3, 4)
     places = np.einsum("tbij,bj->tbi", m[..., :3], pivots) + m[..., 3]
     quaternions = Rotation.from_matrix(m[..., :3].reshape(-1, 3, 3)).as_quat().reshape(*m.shape[:2], 4)
+    skeleton = Skeleton.flat(diagonal * pivots + centres[0])
     return Skin(
         header=header,
         rest=diagonal * binding.rest + centres[0],
-        skeleton=Skeleton.flat(diagonal * pivots + centres[0]),
+        skeleton=replace(skeleton, parents=np.where(parents < 0, -1, place[parents])),
         rotations=without_sign_jumps(quaternions),
         translations=diagonal * places + centres[:, None],
-        influences=influences,
+        influences=np.where(weights > 0, place[influences], 0),
         weights=weights,
         targets=np.zeros((0, len(weights), 3)),
         target_weights=np.zeros((len(m), 0)),

@@ -1,0 +1,122 @@
+r"""The tree that bones hang together in, found from where they touch and how they move.
+
+*Where two bones would be joined.* Of points p of the rest shape, the one that both move most alike minimises
+
+.. math:: \sum_t |M_{ta} \tilde p - M_{tb} \tilde p|^2 + \mu T\, |p - p_0|^2 = \tilde p^T S_{ab}\, \tilde p + \dots,
+          \quad S_{ab} = \sum_t (M_{ta} - M_{tb})^T (M_{ta} - M_{tb}),
+
+with :math:`\mu = 0.01` (our value): a joint that never turns stays at :math:`p_0`, the middle of where the bones touch,
+and a hinge stays next to it on its axis. What is left, :math:`g_{ab}`, is how far the joint comes apart (root mean
+square).
+
+*The tree* joins all bones by the pairs that come apart least; pairs that do not touch are only used where components
+of the mesh would hang in the air. Its root is the bone from which the others, counted by the weight of their vertices,
+are fewest joints away: the trunk of an animal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+from mixseq.arrays import Float, Index
+from mixseq.rigging.jointed_motions import Joints
+from mixseq.rigging.weights import Binding
+
+_HELD = 1e-2
+_TOUCH = 0.02  # of the lighter bone's own weight; values are ours
+_FAR = 1.0  # diagonals that a joint without touch counts as apart
+
+
+def bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
+    """Find the tree of bones.
+
+    Parameters
+    ----------
+    faces : (F, 3) int64
+        Triangles.
+    binding : Binding
+        How vertices follow the bones, in diagonals; every bone has vertices.
+    motions : (B, 4, 3T) float64
+        Transposed motions of the bones.
+
+    Returns
+    -------
+    order : (B,) int64
+        The bones in an order with parents before children, children of a bone next to each other.
+    joints : Joints
+        Of the bones in that order; only the root slides.
+    """
+    bones, frames = len(motions), motions.shape[2] // 3
+    weights = _weights(binding, bones)
+    mass = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)
+    touch, middles = _contacts(faces, weights, binding.rest, mass)
+    flat = motions.reshape(4 * bones, -1)
+    products = (flat @ flat.T).reshape(bones, 4, bones, 4).swapaxes(1, 2)
+    own = products[np.arange(bones), np.arange(bones)]
+    apart = own[:, None] + own[None] - products - products.swapaxes(0, 1)  # S
+    pivots = np.linalg.solve(
+        apart[..., :3, :3] + _HELD * frames * np.eye(3),
+        (_HELD * frames * middles - apart[..., :3, 3])[..., None],
+    )[..., 0]
+    whole = np.concatenate([pivots, np.ones((bones, bones, 1))], axis=2)
+    gaps = np.sqrt(np.maximum(np.einsum("abi,abij,abj->ab", whole, apart, whole), 0) / frames)
+    costs = np.triu(1 + gaps + _FAR * ~touch, 1)  # what is nearly zero would be no edge
+    tree = minimum_spanning_tree(costs)
+    links = np.asarray((tree + tree.T).todense()) > 0
+    order, parents = _from_root(links, mass)
+    above = np.where(parents < 0, np.arange(bones), order[parents])
+    places = pivots[order, above]
+    places[0] = middles[order[0], order[0]]
+    return order, Joints(parents, places, parents < 0)
+
+
+def _weights(binding: Binding, bones: int) -> sparse.csr_array:
+    vertices = np.repeat(np.arange(len(binding.rest)), binding.weights.shape[1])
+    entries = (binding.weights.reshape(-1), (vertices, binding.influences.reshape(-1)))
+    return sparse.csr_array(entries, shape=(len(binding.rest), bones))
+
+
+def _contacts(
+    faces: Index, weights: sparse.csr_array, rest: Float, mass: Float
+) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]], Float]:
+    """Tell which bones touch ``(B, B)``, and the middles ``(B, B, 3)`` of where they do.
+
+    Those of others are the middles of the lighter bone; on the diagonal is the middle of a bone.
+    """
+    corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges = sparse.csr_array((np.ones(len(corners)), corners.T), (len(rest), len(rest)))
+    near = weights + (edges + edges.T).minimum(1) @ weights  # a vertex touches what its neighbours follow
+    shared = np.asarray((weights.T @ near).todense())
+    middles = np.stack(
+        [np.asarray((weights.T @ (near * rest[:, [axis]])).todense()) for axis in range(3)], axis=2
+    )
+    shared, middles = shared + shared.T, middles + middles.swapaxes(0, 1)
+    own = np.diag(shared)
+    touch = shared > _TOUCH * np.minimum(own[:, None], own[None])
+    centres = np.asarray(weights.T @ rest) / mass[:, None]
+    lighter = np.where((mass[:, None] < mass[None])[..., None], centres[:, None], centres[None])
+    touching = (touch & ~np.eye(len(mass), dtype=bool))[..., None]
+    return touch, np.where(touching, middles / np.maximum(shared, 1e-300)[..., None], lighter)
+
+
+def _from_root(links: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], mass: Float) -> tuple[Index, Index]:
+    """Return the bones, parents first, and the places of their parents in that order."""
+    bones = len(mass)
+
+    def walk(root: int) -> tuple[Index, Index]:
+        order, above = breadth_first_order(sparse.csr_array(links), root, directed=False)
+        place = np.empty(bones, dtype=np.int64)
+        place[order] = np.arange(bones)
+        above = above[order]
+        return order.astype(np.int64), np.where(above < 0, -1, place[np.maximum(above, 0)]).astype(np.int64)
+
+    def depth(root: int) -> float:
+        order, parents = walk(root)
+        depths = np.zeros(bones)
+        for place, parent in enumerate(parents.tolist()):
+            depths[place] = 0 if parent < 0 else depths[parent] + 1
+        return float(depths @ mass[order])
+
+    return walk(min(range(bones), key=depth))

@@ -1,0 +1,196 @@
+r"""Motions of bones, free or hanging together: a bone turns about the joint to its parent and takes its children along.
+
+Given weights, motions minimise :math:`\sum_v |x_t(v) - \sum_b w_{vb} M_{tb} \tilde r_v|^2` in every frame. The joint of
+bone b with its parent a is the point :math:`p_b` of the rest shape, and both take it to the same place:
+:math:`c_{tb} = M_{ta} \tilde p_b` and :math:`M_{tb} \tilde r = R_{tb} (r - p_b) + c_{tb}`. Roots have translations of
+their own, and so have *sliding* joints; free bones (Le and Deng 2012) are roots. With rows :math:`\rho_v` of all
+:math:`w_{vb} \tilde r_v` and the motions transposed and stacked to :math:`M_t`, what is left of a vertex is
+:math:`x_t(v) - M_t^T \rho_v`. It depends on each unknown alone, all else held, in a way that has a closed solution;
+they are taken one after the other:
+
+*Rotations.* Points follow :math:`R_{tb} u_v` with :math:`u_v = U_b \rho_v`: those of the bone, :math:`w_{vb}(r_v -
+p_b)`, and for each child c the joint, :math:`p_c - p_b`, times the weights of c and all below it. The length of
+:math:`u_v` is constant, so the best rotation is the nearest to
+:math:`\sum_v (x_t - M_t^T \rho_v + R_{tb} u_v)\, u_v^T`.
+
+*Translations* of roots and sliding joints move all below: :math:`\delta_t = \sum_v h_v (x_t - M_t^T \rho_v) / \sum_v
+h_v^2` with :math:`h_v = H_b \rho_v`, the sum of the weights of b and all below it. Such bones turn about the point
+where :math:`\sum_v h_v u_v = 0`, so that rotation and translation together are the best.
+
+*Joints* may be fitted too: :math:`p_b + d` moves all below by :math:`(R_{ta} - R_{tb})\, d`, a problem of least squares
+in three unknowns.
+
+All of it follows from the sums :math:`K_{bc} = \sum_v w_{vb} w_{vc} \tilde r_v \tilde r_v^T` and
+:math:`L_{tb} = \sum_v w_{vb} \tilde r_v x_t(v)^T`, so that a sweep over the bones costs nothing per vertex. It keeps
+:math:`E = L - K M`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.geometry.rigid import aligning_rotations
+from mixseq.rigging.weights import Binding
+
+SWEEPS = 10
+"""Sweeps over the bones between two rounds of weights; the value is ours."""
+
+_HELD = 1e-9
+"""How strongly a rotation holds to the one before, relative to what turns it: it decides where points are on a line."""
+
+_JOINT_HELD = 1e-2
+"""How strongly a joint stays where it is, against a turn by one radian in all frames (our value)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """How bones hang together.
+
+    Attributes
+    ----------
+    parents : (B,) int64
+        The bone above each, which stands before it; -1 for roots.
+    pivots : (B, 3) float64
+        Joints with the parents, in the rest shape; what roots turn about.
+    sliding : (B,) bool
+        Whether the joint has a translation of its own; roots have.
+    """
+
+    parents: Index
+    pivots: Float
+    sliding: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+    @classmethod
+    def loose(cls, count: int) -> Joints:
+        """Return free bones, which turn about the origin."""
+        return cls(np.full(count, -1), np.zeros((count, 3)), np.ones(count, dtype=bool))
+
+    def below(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Tell ``(B, B)`` whether a bone (column) is another (row) or hangs from it."""
+        found = np.eye(len(self.parents), dtype=bool)
+        for bone in range(len(self.parents) - 1, -1, -1):
+            if self.parents[bone] >= 0:
+                found[self.parents[bone]] |= found[bone]
+        return found
+
+
+def attached(motions: Float, joints: Joints) -> Float:
+    """Return transposed motions ``(B, 4, 3T)`` moved so that joints that do not slide hold together."""
+    result = motions.copy()
+    for bone, parent in enumerate(joints.parents.tolist()):
+        if not joints.sliding[bone]:
+            pivot = joints.pivots[bone]
+            result[bone, 3] = pivot @ (result[parent, :3] - result[bone, :3]) + result[parent, 3]
+    return result
+
+
+def move(
+    tracks: Float, binding: Binding, motions: Float, joints: Joints, fit_pivots: bool = True
+) -> tuple[Float, Joints]:
+    """Fit the motions of bones, and their joints.
+
+    Parameters
+    ----------
+    tracks : (V, 3T) float64
+        Positions of every vertex, frame by frame.
+    binding : Binding
+        How vertices follow the bones.
+    motions : (B, 4, 3T) float64
+        Transposed motions to start from, of joints that do not slide the rotations only; bones that no vertex follows
+        keep theirs.
+    joints : Joints
+    fit_pivots : bool
+        Whether joints that do not slide are fitted too.
+
+    Returns
+    -------
+    motions : (B, 4, 3T) float64
+    joints : Joints
+    """
+    fit = _Fit(tracks, binding, attached(motions, joints), joints)
+    for _ in range(SWEEPS):
+        for bone in range(len(motions)):
+            fit.turn(bone)
+            if joints.sliding[bone]:
+                fit.slide(bone)
+        if fit_pivots:
+            for bone in np.flatnonzero(~joints.sliding).tolist():
+                fit.shift_joint(bone)
+    fitted = replace(joints, pivots=fit.pivots)
+    return attached(fit.motions, fitted), fitted
+
+
+class _Fit:
+    """What one unknown after the other changes: motions, joints, and E."""
+
+    def __init__(self, tracks: Float, binding: Binding, motions: Float, joints: Joints) -> None:
+        bones = len(motions)
+        rows = binding.matrix(bones)
+        self.products = np.asarray((rows.T @ rows).todense())
+        self.motions, self.pivots = motions.copy(), joints.pivots.copy()
+        self.left = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bones, -1)
+        self.parents, self.sliding, self.below = joints.parents, joints.sliding, joints.below()
+
+    def turn(self, bone: int) -> None:
+        """Give a bone its best rotations, all below it moving along."""
+        bones = len(self.motions)
+        arms = np.zeros((3, bones, 4))
+        arms[:, bone, :3], arms[:, bone, 3] = np.eye(3), -self.pivots[bone]
+        for child in np.flatnonzero(self.parents == bone).tolist():
+            arms[:, self.below[child], 3] += (self.pivots[child] - self.pivots[bone])[:, None]
+        lever = arms.reshape(3, -1)  # U
+        if self.sliding[bone]:
+            lever -= self._middle(bone, lever)[:, None] * self._all_below(bone)
+        pulled = self.products @ lever.T
+        spread = lever @ pulled
+        size = float(np.trace(spread))
+        if size <= _HELD**2:
+            return
+        before = self.motions[bone, :3]
+        seen = (lever @ self.left + spread @ before).reshape(3, -1, 3).transpose(1, 2, 0)
+        turns = before.reshape(3, -1, 3).transpose(1, 2, 0)
+        after = aligning_rotations(seen + _HELD * size * turns).transpose(2, 0, 1).reshape(3, -1)
+        self._move(lever, pulled, after - before)
+
+    def slide(self, bone: int) -> None:
+        """Give a bone its best translations, all below it moving along."""
+        seen, weight = self.seen_below(bone)
+        if weight > _HELD:
+            lever = self._all_below(bone)
+            self._move(lever[None], (self.products @ lever)[:, None], seen[None] / weight)
+
+    def shift_joint(self, bone: int) -> None:
+        """Move a joint to where its bone and the one above agree best."""
+        seen, weight = self.seen_below(bone)
+        apart = (self.motions[self.parents[bone], :3] - self.motions[bone, :3]).reshape(
+            3, -1, 3
+        )  # D, transposed
+        normal = weight * (np.einsum("ati,bti->ab", apart, apart) + _JOINT_HELD * apart.shape[1] * np.eye(3))
+        if weight <= _HELD:
+            return
+        step = np.linalg.solve(normal, np.einsum("ati,ti->a", apart, seen.reshape(-1, 3)))
+        self.pivots[bone] += step
+        lever = self._all_below(bone)
+        self._move(lever[None], (self.products @ lever)[:, None], (step @ apart.reshape(3, -1))[None])
+
+    def seen_below(self, bone: int) -> tuple[Float, float]:
+        """Return what is left to be moved along with a bone and all below it, ``(3T,)``, and what moves."""
+        lever = self._all_below(bone)
+        return lever @ self.left, float(lever @ self.products @ lever)
+
+    def _middle(self, bone: int, lever: Float) -> Float:
+        """Return the weighted mean of what turns with a bone, over what moves with it."""
+        along = self.products @ self._all_below(bone)
+        return lever @ along / max(float(self._all_below(bone) @ along), _HELD)
+
+    def _all_below(self, bone: int) -> Float:
+        lever = np.zeros((len(self.motions), 4))  # H
+        lever[self.below[bone], 3] = 1.0
+        return lever.reshape(-1)
+
+    def _move(self, lever: Float, pulled: Float, change: Float) -> None:
+        self.motions += (lever.T @ change).reshape(self.motions.shape)
+        self.left -= pulled @ change
