@@ -2,8 +2,8 @@
 
 `rigs` says what they are, `skeletons` how bones hang together; `rig_fitting` makes them: `decomposition` alternates
 `weights` (with `weight_kernels`), how vertices follow bones, and `jointed_motions`, how bones move; they start as
-`bones` tells, and `bone_tree` hangs them together; `correctives` fits targets. `low_rank` fits basis vectors of parts, for
-textures.
+`bones` tells, and `bone_tree` hangs them together; `correctives` fits targets. `low_rank` fits basis vectors of
+parts, for textures.
 """
 
 from __future__ import annotations
