@@ -15,8 +15,8 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from mixseq.viewing.packing import as_text
-from mixseq.web.bundle import bundled, stripped
+from mixseq.viewing.packing import BYTE_ORDER_MARK, ENCODING, as_text
+from mixseq.web.bundle import bundled, compact
 
 CHART_SCRIPTS = (
     "frame_numbers.js",
@@ -79,12 +79,13 @@ def page_text(description: Mapping[str, Any], data: Sequence[bytes]) -> bytes:
         json.dumps(description, ensure_ascii=False, allow_nan=False, separators=(",", ":")),
     )
     code = zlib.compress("\0".join(parts).encode(), 9)
-    title, loader = escape(description["title"]), stripped(script("loader.js"))
+    title, loader = escape(description["title"]), compact(script("loader.js"))
     shell = _plain(script("page.html")).replace("<title>mixseq</title>", f"<title>{title}</title>")
     before, after = shell.replace('<script src="loader.js"></script>', f"<script>{loader}</script>").split(
         _DATA
     )
-    return b"".join([before.encode(), *map(_element, (code, *data)), after.encode()])
+    elements = [_element(each) for each in (code, *data)]
+    return BYTE_ORDER_MARK + b"".join([before.encode(ENCODING), *elements, after.encode(ENCODING)])
 
 
 @cache
@@ -92,7 +93,7 @@ def decoder_script() -> str:
     """Return what makes poses of streams, for a worker or a script element."""
     decoder = re.sub(r"^export const ?{.*}=(\w+);$", r"return \1;", bundled(), flags=re.MULTILINE)
     return f"var mixseqDecoder = (() => {{\n{decoder}}})();\n" + "".join(
-        stripped(script(name)) for name in POSE_SCRIPTS
+        compact(script(name)) for name in POSE_SCRIPTS
     )
 
 
@@ -100,7 +101,7 @@ def decoder_script() -> str:
 def page_scripts(charts: bool) -> str:
     """Return the scripts of a page, with charts or without."""
     names = (*CHART_SCRIPTS[: None if charts else 1], *PLAYER_SCRIPTS)
-    return "".join(stripped(script(name)) for name in names)
+    return "".join(compact(script(name)) for name in names)
 
 
 _DATA = "<!-- data -->"
@@ -112,7 +113,8 @@ def _plain(text: str) -> str:
 
 
 def _element(data: bytes) -> bytes:
-    return b'<script type="text/plain" data-size="%d">%b</script>\n' % (len(data), as_text(data))
+    opened, closed = f'<script type="text/plain" data-size="{len(data)}">', "</script>\n"
+    return opened.encode(ENCODING) + as_text(data) + closed.encode(ENCODING)
 
 
 def script_json(value: Any) -> str:

@@ -16,7 +16,7 @@ from mixseq.arrays import Float
 from mixseq.coding.bitstream.compressed_sequence import to_model
 from mixseq.scene.camera import y_up
 from mixseq.signals import Model
-from mixseq.viewing.packing import UNFIT
+from mixseq.viewing.packing import BYTE_ORDER_MARK, ENCODING, ESCAPE
 from mixseq_io.coded.reading import sequence_of
 from mixseq_io.coded.stream_index import CHECKED_VERSION, Container
 
@@ -24,13 +24,10 @@ _ELEMENT = re.compile(r'<script type="text/plain" data-size="(\d+)">([^<]*)</scr
 
 
 def bytes_of(text: str, size: int) -> bytes:
-    """Return the bytes that `mixseq.viewing.packing.as_text` wrote: 7 bits of every digit."""
-    digits: list[int] = []
-    for character in text:
-        code = ord(character)
-        digits += [UNFIT[(code >> 7) - 1], code & 127] if code > 127 else [code]
-    bits = np.unpackbits(np.array(digits, np.uint8)[:, None], axis=1)[:, 1:]
-    return np.packbits(bits.reshape(-1)).tobytes()[:size]
+    """Return the bytes that `mixseq.viewing.packing.as_text` wrote: two of every unit."""
+    units = iter(np.frombuffer(text.encode(ENCODING), "<u2").tolist())
+    found = [next(units) ^ 0x8000 if unit == ESCAPE else unit for unit in units]
+    return np.array(found, "<u2").tobytes()[:size]
 
 
 def rows_of(data: bytes, width: int) -> NDArray[np.uint8]:
@@ -65,7 +62,9 @@ class Opened:
     """A page taken apart."""
 
     def __init__(self, path: Path) -> None:
-        self.text = path.read_bytes().decode()
+        marked = path.read_bytes()
+        assert marked.startswith(BYTE_ORDER_MARK)
+        self.text = marked.decode("utf-16")
         streams = iter([bytes_of(text, int(size)) for size, text in _ELEMENT.findall(self.text)])
         parts = zlib.decompress(next(streams)).decode().split("\0")
         self.style, self.body, self.decoder, self.scripts = parts[:4]

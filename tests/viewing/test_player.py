@@ -445,9 +445,10 @@ def test_browsers_that_cannot_are_told(new_page: NewPage, bar_page: Path, withou
 
 
 def test_damaged_pages_are_told(new_page: NewPage, bar_page: Path, tmp_path: Path) -> None:
-    text = bar_page.read_text()
+    text = bar_page.read_text(encoding="utf-16")
     place = text.rindex('data-size="') + 400
-    (tmp_path / "a.html").write_text(text[:place] + ("A" if text[place] != "A" else "B") + text[place + 1 :])
+    damaged = text[:place] + ("A" if text[place] != "A" else "B") + text[place + 1 :]
+    (tmp_path / "a.html").write_text(damaged, encoding="utf-16")
     page = new_page(*SMALL)
     page.goto((tmp_path / "a.html").as_uri())
     page.wait_for_selector("html[data-state=failed]", state="attached")

@@ -2,7 +2,7 @@
 "use strict";
 
 (async function () {
-  const UNFIT = [0, 13, 60], page = document, message = page.getElementById("message");
+  const page = document, message = page.getElementById("message");
 
   window.mixseqFail = (text) => {
     message.textContent = text;
@@ -11,19 +11,13 @@
     page.documentElement.dataset.state = "failed";
   };
 
-  /** The bytes of a script element: digits of 7 bits. */
+  /** The bytes of a script element: two of a unit; after a 1 its highest bit is another one. */
   function bytesOf({ textContent: text, dataset }) {
     const bytes = new Uint8Array(+dataset.size);
-    let held = 0, bits = 0, filled = 0;
-    const take = (digit) => {
-      held = ((held << 7) | digit) & 32767;
-      bits += 7;
-      if (bits > 7) bytes[filled++] = held >> (bits -= 8);
-    };
-    for (let k = 0; k < text.length; k++) {
-      const code = text.charCodeAt(k);
-      if (code > 127) take(UNFIT[(code >> 7) - 1]);
-      take(code & 127);
+    for (let k = 0, place = 0; k < text.length; k++, place += 2) {
+      const code = text.charCodeAt(k), unit = code === 1 ? text.charCodeAt(++k) ^ 32768 : code;
+      bytes[place] = unit & 255;
+      bytes[place + 1] = unit >> 8;
     }
     return bytes;
   }
