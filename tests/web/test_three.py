@@ -142,6 +142,42 @@ def test_frames_are_those_of_python(
             np.testing.assert_allclose(floats(normals, 3)[drawn], expected, atol=1e-4)
 
 
+COUNT = """globalThis.answers = 0;
+globalThis.Worker = class extends Worker {
+  constructor(...given) {
+    super(...given);
+    this.addEventListener("message", ({ data }) => (globalThis.answers += data.error === undefined));
+  }
+};"""
+
+
+def test_a_worker_decodes_for_the_page(page: Page, tmp_path: Path) -> None:
+    """It opens the file, and sends what is drawn and every chunk."""
+    file = tmp_path / "walk.glb"
+    coded = mixseq.compress(bar(8, 25, 40), max_error=1e-4, chunk=16)
+    mixseq.save(file, coded, still="none")
+    chunks = len(coded.chunks)
+    assert chunks > 1
+    page.add_init_script(COUNT)
+    opened(page, file)
+    page.wait_for_function(f"answers === {2 + chunks}")
+    assert page.evaluate("shot.sequence.chunks.every(({ loaded }) => loaded)")
+
+
+STOPS = (
+    "throw new Error()",
+    "this.terminate = this.postMessage = () => {}; setTimeout(() => this.onerror({ message: '' }))",
+)
+
+
+@pytest.mark.parametrize("fails", STOPS)
+def test_without_workers_the_page_decodes(page: Page, tmp_path: Path, fails: str) -> None:
+    file = tmp_path / "walk.glb"
+    mixseq.save(file, mixseq.compress(bar(), max_error=1e-3), still="none")
+    page.add_init_script(f"globalThis.Worker = class {{ constructor() {{ {fails}; }} }};")
+    assert opened(page, file)["shots"] == 1
+
+
 def test_materials_and_place(page: Page, tmp_path: Path, sequence: MeshSequence) -> None:
     file = tmp_path / "walk.glb"
     mixseq.save(file, mixseq.compress(sequence, max_error=1e-3), still="none")

@@ -8,11 +8,26 @@ const RUN = 16; // frames that are coded together
 const KEPT = 8; // decoded runs
 const NEAR = 1e-9; // frames: a frame is a frame, after rounding
 
-/** The residual layer of a sequence, decoded where it is asked for: of `chunks` with `first`, `count` and `residuals`. */
+/**
+ * The residual layer of a sequence, decoded where it is asked for: of `chunks` with `first`, `count` and `residuals`.
+ * `graphOf()` is the graph of the mesh.
+ */
 export class ResidualLayer {
-  constructor(times, chunks, graph, unit) {
-    Object.assign(this, { times, chunks, graph, unit });
+  constructor(times, chunks, graphOf, unit) {
+    Object.assign(this, { times, chunks, graphOf, unit });
     this.runs = new Map();
+    this.taken = []; // frames of chunks that were decoded elsewhere
+  }
+
+  /** The residuals of all frames of a chunk. */
+  chunk(number) {
+    const { first, count } = this.chunks[number];
+    return Array.from({ length: count }, (_, k) => this.frame(first + k));
+  }
+
+  /** Take what `chunk` made. */
+  take(number, frames) {
+    this.taken[number] = frames;
   }
 
   /** Add the displacements at a time to positions; whether there were any. */
@@ -32,11 +47,12 @@ export class ResidualLayer {
 
   /** Which vertices of a frame are displaced, and how far, in units of the layer. */
   frame(frame) {
-    const chunk = this.chunks.find(({ first, count }) => frame < first + count);
+    const place = this.chunks.findIndex(({ first, count }) => frame < first + count), chunk = this.chunks[place];
+    if (this.taken[place]) return this.taken[place][frame - chunk.first];
     const number = Math.floor((frame - chunk.first) / RUN), key = chunk.first + number * RUN;
     let run = this.runs.get(key);
     if (!run) {
-      run = guarded(`the residuals of frames ${key} and on`, () => readResiduals(chunk, number, this.graph));
+      run = guarded(`the residuals of frames ${key} and on`, () => readResiduals(chunk, number, this.graphOf()));
       this.runs.set(key, run);
       if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
     }

@@ -99,6 +99,23 @@ export class Sequence {
     return out && this.#residuals().addTo(out, this.#inside(time)) ? out : null;
   }
 
+  /** All that is decoded of mesh, fields and a chunk, which can be sent to another thread, for `take` there. */
+  share(number) {
+    this.load(number);
+    const { basis, residuals } = this.#decoded();
+    return { polygons: this.polygons(), triangles: this.triangles(), basis, number, weights: this.#weights[number], residuals: residuals?.chunk(number) };
+  }
+
+  /** Take what `share` of the same sequence made, instead of decoding it. */
+  take({ polygons, triangles, basis, number, weights, residuals }) {
+    this.#polygons ??= polygons;
+    this.#triangles ??= triangles;
+    this.#basis ??= this.#playable(basis, () => meshGraph(triangles, this.vertexCount).graph);
+    this.#weights[number] = weights;
+    this.chunks[number].loaded = true;
+    if (residuals) this.#residuals().take(number, residuals);
+  }
+
   #inside(time) {
     if (Number.isNaN(Number(time))) throw new MixseqError("a time is no number");
     return Math.min(Math.max(time, this.times[0]), this.times[this.frameCount - 1]);
@@ -115,15 +132,18 @@ export class Sequence {
   #decoded() {
     const triangles = this.triangles();
     return (this.#basis ??= guarded("the basis vectors", () => {
-      const mesh = meshGraph(triangles, this.vertexCount), { chunks, basis: groups } = this.streams;
-      const basis = readBasis(groups, this.parameters, triangles, mesh), width = 3 * basis.fields.count;
-      const displaced = chunks.some(({ residuals }) => residuals.length);
-      return {
-        basis, width,
-        curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame)),
-        residuals: displaced ? new ResidualLayer(this.times, chunks, mesh.graph, this.parameters.correction) : null,
-      };
+      const mesh = meshGraph(triangles, this.vertexCount), basis = readBasis(this.streams.basis, this.parameters, triangles, mesh);
+      return this.#playable(basis, () => mesh.graph);
     }));
+  }
+
+  #playable(basis, graphOf) {
+    const { chunks } = this.streams, width = 3 * basis.fields.count, displaced = chunks.some(({ residuals }) => residuals.length);
+    return {
+      basis, width,
+      curve: new Curve(this.times, this.#between, width, (frame) => this.#row(frame)),
+      residuals: displaced ? new ResidualLayer(this.times, chunks, graphOf, this.parameters.correction) : null,
+    };
   }
 
   #row(frame) {

@@ -8,20 +8,8 @@ import { hardEdgesOf, uvsOf } from "../decoder/surface.js";
  * texture coordinates, v downwards as in glTF, null if there are none.
  */
 export function drawnMesh(sequence) {
-  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), normals = byFirstUse(hardEdgesOf(sequence)) ?? corners;
-  const first = new Int32Array(sequence.vertexCount).fill(-1), next = new Int32Array(corners.length);
-  const cut = [], drawn = new Uint32Array(corners.length);
-  const same = (a, b) => normals[a] === normals[b] && (!uvs || (uvs[2 * a] === uvs[2 * b] && uvs[2 * a + 1] === uvs[2 * b + 1]));
-  for (let corner = 0; corner < corners.length; corner++) {
-    let found = first[corners[corner]]; // of the vertices that this one of the sequence has been cut into
-    while (found >= 0 && !same(cut[found], corner)) found = next[found];
-    if (found < 0) {
-      found = cut.push(corner) - 1;
-      next[found] = first[corners[corner]];
-      first[corners[corner]] = found;
-    }
-    drawn[corner] = found;
-  }
+  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence), normals = edges ? byFirstUse(edges).numbers : corners;
+  const { numbers: drawn, firsts: cut } = byFirstUse(corners, ...(edges ? [normals] : []), ...(uvs ? [axisOf(uvs, 0), axisOf(uvs, 1)] : []));
   return {
     triangles: triangulated(counts, drawn),
     vertices: Uint32Array.from(cut, (corner) => corners[corner]),
@@ -30,10 +18,26 @@ export function drawnMesh(sequence) {
   };
 }
 
-/** Numbers 0, 1, 2, ... as they come, equal where these are. */
-function byFirstUse(numbers) {
-  const known = new Map();
-  return numbers?.map((number) => known.get(number) ?? known.set(number, known.size).size - 1);
+const axisOf = (uvs, axis) => Float32Array.from({ length: uvs.length / 2 }, (_, corner) => uvs[2 * corner + axis]);
+
+/**
+ * The `numbers` 0, 1, 2, ... of rows as they come, equal where these are, and where each is at first, `firsts`. Rows are given
+ * column by column. One column after the other is joined to those before, so that it takes the same time whatever they are.
+ */
+function byFirstUse(...columns) {
+  let numbers = null, firsts = [];
+  for (const column of columns) {
+    const width = firsts.length, ids = new Map(), known = new Map(), joined = new Uint32Array(column.length);
+    firsts = [];
+    for (let row = 0; row < joined.length; row++) {
+      let id = ids.get(column[row]);
+      if (id === undefined) ids.set(column[row], (id = ids.size));
+      const key = numbers ? id * width + numbers[row] : id; // below 2^53, as both are below 2^26
+      joined[row] = known.get(key) ?? known.set(key, firsts.push(row) - 1).get(key);
+    }
+    numbers = joined;
+  }
+  return { numbers, firsts };
 }
 
 /** Take the positions of cut vertices from those of the sequence. */

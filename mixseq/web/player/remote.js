@@ -1,12 +1,14 @@
 // A sequence that is decoded in a Worker, while the page goes on.
 import { MixseqError } from "../decoder/errors.js";
+import { open } from "../decoder/sequence.js";
+import { drawnMesh } from "./drawn_mesh.js";
 import { COPIED, GIVEN_AWAY, NAME } from "./worker.js";
 
 /**
  * Open a sequence in a Worker: `text` and `streams` as for `open`. `address` is that of a module that has `player/worker.js`
  * in it, by default this one.
  *
- * What is returned has the facts of a `Sequence` and its methods, and `uvs`, which return promises here. `decode(told)` decodes all
+ * What is returned has the facts of a `Sequence` and its methods, `uvs`, and `drawn`, what `drawnMesh` makes of it, which return promises here. `decode(told)` decodes all
  * there is, fields first, then chunk by chunk, and tells which share is done; other calls are answered in between.
  * `close()` ends the Worker.
  */
@@ -42,6 +44,34 @@ export async function openRemote(text, streams, address = import.meta.url) {
   } catch (error) {
     close();
     throw error;
+  }
+}
+
+/**
+ * Open a sequence that a Worker decodes and this thread plays, for those who draw at once what they ask for: a `sequence` of which mesh, fields
+ * and the first chunk are decoded, and what `drawnMesh` makes of it, `drawn`. The other chunks follow; who asks for one
+ * before decodes it here, and where no Worker starts all is decoded here.
+ */
+export async function openDecoded(text, streams, address) {
+  const sequence = open(text, streams), remote = await openRemote(text, streams, address).catch(() => null);
+  if (!remote) return { sequence, drawn: drawnMesh(sequence) };
+  try {
+    const [drawn, first] = await Promise.all([remote.drawn(), remote.share(0)]);
+    sequence.take(first);
+    takeOthers(sequence, remote);
+    return { sequence, drawn };
+  } catch (error) {
+    remote.close();
+    throw error;
+  }
+}
+
+async function takeOthers(sequence, remote) {
+  try {
+    for (let number = 1; number < sequence.chunks.length; number++) sequence.take(await remote.share(number));
+  } catch { // who asks for these frames is told what is wrong with them
+  } finally {
+    remote.close();
   }
 }
 

@@ -1,12 +1,13 @@
 // The decoder in a Worker: does what `player/remote.js` asks it for, one thing after the other.
 import { open } from "../decoder/sequence.js";
 import { uvsOf } from "../decoder/surface.js";
+import { drawnMesh } from "./drawn_mesh.js";
 
 /** The name of Workers that decode. */
 export const NAME = "mixseq";
 
 /** Methods of a sequence that can be called. */
-export const COPIED = ["polygons", "triangles", "fields", "load"];
+export const COPIED = ["polygons", "triangles", "fields", "load", "share", "drawn"];
 
 /** Those whose results are made anew, and given away. */
 export const GIVEN_AWAY = ["uvs", "weights", "residuals", "at", "frame"];
@@ -19,6 +20,7 @@ export function serve(port) {
     if (method === "open") sequence = open(...given);
     if (method === "begin") sequence.fields();
     if (method === "uvs") return uvsOf(sequence);
+    if (method === "drawn") return drawnMesh(sequence);
     if (COPIED.includes(method) || GIVEN_AWAY.includes(method)) return sequence[method](...given);
     const { streams, ...facts } = sequence, sizes = streams.chunks.map(({ coefficients }) => coefficients.length);
     const first = streams.basis.reduce((sum, group) => sum + group.length, streams.connectivity.length);

@@ -6,7 +6,7 @@
 //   const { scene } = await loader.loadAsync("shot.glb"), shots = meshSequences(scene);
 //   ... each frame: for (const shot of shots) shot.update(seconds % shot.duration);
 import { BufferAttribute, BufferGeometry, GLBufferAttribute, Mesh, MeshStandardMaterial } from "three";
-import { drawnMesh, fieldTextures, open, takeNormals, takePositions } from "./mixseq.js";
+import { fieldTextures, openDecoded, takeNormals, takePositions } from "./mixseq.js";
 
 const NAME = "MIXSEQ_mesh_sequence", DRACO = "KHR_draco_mesh_compression";
 
@@ -33,7 +33,7 @@ export class MeshSequencePlugin {
     const materials = primitives.map(({ material }) =>
       material === undefined ? new MeshStandardMaterial({ color: 0xd8d0c4, roughness: 0.8 }) : this.parser.getDependency("material", material));
     const [text, data] = await Promise.all([coding, streams].map(bytes));
-    const sequence = open(new TextDecoder().decode(text), data), drawn = drawnMesh(sequence);
+    const { sequence, drawn } = await openDecoded(new TextDecoder().decode(text), data); // by a Worker
     const mesh = new MeshSequence(sequence, drawn, await Promise.all(materials), polygons);
     mesh.name = this.parser.createUniqueName(name || "sequence");
     return mesh;

@@ -60,6 +60,10 @@ export class Sequence implements Facts {
   frame(number: number, out?: Float32Array): Float32Array;
   /** What is to be added to the fields, null if nothing is. */
   residuals(time: number): Float32Array | null;
+  /** All that is decoded of mesh, fields and a chunk, which can be sent to another thread. */
+  share(chunk: number): unknown;
+  /** Take what `share` of the same sequence made, instead of decoding it. */
+  take(shared: unknown): void;
 }
 
 /** Texture coordinates at the corners, v upwards; null if there are none. */
@@ -112,6 +116,8 @@ export interface RemoteSequence extends Facts {
   triangles(): Promise<Uint32Array>;
   fields(): Promise<Fields>;
   load(chunk: number): Promise<void>;
+  share(chunk: number): Promise<unknown>;
+  drawn(): Promise<DrawnMesh>;
   uvs(): Promise<Float32Array | null>;
   weights(time: number): Promise<Float32Array>;
   residuals(time: number): Promise<Float32Array | null>;
@@ -124,3 +130,6 @@ export interface RemoteSequence extends Facts {
 
 /** Open a sequence in a Worker; `address` is that of mixseq.js, by default found out. */
 export function openRemote(text: string, streams: Uint8Array, address?: string): Promise<RemoteSequence>;
+
+/** Open a sequence that a Worker decodes and this thread plays: mesh, fields and first chunk are decoded, the others follow. */
+export function openDecoded(text: string, streams: Uint8Array, address?: string): Promise<{ sequence: Sequence; drawn: DrawnMesh }>;
