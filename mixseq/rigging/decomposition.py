@@ -65,6 +65,18 @@ def decompose(
         Transposed motions of the bones.
     joints : Joints
     """
+
+    def told(done: int) -> None:
+        progress(done, 2 * rounds + 1, "fitting weights and bones")
+
+    free = free_bones(tracks, labels, most, rounds, told)
+    return _hung(tracks, faces, *free, rounds, lambda done: told(rounds + done))
+
+
+def free_bones(
+    tracks: Float, labels: Index, most: int, rounds: int, told: Callable[[int], None]
+) -> tuple[Binding, Float]:
+    """Find weights, rest positions and motions of bones that know nothing of each other; see `decompose`."""
     labels = merged(tracks, labels, most)
     rest = tracks[:, :3].copy()
     motions = np.stack(
@@ -84,12 +96,8 @@ def decompose(
             motions, _ = move(tracks, binding, motions, Joints.loose(len(motions)))
     loose = Joints.loose(len(motions))
     motions, _ = move(tracks, binding, motions, loose)
-
-    def told(done: int) -> None:
-        progress(done, 2 * rounds + 1, "fitting weights and bones")
-
     binding, motions, _ = _alternated(tracks, binding, motions, loose, exact, rounds, told)
-    return _hung(tracks, faces, *_without_idle(binding, motions), rounds, lambda done: told(rounds + done))
+    return _without_idle(binding, motions)
 
 
 def _alternated(

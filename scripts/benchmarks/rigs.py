@@ -17,7 +17,7 @@ import numpy as np
 import mixseq
 from mixseq.arrays import Float
 from mixseq.rigging.bones import vertex_labels
-from mixseq.rigging.decomposition import decompose
+from mixseq.rigging.decomposition import free_bones
 from mixseq.segmentation import segment
 from mixseq.threads import one_blas_thread
 from scripts.benchmarks.common.animations import animation
@@ -106,10 +106,10 @@ def _free(sequence: mixseq.MeshSequence, bones: int) -> tuple[int, Float]:
         labels = segment(centred, topology, parts=bones)
         of_vertex = vertex_labels(sequence.faces.astype(np.int64), labels, sequence.vertex_count)
         tracks = np.ascontiguousarray(centred.swapaxes(0, 1).reshape(sequence.vertex_count, -1))
-        binding, motions = decompose(tracks, of_vertex, bones, ROUNDS, lambda *told: None)
+        binding, motions = free_bones(tracks, of_vertex, bones, ROUNDS, lambda done: None)
         shown = binding.matrix(len(motions)) @ motions.reshape(4 * len(motions), -1)
     frames = shown.reshape(sequence.vertex_count, -1, 3).swapaxes(0, 1)
-    return len(np.unique(binding.influences[binding.weights > 0])), diagonal * frames + centres[:, None]
+    return len(motions), diagonal * frames + centres[:, None]
 
 
 def _peer(name: str, bones: int) -> Fitted | None:
