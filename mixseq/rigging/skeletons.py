@@ -11,6 +11,7 @@ and those of roots are relative to the world. Sums along the tree lead back, par
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,7 @@ class Skeleton:
         count = len(self.names)
         if not count:
             raise InvalidSequenceError("a skeleton has no bones; one at least is expected")
-        twice = [name for name in dict.fromkeys(self.names) if not name or self.names.count(name) > 1]
+        twice = [name for name, times in Counter(self.names).items() if not name or times > 1]
         if twice:
             raise InvalidSequenceError(f"the name {twice[0]!r} of a bone is empty or occurs twice; rename it")
         parents = np.asarray(self.parents, dtype=np.int64)
