@@ -50,7 +50,7 @@ def with_short_names(script: str) -> str:
     Examples
     --------
     >>> with_short_names("const total = ({ count, sizes: [first] }) => first * count + this.total;")
-    'const a = ({ count:b, sizes: [c] }) => c * b + this.total;'
+    'const c = ({ count:a, sizes: [b] }) => b * a + this.total;'
     """
     tokens = list(_tokens(script))
     roles = _roles(tokens)
