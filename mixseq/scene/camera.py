@@ -35,7 +35,8 @@ class View:
     @property
     def rows(self) -> Float:
         """Rotation ``(3, 3)`` from a Y-up world to the screen: right, up, towards the camera."""
-        a, e = np.radians([remainder(self.azimuth, 360), self.elevation])  # a full turn leaves every bit as it is
+        # without full turns, which are not exact in radians
+        a, e = np.radians([remainder(self.azimuth, 360), self.elevation])
         around = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
         above = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
         return np.asarray(above @ around)
