@@ -8,8 +8,10 @@ every part and frame,
 
 A rigid part needs four of them: three affine functions of the place, and 1. Parts that bend need some more, and what
 is between parts goes to the one that shows it best: clustered principal components [1]_. Parts begin as those that
-motion segmentation finds; in turn, basis vectors are the principal components of the trajectories of a part, and a
-vertex joins the part whose K components leave least of its trajectory. K is what a bound on all vertices takes.
+motion segmentation finds, and as these merged to fewer, those first that move most alike; in turn, basis vectors are
+the principal components of the trajectories of a part, and a vertex joins the part whose components, fewer than it
+takes now, leave least of its trajectory. K is what a bound on all vertices takes, and the parts are those with which
+textures are smallest.
 
 References
 ----------
@@ -29,23 +31,26 @@ from mixseq.errors import InvalidSequenceError, SettingsError
 from mixseq.frame_store import frame_store
 from mixseq.progress import Progress, silent
 from mixseq.public import public
-from mixseq.rigging.bones import vertex_labels
+from mixseq.rigging.bones import merged, vertex_labels
 from mixseq.segmentation import segment
 from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
-_RANKS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-"""Numbers of basis vectors that parts are found for; ours."""
+_FEWER = 2 / 3
+"""Of so many parts those are that are tried next; values here are ours."""
 
-_FURTHER = 2
-"""Parts are found for no more vectors than so many times those of the best; ours."""
+_SHARES = (1 / 2, 3 / 4)
+"""Shares of a part's components, by which vertices are told which part shows them."""
 
 _ROUNDS = 12
-"""Rounds in which vertices join parts; ours."""
+"""Rounds in which vertices join parts."""
 
 _LEFT_OUT = 0.01
-"""What the principal components of the whole mesh may leave out, as a share of the bound; ours."""
+"""What the principal components of the whole mesh may leave out, as a share of the bound."""
+
+_SAME = 0.1
+"""What a vertex does not change its part for, as a share of the bound; rounding of points is below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +191,7 @@ class _Clusters:
 
 
 def _clustered(trajectories: Float, start: Index, bound: float, progress: Progress) -> _Clusters:
-    """Return the parts of trajectories ``(V, 3 T)`` that take fewest numbers, of those found for some ranks."""
+    """Return the parts of trajectories ``(V, 3 T)`` that take fewest numbers, of some."""
     whole = _directions(trajectories, _LEFT_OUT * bound)
     tracks = trajectories @ whole.T
 
@@ -198,12 +203,18 @@ def _clustered(trajectories: Float, start: Index, bound: float, progress: Progre
         return _Clusters(parts, whole, own)
 
     best = clusters(np.zeros_like(start))  # a single part
-    for number, rank in enumerate(_RANKS):
-        progress(number, len(_RANKS), "finding parts of low rank")
-        if rank > min(_FURTHER * best.rank, tracks.shape[1]):
-            break
-        best = min(best, clusters(_joined(tracks, start, rank)), key=lambda each: each.size)
-    progress(len(_RANKS), len(_RANKS), "finding parts of low rank")
+    parts, all_parts = start, len(np.unique(start))
+    count = all_parts
+    while count > 1:
+        progress(all_parts - count, all_parts, "finding parts of low rank")
+        parts = merged(trajectories, parts, count)
+        found = clusters(parts)
+        joined = [
+            clusters(_joined(tracks, parts, max(4, int(found.rank * share)), bound)) for share in _SHARES
+        ]
+        best = min(best, found, *joined, key=lambda each: each.size)
+        count = int(count * _FEWER)
+    progress(all_parts, all_parts, "finding parts of low rank")
     return best
 
 
@@ -224,19 +235,20 @@ def _directions(rows: Float, least: float) -> Float:
     return np.asarray(directions)
 
 
-def _joined(tracks: Float, start: Index, rank: int) -> Index:
+def _joined(tracks: Float, parts: Index, rank: int, bound: float) -> Index:
     """Let every vertex join the part that leaves least of it with so many vectors, in turn."""
-    parts = np.unique(start, return_inverse=True)[1].reshape(-1)
     squares = np.square(tracks).sum(axis=1)
     for _ in range(_ROUNDS):
         left = np.stack(
             [
-                squares - np.square(tracks @ _directions(tracks[parts == part], 0.0)[:rank].T).sum(axis=1)
+                squares
+                - np.square(tracks @ _directions(tracks[parts == part], _SAME * bound)[:rank].T).sum(axis=1)
                 for part in range(int(parts.max(initial=0)) + 1)
             ]
         )
         nearer = left.argmin(axis=0)
-        stays = left[parts, np.arange(len(parts))] <= left[nearer, np.arange(len(parts))] + 1e-12 * squares
+        vertices = np.arange(len(parts))
+        stays = left[parts, vertices] <= left[nearer, vertices] + (_SAME * bound) ** 2
         joined = np.where(stays, parts, nearer)
         if np.array_equal(joined, parts):
             break

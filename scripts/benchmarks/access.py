@@ -16,7 +16,6 @@ from pathlib import Path
 import mixseq
 from scripts.benchmarks.common.animations import animation
 from scripts.benchmarks.common.timing import repeated
-from scripts.benchmarks.common.varied import varied
 
 BOUND = 1e-3
 NAMES = ("abc_dembones_bone", "horse_gallop x16", "q_wolf_gallop x15")
@@ -40,8 +39,7 @@ def main() -> int:
 
 def measure(name: str) -> bool:
     """Print a row; return whether the bound holds."""
-    base, _, loops = name.partition(" x")
-    sequence = varied(animation(base), int(loops)) if loops else animation(base)
+    sequence = animation(name)
     time = float(sequence.times[len(sequence) // 2])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "model.h5")

@@ -29,7 +29,6 @@ from scripts.benchmarks.common.rate_report import Measured, sequence_section, su
 from scripts.benchmarks.common.rates import Point, errors
 from scripts.benchmarks.common.report import origin
 from scripts.benchmarks.common.timing import repeated
-from scripts.benchmarks.common.varied import varied
 from scripts.benchmarks.peers.bones import Bones
 from scripts.benchmarks.peers.caches import Cache
 from scripts.benchmarks.peers.coder import Coder
@@ -99,7 +98,7 @@ def main() -> int:
 
 def measure(name: str, coders: Iterable[Coder]) -> tuple[Measured, list[str]]:
     """Run all coders on a sequence; those that fail are named, with the reason."""
-    sequence = _sequence(name)
+    sequence = animation(name)
     points: dict[str, list[Point]] = {}
     failures = []
     for coder in coders:
@@ -132,11 +131,6 @@ def operating_point(coder: Coder, sequence: mixseq.MeshSequence, setting: Any) -
 
 def _mesh(sequence: mixseq.MeshSequence) -> mixseq.Topology:
     return mixseq.Topology(sequence.faces, sequence.vertex_count)
-
-
-def _sequence(name: str) -> mixseq.MeshSequence:
-    base, _, loops = name.partition(" x")
-    return varied(animation(base), int(loops)) if loops else animation(base)
 
 
 def _names(words: Sequence[str]) -> list[str]:

@@ -1,19 +1,21 @@
 """Vertex animation textures, plain and of low rank: bytes as PNG with 16 bits and on the card, errors, time.
 
-Usage: scripts/bench textures [NAME ...]   (some of the animations in $MIXSEQ_DATA/npz; three by default)
+`NAME xN` repeats an animation N times, with variation.
+
+Usage: scripts/bench textures [NAME ...]   (some of the animations in $MIXSEQ_DATA/npz; five by default)
 """
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import mixseq
+from scripts.benchmarks.common.animations import animation
 
-NAMES = ("q_man_run", "robotexpressive_dance", "abc_dembones_bone")
+NAMES = ("q_man_run", "robotexpressive_dance", "abc_dembones_bone", "q_wolf_gallop x10", "horse_gallop x8")
 ERRORS = (None, 1e-3, 1e-4)
 
 
@@ -30,9 +32,8 @@ def main() -> int:
         "seconds (processor)",
     )
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    folder = Path(os.environ["MIXSEQ_DATA"]) / "npz"
     for name in sys.argv[1:] or NAMES:
-        sequence = mixseq.read(folder / f"{name}.npz")
+        sequence = animation(name)
         plain = (0, 0)
         for error in ERRORS:
             with tempfile.TemporaryDirectory() as place:

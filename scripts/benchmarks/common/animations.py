@@ -11,11 +11,14 @@ import mixseq
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
+from scripts.benchmarks.common.varied import varied
 
 
 def animation(name: str) -> mixseq.MeshSequence:
-    """Read one of them."""
-    return mixseq.read(Path(os.environ.get("MIXSEQ_DATA", ""), "npz", f"{name}.npz"))
+    """Read one of them; `NAME xN` repeats it so often, with variation."""
+    base, _, loops = name.partition(" x")
+    sequence = mixseq.read(Path(os.environ.get("MIXSEQ_DATA", ""), "npz", f"{base}.npz"))
+    return varied(sequence, int(loops)) if loops else sequence
 
 
 def subdivided(sequence: mixseq.MeshSequence) -> tuple[FloatArray, IntArray]:
