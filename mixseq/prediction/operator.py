@@ -38,6 +38,9 @@ WINDOW = 48
 LEFT_OUT = 96
 """So many frames, evenly spread, are left out at most."""
 
+ROUNDING = 2.0**-30
+"""Frames are whole steps apart if they are but for this share of a step."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -125,17 +128,18 @@ class Operator:
         weights = np.ones(frames.shape)
         if frames.shape[1] == 1:
             return weights
-        # Times that see the same frames share a system.
-        for some in np.split(
-            np.arange(len(times)), np.flatnonzero((np.diff(frames, axis=0) != 0).any(axis=1)) + 1
-        ):
-            if len(some):
-                knots = self.times[frames[some[0]]]
-                at, wanted = (knots - knots[0]) / step, (times[some] - knots[0]) / step
-                if cubic or np.isinf(self.length):
-                    weights[some] = spline_weights(at, wanted, "not-a-knot" if cubic else "natural")
-                else:
-                    weights[some] = _kriging(at, wanted, self.length)
+        firsts = self.times[frames[:, :1]]
+        windows, systems = np.unique(
+            _whole_where_nearly((self.times[frames] - firsts) / step), axis=0, return_inverse=True
+        )
+        wanted = (times - firsts[:, 0]) / step
+        # Times that see frames at the same distances share a system: nearly all, if frames are evenly spaced.
+        for system, knots in enumerate(windows):
+            some = systems.reshape(-1) == system
+            if cubic or np.isinf(self.length):
+                weights[some] = spline_weights(knots, wanted[some], "not-a-knot" if cubic else "natural")
+            else:
+                weights[some] = _kriging(knots, wanted[some], self.length)
         return weights
 
 
@@ -171,6 +175,14 @@ def with_middles(times: Float) -> Float:
     both = np.empty(2 * len(times) - 1)
     both[::2], both[1::2] = times, (times[:-1] + times[1:]) / 2
     return both
+
+
+def _whole_where_nearly(knots: Float) -> Float:
+    """Return knots ``(N, m)``, in steps from the first, as whole numbers in rows that are but for rounding."""
+    whole = np.rint(knots)
+    nearly = (np.abs(knots - whole) <= ROUNDING).all(axis=1, keepdims=True)
+    apart = (np.diff(whole, axis=1) > 0).all(axis=1, keepdims=True)
+    return np.where(nearly & apart, whole, knots)
 
 
 def _kriging(knots: Float, times: Float, length: float) -> Float:

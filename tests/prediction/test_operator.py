@@ -98,6 +98,31 @@ def test_shorter_lengths_overshoot_less() -> None:
     assert over[-1] < 0.8 * over[0]
 
 
+@pytest.mark.parametrize("length", [np.inf, 2.0])
+def test_frames_that_are_evenly_spaced_share_a_system(length: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are, and wherever they begin: what is solved is the same but for rounding."""
+    sizes = []
+    name = "spline_weights" if np.isinf(length) else "_kriging"
+    solve = getattr(module, name)
+
+    def counted(knots: Float, times: Float, *given: object) -> object:
+        sizes.append(len(times))
+        return solve(knots, times, *given)
+
+    monkeypatch.setattr(module, name, counted)
+    frames, between = np.arange(200.0), np.linspace(0, 199, 301)
+    whole = Operator(frames, length, NATURAL).at(between)
+    moved = Operator(7.3 + frames / 24, length, NATURAL).at(7.3 + between / 24)
+    assert sizes == [301, 301]
+    np.testing.assert_allclose(moved.weights, whole.weights, atol=1e-9)
+
+
+def test_frames_that_are_nearly_at_one_time_stay_two() -> None:
+    times = np.array([0.0, 2.0**-40, 2.0, 3.0])
+    found = Operator(times, np.inf, NATURAL).at(np.array([0.5, 2.5])).of(times[:, None])
+    np.testing.assert_allclose(found[:, 0], [0.5, 2.5], atol=1e-6)
+
+
 @settings(max_examples=10, deadline=None)
 @given(shift=st.floats(-1e3, 1e3), scale=st.floats(1e-3, 1e3), length=st.sampled_from(LENGTHS))
 def test_units_of_time_do_not_matter(shift: float, scale: float, length: float) -> None:
