@@ -3,6 +3,9 @@
 Everything that is done frame by frame goes through an *executor*: a function of something shared (a model, a
 space) and of an item (a block of frames). What does the work, the caller's thread, several threads, or the workers
 of a cluster, is chosen by the caller; the function knows nothing of it, and the same item has the same result.
+
+Where each piece of work needs the one before, as in a stream of bits, it can still be done beside something else: that
+is `InTurn`.
 """
 
 from __future__ import annotations
@@ -15,6 +18,9 @@ from typing import Protocol, TypeVar
 
 from mixseq.errors import MixseqError, SettingsError
 from mixseq.threads import one_blas_thread
+
+_AHEAD = 4
+"""So many pieces of work wait for `InTurn` at most: what they hold stays small."""
 
 Shared = TypeVar("Shared")
 Item = TypeVar("Item")
@@ -76,6 +82,39 @@ def on_threads(count: int | None = None) -> Executor:
                     future.cancel()
 
     return work
+
+
+class InTurn:
+    """One thread, on which one piece of work after the other is done; the caller's if `thread_count` is 1.
+
+    Examples
+    --------
+    >>> found, turns = [], InTurn()
+    >>> for number in range(5):
+    ...     turns.take(lambda number=number: found.append(number))
+    >>> turns.wait()
+    >>> found
+    [0, 1, 2, 3, 4]
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1) if thread_count() > 1 else None
+        self._waiting: deque[Future[None]] = deque()
+
+    def take(self, work: Callable[[], None], large: bool = True) -> None:
+        """Do a piece of work after those that were given before it; at once if it is not `large`."""
+        if self._pool is None or not large:
+            self.wait()
+            work()
+            return
+        if len(self._waiting) >= _AHEAD:
+            self._waiting.popleft().result()
+        self._waiting.append(self._pool.submit(work))
+
+    def wait(self) -> None:
+        """Return when all of it is done; an error of it is raised here, or when more is given."""
+        while self._waiting:
+            self._waiting.popleft().result()
 
 
 def _check_process(process: int) -> None:

@@ -4,6 +4,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from mixseq import threads
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
-from mixseq.mapping import on_threads, serially, thread_count
+from mixseq.mapping import InTurn, on_threads, serially, thread_count
 from mixseq.signals import fit
 from mixseq.threads import one_blas_thread
 from tests.forking import in_a_fork
@@ -92,6 +93,34 @@ def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
             thread_count()
     monkeypatch.setenv("MIXSEQ_THREADS", "1")
     assert on_threads() is serially
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+def test_work_in_turn_is_done_in_its_order(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MIXSEQ_THREADS", threads)
+    turns, done = InTurn(), list[tuple[int, bool]]()
+    here = threading.current_thread()
+
+    def work(number: int) -> None:
+        time.sleep(0.002 * (number % 3))
+        done.append((number, threading.current_thread() is here))
+
+    for number in range(20):
+        turns.take(partial(work, number), large=number % 5 != 0)
+        if number % 5 == 0:
+            assert len(done) == number + 1
+    turns.wait()
+    assert [number for number, _ in done] == list(range(20))
+    assert [mine for _, mine in done] == [threads == "1" or number % 5 == 0 for number in range(20)]
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_errors_of_work_in_turn_are_raised(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MIXSEQ_THREADS", threads)
+    turns = InTurn()
+    with pytest.raises(ZeroDivisionError):
+        turns.take(lambda: print(1 // 0))
+        turns.wait()
 
 
 @pytest.mark.parametrize("velocities", [False, True])

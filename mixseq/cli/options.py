@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -308,14 +309,29 @@ def workers_options(command: Command) -> Command:
 
 def _workers(threads: int | None, address: str | None) -> AbstractContextManager[Executor]:
     if address is None:
-        from mixseq.mapping import on_threads
-
-        return nullcontext(on_threads(threads))
+        return _on_threads(threads)
     if threads is not None:
         raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
     from mixseq.cluster import cluster
 
     return cluster(address)
+
+
+@contextmanager
+def _on_threads(count: int | None) -> Iterator[Executor]:
+    """Work on so many threads meanwhile, also where nobody is told of the executor."""
+    from mixseq.mapping import on_threads
+
+    before = os.environ.get("MIXSEQ_THREADS")
+    if count is not None:
+        os.environ["MIXSEQ_THREADS"] = str(count)
+    try:
+        yield on_threads()
+    finally:
+        if count is not None:
+            os.environ.pop("MIXSEQ_THREADS")
+        if before is not None:
+            os.environ["MIXSEQ_THREADS"] = before
 
 
 def _those_given(options: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,6 +45,27 @@ def rows(text: str) -> dict[str, str]:
 def small(run: Run, folder: Path) -> Path:
     succeed(run("encode", "bar.npz", "small.h5", "--max-error", "0.001", "-q"))
     return folder / "small.h5"
+
+
+@pytest.mark.parametrize("before", [None, "2"])
+def test_threads_are_as_many_as_were_asked_for(
+    run: Run, small: Path, before: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of what is given no executor, as long as the command runs; files are the same."""
+    monkeypatch.delenv("MIXSEQ_THREADS", raising=False)
+    if before is not None:
+        monkeypatch.setenv("MIXSEQ_THREADS", before)
+    asked = []
+
+    def count() -> int:
+        asked.append(os.environ["MIXSEQ_THREADS"])
+        return 3
+
+    monkeypatch.setattr("mixseq.mapping.thread_count", count)
+    succeed(run("encode", "bar.npz", "again.h5", "--max-error", "0.001", "--threads", "3", "-q"))
+    assert set(asked) == {"3"}
+    assert os.environ.get("MIXSEQ_THREADS") == before
+    assert (small.parent / "again.h5").read_bytes() == small.read_bytes()
 
 
 def damage(path: Path, stream: Callable[[StreamIndex], Stream]) -> None:

@@ -105,11 +105,13 @@ class Predictor:
         The signal in work, in nodes' order, in steps / UNIT.
     steps : (N,) int64
         Of what its numbers are multiples, in steps / UNIT.
+    searched : int
+        When so many signals are known, neighbours change.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1) -> None:
         self._plain = graph
-        self._coordinates, self._searched = coordinates, SEARCHED * coordinates
+        self._coordinates, self.searched = coordinates, SEARCHED * coordinates
         self._known, self._due = 0, 1
         self._signals: list[Float] = []  # all, until similar nodes are looked for
         self._pending: list[Float] = []  # those that the weights do not know yet
@@ -137,12 +139,12 @@ class Predictor:
         self._pending.append(signal)
         if known == EQUAL * self._coordinates and not self._plain.over_time:
             self.steps = finer_steps(len(self.steps))
-        if known <= self._searched:
+        if known <= self.searched:
             self._signals.append(signal)
-        if known == self._searched:
+        if known == self.searched:
             self._join_similar()
         # Weights are renewed ever more rarely, as they change less.
-        if known == self._searched or known >= self._due:
+        if known == self.searched or known >= self._due:
             self._renew()
             self._due = known + max(1, known >> SELDOM)
 

@@ -19,6 +19,8 @@ Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``); 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mixseq.arrays import Float, Index
@@ -27,9 +29,10 @@ from mixseq.coding.bitstream import signal_kernels as kernels
 from mixseq.coding.bitstream.bit_models import BitModels, bit_models
 from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_check, without_check
 from mixseq.coding.bitstream.predictor import Predictor
-from mixseq.coding.bitstream.predictor_kernels import UNIT
+from mixseq.coding.bitstream.predictor_kernels import UNIT, Small
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.errors import FormatError
+from mixseq.mapping import InTurn
 
 MARGINS: Float = np.interp(np.arange(kernels.LEVELS), [2, 6, 10, 14], [0.15, 0.25, 0.38, 0.45])
 """Numbers are rounded up from 1 - margin, by the level of their expected size: towards zero, which costs fewer bits
@@ -39,15 +42,37 @@ _ROOM = 16
 """Bytes that a number takes at most. Free: memory is taken ahead."""
 
 
+_MANY = 512
+"""Fewer numbers are coded at once: to hand them over takes as long. Free: a matter of time."""
+
+Contexts = tuple[BitModels, int, Small, Small, Index, Index, Index]
+
+
 class Writer:
-    """Collects bits; `finish` makes bytes of them."""
+    """Collects bits; `finish` makes bytes of them.
+
+    Numbers are coded in the order in which they are given, on a thread of their own: whoever gives them goes on, and
+    predicts the next ones.
+    """
 
     def __init__(self) -> None:
         self._coded = arithmetic.to_write(1 << 12)
         self._check = 0
+        self._turns = InTurn()
 
     def room(self, numbers: int) -> arithmetic.Coded:
         """Return where to write so many numbers."""
+        self._turns.wait()
+        return self._with_room(numbers)
+
+    def code(self, contexts: Contexts, numbers: Index) -> None:
+        """Write numbers ``(N,)`` in their contexts, as `signal_kernels.code_numbers` takes them."""
+        count = len(numbers)
+        self._turns.take(
+            lambda: kernels.code_numbers(self._with_room(count), *contexts, numbers), count >= _MANY
+        )
+
+    def _with_room(self, numbers: int) -> arithmetic.Coded:
         self._coded = arithmetic.with_room(self._coded, _ROOM * (numbers + 1))
         return self._coded
 
@@ -57,11 +82,14 @@ class Writer:
 
     def finish(self) -> bytes:
         """Return everything that was written."""
+        self._turns.wait()
         return with_check(arithmetic.written(self._coded), self._check)
 
 
 class Reader:
     """Reads what a `Writer` wrote, in the same order, with models that learned the same.
+
+    What follows from numbers is worked out on a thread of its own, while the next ones are read.
 
     Parameters
     ----------
@@ -73,6 +101,7 @@ class Reader:
         data, self._expected = without_check(data)
         self._coded = arithmetic.to_read(data)
         self._check = 0
+        self._turns = InTurn()
 
     def bits(self) -> arithmetic.Coded:
         """Return where to read.
@@ -90,6 +119,14 @@ class Reader:
         """Add values to what was found."""
         self._check = check_of(values, self._check)
 
+    def take(self, work: Callable[[], None], numbers: int) -> None:
+        """Work with so many numbers that were read, after what was given before."""
+        self._turns.take(work, numbers >= _MANY)
+
+    def wait(self) -> None:
+        """Return when all of that is done."""
+        self._turns.wait()
+
     def finish(self) -> None:
         """Make sure that what was read is what was written.
 
@@ -98,6 +135,7 @@ class Reader:
         FormatError
             If it is not.
         """
+        self.wait()
         refuse_others(self._check, self._expected)
 
 
@@ -131,10 +169,24 @@ class SignalCoder:
 
     def write(self, writer: Writer, targets: Float) -> Float:
         """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
-        self._code(
-            writer.room(self._graph.size), UNIT * np.asarray(targets, dtype=np.float64)[self._graph.order]
+        predictor, numbers = self._predictor, np.empty_like(self._numbers)
+        kernels.round_off(
+            UNIT * np.asarray(targets, dtype=np.float64)[self._graph.order],
+            MARGINS,
+            predictor.neighbours,
+            predictor.counts,
+            predictor.weights,
+            predictor.steps,
+            self._activity,
+            self._around,
+            numbers,
+            predictor.values,
         )
-        return self._finished(writer)
+        writer.code(self._contexts(), numbers)
+        self._count(numbers)
+        values = np.empty(self._graph.size)
+        self._learn(writer, values)
+        return values
 
     def read(self, reader: Reader) -> Float:
         """Return the values ``(N,)`` in steps of the next signal.
@@ -144,34 +196,55 @@ class SignalCoder:
         FormatError
             If the stream ends early.
         """
-        self._code(reader.bits(), np.zeros(0))
-        return self._finished(reader)
+        values = self.read_ahead(reader)
+        reader.wait()
+        return values
 
-    def _code(self, coded: arithmetic.Coded, targets: Float) -> None:
+    def read_ahead(self, reader: Reader) -> Float:
+        """Return an array ``(N,)`` in which the values in steps of the next signal are when the reader is finished.
+
+        Raises
+        ------
+        FormatError
+            If the stream ends early.
+        """
+        predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
+        kernels.code_numbers(reader.bits(), *self._contexts(), numbers)
+        self._count(numbers)
+
+        def learn() -> None:
+            kernels.add_predictions(
+                numbers,
+                predictor.neighbours,
+                predictor.counts,
+                predictor.weights,
+                predictor.steps,
+                predictor.values,
+            )
+            self._learn(reader, values)
+
+        reader.take(learn, len(numbers))
+        if self._known == predictor.searched:  # numbers to come have other neighbours
+            reader.wait()
+        return values
+
+    def _contexts(self) -> Contexts:
+        """What `signal_kernels.code_numbers` needs. Nothing of it is changed later but the models."""
         predictor = self._predictor
-        kernels.code_signal(
-            coded,
-            self._models.bits,
-            self._known,
-            targets,
-            MARGINS,
-            predictor.neighbours,
-            predictor.counts,
-            predictor.weights,
-            predictor.values,
-            predictor.steps,
-            self._numbers,
-            self._activity,
-            self._around,
-        )
+        sizes = self._activity, self._around, self._numbers
+        return self._models.bits, self._known, predictor.neighbours, predictor.counts, *sizes
 
-    def _finished(self, stream: Writer | Reader) -> Float:
-        values = np.empty(self._graph.size)
+    def _count(self, numbers: Index) -> None:
+        """Note which numbers the newest signal has."""
+        graph = self._graph
+        self._numbers = numbers
+        self._activity, self._around = kernels.sizes_after(
+            numbers, graph.ring, graph.ring_starts, self._activity
+        )
+        self._known += 1
+
+    def _learn(self, stream: Writer | Reader, values: Float) -> None:
+        """Write the values ``(N,)`` of the newest signal, and learn from them."""
         values[self._graph.order] = self._predictor.values / UNIT
         stream.checked(self._predictor.values)
-        kernels.learn_sizes(
-            self._numbers, self._graph.ring, self._graph.ring_starts, self._activity, self._around
-        )
         self._predictor.finish()
-        self._known += 1
-        return values

@@ -1,4 +1,7 @@
-"""The compiled loop of `mixseq.coding.bitstream.signal_coder`: one signal, node by node, written or read alike.
+"""Compiled loops of `mixseq.coding.bitstream.signal_coder`: numbers of one signal, node by node, written or read alike.
+
+What numbers say and what values they make are loops of their own, so that they can go on at the same time: a number is
+coded in contexts of other numbers, and no value is needed for it.
 
 Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``). All that decides is whole numbers, but
 for the sums of `predictor_kernels.predict`, which are rounded.
@@ -7,6 +10,8 @@ for the sums of `predictor_kernels.predict`, which are rounded.
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.arithmetic import Coded, code_number
@@ -46,22 +51,18 @@ _LARGEST = 1 << 40
 
 
 @compiled
-def code_signal(
+def code_numbers(
     coded: Coded,
     models: BitModels,
     age: int,
-    targets: Float,
-    margins: Float,
     neighbours: Small,
     counts: Small,
-    weights: Float,
-    values: Index,
-    steps: Index,
-    numbers: Index,
     activity: Index,
     around: Index,
+    before: Index,
+    numbers: Index,
 ) -> None:
-    """Write or read a signal: a number for every node, and the value that it makes.
+    """Write or read the numbers of a signal, one for every node.
 
     Parameters
     ----------
@@ -69,52 +70,101 @@ def code_signal(
         Bytes, and what is known of bits.
     age : int
         How many signals were before.
-    targets : (N,) float64
-        The signal in 1 / `UNIT` steps, if it is written.
-    margins : (LEVELS,) float64
-        Numbers are rounded up from one minus this, by the level of their expected size, if they are written.
-    neighbours, counts, weights
+    neighbours, counts
         Of the predictor.
-    values : (N,) int64
-        Where the signal goes, in 1 / `UNIT` steps.
-    steps : (N,) int64
-        Of what numbers are multiples, in 1 / `UNIT` steps.
-    numbers : (N,) int64
-        Numbers of the signal before, which those of this one replace.
     activity, around : (N,) int64
         Sizes of the numbers of earlier signals, newer ones counting more, here and beside, in 1 / `UNIT` steps.
+    before : (N,) int64
+        Numbers of the signal before.
+    numbers : (N,) int64
+        The numbers, if they are written, else where they go.
     """
     contexts = models.contexts
     age = min(level(age), AGES - 1)
     bits = 0
-    for node in range(len(values)):
+    for node in range(len(numbers)):
         while node >> bits:
             bits += 1
-        count = counts[node]
-        size = activity[node]
-        if count:
-            total = 0
-            for i in range(count):
-                total += min(abs(numbers[neighbours[node, i]]), _LARGEST)
-            size = UNIT * total // count
-        expected = (205 * size + 102 * activity[node] + 38 * around[node]) >> 8
+        size = size_beside(node, neighbours, counts, activity, numbers)
+        expected = expected_size(size, activity[node], around[node])
         here, beside, ring = level(size), level(activity[node]), level(around[node])
-        depth, wanted = min(bits, DEPTHS - 1), level(expected)
+        depth = min(bits, DEPTHS - 1)
         contexts[0] = here * LEVELS + beside
         contexts[1] = beside * LEVELS + ring
         contexts[2] = min(fine_level(expected), CONTEXTS // DEPTHS - 1) * DEPTHS + depth
-        contexts[3] = here * LEVELS + level(UNIT * min(abs(numbers[node]), _LARGEST))
-        contexts[4] = wanted * AGES + age
+        contexts[3] = here * LEVELS + level(UNIT * min(abs(before[node]), _LARGEST))
+        contexts[4] = level(expected) * AGES + age
+        numbers[node] = code_signed(coded, models, numbers[node])
+
+
+@compiled
+def round_off(
+    targets: Float,
+    margins: Float,
+    neighbours: Small,
+    counts: Small,
+    weights: Float,
+    steps: Index,
+    activity: Index,
+    around: Index,
+    numbers: Index,
+    values: Index,
+) -> None:
+    """Predict a signal node by node, and round what is left to numbers ``(N,)``, which make values ``(N,)``.
+
+    Free: only encoders round.
+
+    Parameters
+    ----------
+    targets : (N,) float64
+        The signal in 1 / `UNIT` steps.
+    margins : (LEVELS,) float64
+        Numbers are rounded up from one minus this, by the level of their expected size.
+    neighbours, counts, weights
+        Of the predictor.
+    steps : (N,) int64
+        Of what numbers are multiples, in 1 / `UNIT` steps.
+    activity, around
+        As of `code_numbers`.
+    numbers : (N,) int64
+        Where the numbers go.
+    values : (N,) int64
+        Where the signal goes that a decoder has, in 1 / `UNIT` steps.
+    """
+    for node in range(len(values)):
+        size = size_beside(node, neighbours, counts, activity, numbers)
+        margin = margins[level(expected_size(size, activity[node], around[node]))]
         predicted = predict(node, neighbours, counts, weights, values)
-        number = 0
-        if not coded.decoding:
-            off = targets[node] - predicted
-            number = math.floor(min(abs(off) / steps[node] + margins[wanted], _FARTHEST))
-            if off < 0.0:
-                number = -number
-        number = code_signed(coded, models, number)
-        numbers[node] = number
-        values[node] = predicted + steps[node] * number
+        off = targets[node] - predicted
+        number = math.floor(min(abs(off) / steps[node] + margin, _FARTHEST))
+        numbers[node] = -number if off < 0.0 else number
+        values[node] = predicted + steps[node] * numbers[node]
+
+
+@compiled
+def add_predictions(
+    numbers: Index, neighbours: Small, counts: Small, weights: Float, steps: Index, values: Index
+) -> None:
+    """Write the values ``(N,)`` that numbers ``(N,)`` make."""
+    for node in range(len(values)):
+        values[node] = predict(node, neighbours, counts, weights, values) + steps[node] * numbers[node]
+
+
+@joined
+def size_beside(node: int, neighbours: Small, counts: Small, activity: Index, numbers: Index) -> int:
+    """Return the mean size of the numbers of a node's neighbours, in 1 / `UNIT` steps; its activity if it has none."""
+    if not counts[node]:
+        return activity[node]  # type: ignore[no-any-return]
+    total = 0
+    for i in range(counts[node]):
+        total += min(abs(numbers[neighbours[node, i]]), _LARGEST)
+    return UNIT * total // counts[node]  # type: ignore[no-any-return]
+
+
+@joined
+def expected_size(size: int, activity: int, around: int) -> int:
+    """Return the size that is expected of a number: .80 of those beside, .40 of the activity, .15 of that around."""
+    return (205 * size + 102 * activity + 38 * around) >> 8
 
 
 @joined
@@ -171,13 +221,15 @@ def bit_length(size: int) -> int:
 
 
 @compiled
-def learn_sizes(numbers: Index, ring: Index, starts: Index, activity: Index, around: Index) -> None:
-    """Add the sizes of a signal's numbers to the activity ``(N,)``, and write its means over rings, ``around`` (N,)."""
+def sizes_after(numbers: Index, ring: Index, starts: Index, activity: Index) -> tuple[Index, Index]:
+    """Return the activity ``(N,)`` after a signal's numbers ``(N,)``, and its means over rings ``(N,)``."""
+    after, around = np.empty_like(activity), np.empty_like(activity)
     for node in range(len(numbers)):
         size = UNIT * min(abs(numbers[node]), _LARGEST)
-        activity[node] = (102 * activity[node] + 154 * size) >> 8
+        after[node] = (102 * activity[node] + 154 * size) >> 8
     for node in range(len(numbers)):
         total, first, last = 0, starts[node], starts[node + 1]
         for place in range(first, last):
-            total += activity[ring[place]]
+            total += after[ring[place]]
         around[node] = total // (last - first) if last > first else 0
+    return after, around

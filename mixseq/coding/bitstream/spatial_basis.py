@@ -38,6 +38,7 @@ from mixseq.coding.bitstream.revision_1 import signals as older_signals
 from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
+from mixseq.mapping import on_threads
 
 BasisKind = Literal["trajectories", "shapes"]
 
@@ -62,10 +63,13 @@ def whole(graph: SignalGraph) -> tuple[Part, ...]:
 
 def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
-    return tuple(
-        Part(vertices, part_graph(part, vertices, labels, faces))
-        for part, vertices in enumerate(vertices_of(labels))
-    )
+    return tuple(on_threads()(_part, (labels, faces), enumerate(vertices_of(labels))))
+
+
+def _part(mesh: tuple[Index, NDArray[np.integer]], part: tuple[int, Index]) -> Part:
+    """Return a part with a number and vertices ``(n,)`` of a mesh of labels and triangles."""
+    number, vertices = part
+    return Part(vertices, part_graph(number, vertices, *mesh))
 
 
 def vertices_of(labels: Index) -> list[Index]:
@@ -205,8 +209,9 @@ def read_basis(
             if coder is None:
                 own = part_graph(place, parts[place], labels, faces) if len(ranks) > 1 else graph
                 coder = signals.SignalCoder(own, coordinates, models)
+            read = coder.read if revision == 1 else coder.read_ahead
             for _ in range(group.start, group.stop):
-                vectors[place].append(np.stack([coder.read(reader) for _ in range(coordinates)]))
+                vectors[place] += [read(reader) for _ in range(coordinates)]
             if group.stop < ranks[place]:
                 coders[place] = coder
             del coder

@@ -14,12 +14,15 @@ and so on (Lloyd's iteration).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.encoder.principal_components import PrincipalComponents
+from mixseq.mapping import on_threads
 
 ROUNDS = 5
 """Vertices change their parts so often at most."""
@@ -52,8 +55,10 @@ def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.in
     seen = np.count_nonzero(components.norms > VISIBLE * step * np.sqrt(vertices))
     motion = components.vectors[: min(max(seen, 1), MODES), 0]
     mean_of_neighbours = _mean_of_neighbours(faces, vertices)
+    squares = np.einsum("rv,rv->v", motion, motion)
     for _ in range(ROUNDS):
-        lengths = np.stack([_lengths(motion, labels == part, step) for part in range(number)], axis=1)
+        found = on_threads()(_lengths, _Motion(motion, squares, labels, step), range(number))
+        lengths = np.stack(list(found), axis=1)
         lengths = (lengths + mean_of_neighbours @ lengths) / 2
         changed = lengths.argmin(axis=1)
         sizes = np.bincount(changed, minlength=number)
@@ -63,17 +68,27 @@ def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.in
     return labels
 
 
-def _lengths(motion: Float, inside: NDArray[np.bool_], step: float) -> Float:
-    """Return about how many natural bits the motion ``(R, V)`` of every vertex takes in a part."""
-    own = motion[:, inside]
+class _Motion(NamedTuple):
+    """Motion ``(R, V)`` of the vertices, its squares ``(V,)``, the parts they are in ``(V,)``, and the step."""
+
+    of_vertices: Float
+    squares: Float
+    labels: Index
+    step: float
+
+
+def _lengths(motion: _Motion, part: int) -> Float:
+    """Return about how many natural bits the motion of every vertex takes in a part."""
+    everywhere, unit = motion.of_vertices, motion.step**2
+    own = everywhere[:, motion.labels == part]
     mean = own.mean(axis=1)
     covariance = own @ own.T / own.shape[1] - np.outer(mean, mean)
-    values, directions = linalg.eigh(covariance, subset_by_value=(step**2, np.inf), check_finite=False)
+    values, directions = linalg.eigh(covariance, subset_by_value=(unit, np.inf), check_finite=False)
     # All other directions are as if nothing but rounding happened in them.
-    scores = directions.T @ motion - (directions.T @ mean)[:, None]
-    squares = np.einsum("rv,rv->v", motion, motion) - 2 * (mean @ motion) + mean @ mean
-    explained = (1 - step**2 / (values + step**2)) @ np.square(scores)
-    return np.asarray(((squares - explained) / step**2 + np.log1p(values / step**2).sum()) / 2)
+    scores = directions.T @ everywhere - (directions.T @ mean)[:, None]
+    squares = motion.squares - 2 * (mean @ everywhere) + mean @ mean
+    explained = (1 - unit / (values + unit)) @ np.square(scores, out=scores)
+    return np.asarray(((squares - explained) / unit + np.log1p(values / unit).sum()) / 2)
 
 
 def _mean_of_neighbours(faces: NDArray[np.integer], vertices: int) -> sparse.csr_array:

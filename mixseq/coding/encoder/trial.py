@@ -20,6 +20,7 @@ from mixseq.coding.bitstream.part_labels import write_labels
 from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph
 from mixseq.coding.bitstream.spatial_basis import (
+    Part,
     SpatialBasis,
     assemble_basis,
     coefficient_coders,
@@ -30,6 +31,7 @@ from mixseq.coding.bitstream.spatial_basis import (
 from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents
 from mixseq.frame_store import FrameStore, block_size, blocks_of
+from mixseq.mapping import on_threads
 
 CHUNK, FEWEST = 512, 16
 """A chunk has about so many frames by default, and as few at least."""
@@ -77,8 +79,13 @@ class Candidate:
     ) -> Candidate:
         """Make one with parts by labels ``(V,)``; components of parts with a norm below `least` left out."""
         parts = parts_of(labels, faces) if labels.any() else whole(graph)
-        found = tuple(PartComponents(components, part, least) for part in parts)
+        found = tuple(on_threads()(_components_of, (components, least), parts))
         return cls(components, found, graph, labels, share)
+
+
+def _components_of(known: tuple[PrincipalComponents, float], part: Part) -> PartComponents:
+    components, least = known
+    return PartComponents(components, part, least)
 
 
 @dataclass(frozen=True, eq=False)

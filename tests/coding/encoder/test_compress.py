@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.arrays import Float, FloatArray
+from mixseq.coding.bitstream import signal_coder
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
 from mixseq.coding.encoder.compress import compress
 from mixseq.coding.encoder.search import CLOSE
@@ -265,8 +266,8 @@ print(digest(bar(sides=14, rings=25, frames=9)))
 def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
     folder = Path(__file__).parents[2]
     found = []
-    for threads in ("1", "2"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    for threads in ("1", "2", "3"):
+        names = [f"{each}_NUM_THREADS" for each in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + ["MIXSEQ_THREADS"]
         environment = {**os.environ, **dict.fromkeys(names, threads), "PYTHONHASHSEED": threads}
         run = subprocess.run(
             [sys.executable, "-c", _SCRIPT],
@@ -278,7 +279,18 @@ def test_bytes_are_the_same_in_every_process_on_any_number_of_threads() -> None:
         )
         found.append(run.stdout.strip())
     here = digest(bar(sides=14, rings=25, frames=9))
-    assert found == [here, here]
+    assert found == [here, here, here]
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+def test_bytes_are_the_same_however_much_is_done_at_once(
+    threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence = bar(sides=14, rings=25, frames=9)
+    expected = digest(sequence)
+    monkeypatch.setenv("MIXSEQ_THREADS", threads)
+    monkeypatch.setattr(signal_coder, "_MANY", 1)
+    assert digest(sequence) == expected
 
 
 @dataclass(frozen=True)
