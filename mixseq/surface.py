@@ -1,4 +1,4 @@
-"""What a mesh has besides its faces: texture coordinates, hard edges, face sets, the objects it consists of.
+"""What a mesh has besides its faces: texture coordinates, colours, hard edges, face sets, the objects it consists of.
 
 None of it takes part in any computation: it is carried from file to file, so that a character comes back with its
 textures and materials. The field's terms differ from format to format:
@@ -9,16 +9,18 @@ here                  USD                       Alembic                glTF
 `FaceSet`             GeomSubset                face set               primitive
 `MeshObject`          Mesh                      PolyMesh, SubD         node with a mesh
 `Surface.uvs`         ``primvars:st``           UV parameter           ``TEXCOORD_0``, upside down
+`Surface.colours`     displayColor and Opacity  colour parameter       ``COLOR_0``
 `Surface.hard_edges`  normals, face-varying     normals, face-varying  vertices split by normals
 ====================  ========================  =====================  ==========================
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import FloatArray, Index, IntArray
 from mixseq.errors import InvalidSequenceError
@@ -26,6 +28,11 @@ from mixseq.polygons import Polygons, as_indices, frozen
 from mixseq.renamed import renamed_attributes
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
+
+NO_UV = (0.0, 0.0)
+"""What corners get that have no texture coordinates, beside others that have some."""
+WHITE = (1.0, 1.0, 1.0, 1.0)
+"""What corners get that have no colour, beside others that have one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +57,48 @@ class CornerValues:
         if values.ndim != 2:
             raise InvalidSequenceError(f"values of corners have shape {values.shape}; (n, k) is expected")
 
+    @classmethod
+    def of_corners(cls, values: FloatArray) -> CornerValues:
+        """Make them of the values ``(sum of counts, k)`` of all corners: equal ones are one row."""
+        rows, indices = np.unique(values, axis=0, return_inverse=True)
+        return cls(rows, indices.reshape(-1))
+
     @property
     def at_corners(self) -> FloatArray:
         """The values ``(sum of counts, k)``, one per corner."""
         return self.values[self.indices]
+
+    def taken(self, corners: IntArray) -> CornerValues:
+        """Return the values of some corners, in the order in which these are given."""
+        return CornerValues(self.values, self.indices[corners])
+
+    def at_vertices(self, vertices: IntArray, count: int, default: Sequence[float]) -> NDArray[np.float32]:
+        """Return the values ``(count, k)`` of vertices, each that of its first corner.
+
+        Parameters
+        ----------
+        vertices : (sum of counts,) int
+            Vertex of every corner.
+        count : int
+            Number of vertices.
+        default : sequence of k floats
+            The value of vertices without corners.
+
+        Examples
+        --------
+        >>> corners = CornerValues([[0], [1]], [0, 1, 1])
+        >>> corners.at_vertices(np.array([0, 1, 0]), 3, [-1]).tolist()
+        [[0.0], [1.0], [-1.0]]
+        """
+        values = np.tile(np.asarray(default, dtype=np.float32), (count, 1))
+        values[vertices[::-1]] = self.at_corners[::-1]
+        return values
+
+    def one_per_vertex(self, vertices: IntArray) -> bool:
+        """Whether all corners of a vertex have the same value; `vertices` has that of every corner."""
+        default = np.zeros(self.values.shape[1])
+        own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
+        return np.array_equal(own[vertices], self.at_corners)
 
     def welded(self, vertices: IntArray) -> CornerValues:
         """Return the same values at all corners, where what is equal at a vertex is one row.
@@ -161,6 +206,9 @@ class Surface:
     ----------
     uvs : CornerValues, optional
         Texture coordinates (u, v), v upwards.
+    colours : CornerValues, optional
+        Colours (red, green, blue, alpha), from 0 to 1. They are linear where a file's format says what they are, as
+        glTF and USD do; the numbers of other formats are kept as they are.
     hard_edges : (sum of counts,) int32, optional
         Normals are not stored, because they move with the points. This tells how to compute them: corners with
         the same number share one normal. Without it all corners of a vertex do, and every edge is smooth.
@@ -175,6 +223,7 @@ class Surface:
     """
 
     uvs: CornerValues | None = None
+    colours: CornerValues | None = None
     hard_edges: IntArray | None = None
     face_sets: tuple[FaceSet, ...] = ()
     objects: tuple[MeshObject, ...] = ()
@@ -203,6 +252,7 @@ class Surface:
     def __repr__(self) -> str:
         held = {
             "uvs": self.uvs is not None and str(len(self.uvs.values)),
+            "colours": self.colours is not None and str(len(self.colours.values)),
             "hard_edges": self.hard_edges is not None and "yes",
             "face_sets": self.face_sets and [each.name for each in self.face_sets],
             "objects": self.objects and [each.path or each.name for each in self.objects],
@@ -221,12 +271,11 @@ class Surface:
             If there are more or fewer values than corners, or a face set or an object goes beyond the mesh.
         """
         corners = polygons.indices.size
-        if self.uvs is not None:
-            _check_corners("texture coordinates", self.uvs.indices, corners, len(self.uvs.values))
-            if self.uvs.values.shape[1] != 2:
-                raise InvalidSequenceError(
-                    f"texture coordinates have shape {self.uvs.values.shape}, not (n, 2)"
-                )
+        for what, on, width in (("texture coordinates", self.uvs, 2), ("colours", self.colours, 4)):
+            if on is not None:
+                _check_corners(what, on.indices, corners, len(on.values))
+                if on.values.shape[1] != width:
+                    raise InvalidSequenceError(f"{what} have shape {on.values.shape}, not (n, {width})")
         if self.hard_edges is not None:
             _check_corners("hard edges", self.hard_edges, corners, None)
         for face_set in self.face_sets:

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons
@@ -53,6 +55,32 @@ def test_rows_that_vertices_share_stay_shared() -> None:
     assert welded.values.tolist() == [[1, 2], [3, 4]]
 
 
+def test_values_of_vertices_are_those_of_their_first_corners() -> None:
+    vertices = np.array([0, 1, 2, 2, 1, 4])
+    whole = CornerValues(np.array([[1.0, 2], [3, 4], [5, 6], [7, 8]]), np.array([0, 1, 2, 2, 1, 3]))
+    assert whole.one_per_vertex(vertices)
+    assert whole.at_vertices(vertices, 6, (0, 9)).tolist() == [[1, 2], [3, 4], [5, 6], [0, 9], [7, 8], [0, 9]]
+    seam = CornerValues(whole.values, np.array([0, 1, 2, 3, 1, 3]))
+    assert not seam.one_per_vertex(vertices)
+    assert seam.at_vertices(vertices, 5, (0, 9)).tolist() == [[1, 2], [3, 4], [5, 6], [0, 9], [7, 8]]
+    assert CornerValues(np.zeros((0, 2)), np.zeros(0, int)).one_per_vertex(np.zeros(0, int))
+
+
+@given(st.integers(0, 2**32), st.integers(1, 4))
+def test_corner_values_are_the_same_in_other_rows(seed: int, width: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 3, (20, width)).astype(np.float32)
+    found = CornerValues.of_corners(values)
+    np.testing.assert_array_equal(found.at_corners, values)
+    assert len(np.unique(found.values, axis=0)) == len(found.values)
+    order = rng.permutation(20)[:12]
+    np.testing.assert_array_equal(found.taken(order).at_corners, values[order])
+    # A vertex for each colour, in any order: they have one each, and corners have that of their vertex.
+    vertices = rng.permutation(len(found.values))[found.indices]
+    assert found.one_per_vertex(vertices)
+    np.testing.assert_array_equal(found.at_vertices(vertices, 20, [7] * width)[vertices], values)
+
+
 def test_everything_is_read_only() -> None:
     surface = header(uvs=uvs(), hard_edges=np.arange(7), face_sets=[FaceSet("a", np.array([1, 0]))]).surface
     assert surface.uvs is not None and surface.hard_edges is not None
@@ -76,6 +104,11 @@ def test_a_mesh_is_its_own_object() -> None:
         ({"uvs": uvs(6)}, "6 texture coordinates for 7 corners"),
         ({"uvs": uvs(values=1)}, "texture coordinates of a corner are number 0 to 1 of 1"),
         ({"uvs": CornerValues(np.zeros((2, 3)), np.zeros(7, int))}, r"shape \(2, 3\), not \(n, 2\)"),
+        (
+            {"colours": CornerValues(np.zeros((2, 3)), np.zeros(7, int))},
+            r"colours have shape \(2, 3\), not \(n, 4\)",
+        ),
+        ({"colours": CornerValues(np.zeros((2, 4)), np.zeros(6, int))}, "6 colours for 7 corners"),
         ({"hard_edges": np.zeros(8, int)}, "8 hard edges for 7 corners"),
         ({"hard_edges": -np.arange(7)}, "hard edges of a corner are number -6 to 0"),
         ({"face_sets": [FaceSet("head", np.array([0, 2]))]}, "'head' has polygon 2, but polygons are 0 to 1"),
@@ -95,6 +128,8 @@ def test_a_mesh_is_its_own_object() -> None:
         "few",
         "range",
         "three",
+        "no alpha",
+        "few colours",
         "hard",
         "negative",
         "polygon",

@@ -16,6 +16,7 @@ from mixseq_io.reader import SequenceReader
 from mixseq_io.rounding import Rounding
 
 SINGLE = "float32"
+OF_VERTICES, OPAQUE = "of vertices", "of vertices, opaque"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,8 @@ class Holds:
     uvs, hard_edges, face_sets, objects, units, velocities : bool
         Texture coordinates; hard edges; named sets of polygons; several meshes; up axis and length of a unit;
         velocities of the vertices.
+    colours : bool or str
+        Colours, and of what, if not of corners.
     materials : str
         What becomes of materials.
     """
@@ -44,6 +47,7 @@ class Holds:
     points: str = SINGLE
     times: str = "any"
     uvs: bool = True
+    colours: bool | str = True
     hard_edges: bool = True
     face_sets: bool = True
     objects: bool = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from mixseq_io.format import Format, Holds
+from mixseq_io.format import OF_VERTICES, OPAQUE, Format, Holds
 
 _YES = {True: "yes", False: "no"}
 
@@ -100,7 +100,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="PC2",
         extensions=(".pc2",),
-        holds=Holds(animation="point samples", times="even, rate not told"),
+        holds=Holds(animation="point samples", times="even, rate not told", colours=OPAQUE),
         reader="mixseq_io.pointcache.pc2:open_pc2",
         writer="mixseq_io.pointcache.pc2:write_pc2",
         read_options={"mesh": _MESH, "fps": _FPS},
@@ -109,7 +109,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="MDD",
         extensions=(".mdd",),
-        holds=Holds(animation="point samples", times="float32"),
+        holds=Holds(animation="point samples", times="float32", colours=OPAQUE),
         reader="mixseq_io.pointcache.mdd:open_mdd",
         writer="mixseq_io.pointcache.mdd:write_mdd",
         read_options={"mesh": _MESH},
@@ -117,7 +117,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="OBJ",
         extensions=(".obj",),
-        holds=Holds(animation="a file per frame", points="all digits", times="no"),
+        holds=Holds(animation="a file per frame", points="all digits", times="no", colours=OPAQUE),
         reader="mixseq_io.numbered.obj:open_obj",
         writer="mixseq_io.numbered.obj:write_obj",
         read_options={"fps": _FPS, "allow_gaps": _GAPS},
@@ -151,6 +151,7 @@ FORMATS: tuple[Format, ...] = (
             polygons="triangles",
             times="no",
             uvs=False,
+            colours=False,
             hard_edges=False,
             face_sets=False,
             objects=False,
@@ -171,6 +172,7 @@ FORMATS: tuple[Format, ...] = (
             points="all digits",
             times="no",
             uvs=False,
+            colours=OF_VERTICES,
             hard_edges=False,
             face_sets=False,
             objects=False,

@@ -136,7 +136,8 @@ def _frozen(header: SequenceHeader) -> SequenceHeader:
         polygons=replace(header.polygons),
         surface=replace(
             surface,
-            uvs=None if surface.uvs is None else replace(surface.uvs),
+            uvs=surface.uvs and replace(surface.uvs),
+            colours=surface.colours and replace(surface.colours),
             face_sets=tuple(replace(face_set) for face_set in surface.face_sets),
         ),
     )

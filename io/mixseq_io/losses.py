@@ -11,6 +11,7 @@ from mixseq.frame_numbers import NEAR
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.blocks import warn
+from mixseq_io.colours import within_one
 
 _SCALE = (" up", " metres per unit")
 
@@ -44,12 +45,30 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
     surface = header.surface
     present = {
         "uvs": surface.uvs is not None and "texture coordinates",
+        "colours": surface.colours is not None and "colours",
         "hard_edges": surface.hard_edges is not None and "hard edges",
         "face_sets": bool(surface.face_sets) and "face sets",
         "objects": len(surface.objects) > 1 and f"the names of {len(surface.objects)} objects",
         "subdivision": lost_subdivision(surface),
     }
     return [words for name, words in present.items() if words and name not in held]
+
+
+def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
+    """Return what is lost of colours where they are from 0 to 1, and maybe those of vertices only, or opaque."""
+    colours = header.surface.colours
+    if colours is None:
+        return []
+    lost = {
+        "colours below 0 and above 1 (0 and 1 are written)": not np.array_equal(
+            colours.values, within_one(colours.values)
+        ),
+        "several colours at a vertex (that of its first corner is written)": not (
+            corners or colours.one_per_vertex(header.polygons.indices)
+        ),
+        "the alpha of colours": not (alpha or (colours.values[:, 3] == 1).all()),
+    }
+    return [words for words, is_lost in lost.items() if is_lost]
 
 
 def lost_subdivision(surface: Surface) -> str:

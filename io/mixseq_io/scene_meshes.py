@@ -11,13 +11,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixseq.arrays import Index, IntArray
 from mixseq.coding.renumbering import numbering_of
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
-from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,7 +31,7 @@ class SceneMesh:
         Its vertices among those of the sequence.
     polygons : Polygons
         Its faces; indices count from its own first vertex.
-    uvs, hard_edges, face_sets, subdivision
+    uvs, colours, hard_edges, face_sets, subdivision
         See `Surface`, with indices of its own polygons. A face set of all polygons is a material on the whole mesh.
     """
 
@@ -41,6 +40,7 @@ class SceneMesh:
     vertices: slice | Index
     polygons: Polygons
     uvs: CornerValues | None = None
+    colours: CornerValues | None = None
     hard_edges: IntArray | None = None
     face_sets: tuple[FaceSet, ...] = ()
     subdivision: str = "none"
@@ -98,7 +98,8 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
     first_polygon = np.cumsum([0, *(len(mesh.polygons.counts) for mesh in meshes)])
     usual = Counter(mesh.subdivision for mesh in meshes).most_common(1)[0][0]
     surface = Surface(
-        uvs=_joined_uvs(meshes),
+        uvs=_joined_values(meshes, [mesh.uvs for mesh in meshes], NO_UV),
+        colours=_joined_values(meshes, [mesh.colours for mesh in meshes], WHITE),
         hard_edges=_joined_hard_edges(meshes),
         face_sets=tuple(
             FaceSet(each.name, each.polygons + first, each.material)
@@ -121,19 +122,19 @@ def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, 
     return polygons, surface
 
 
-def _joined_uvs(meshes: Sequence[SceneMesh]) -> CornerValues | None:
-    """Weld the coordinates of every mesh, and put them one after the other; meshes without any get (0, 0)."""
-    if all(mesh.uvs is None for mesh in meshes):
+def _joined_values(
+    meshes: Sequence[SceneMesh], on: Sequence[CornerValues | None], default: Sequence[float]
+) -> CornerValues | None:
+    """Weld what is on every mesh, and put it one after the other; meshes with nothing get the default."""
+    if all(own is None for own in on):
         return None
     values, indices, count = [], [], 0
-    for mesh in meshes:
-        uvs = mesh.uvs or CornerValues(
-            np.zeros((1, 2), dtype=np.float32), np.zeros(mesh.polygons.indices.size, dtype=np.int32)
-        )
-        uvs = uvs.welded(mesh.polygons.indices)
-        values.append(uvs.values)
-        indices.append(uvs.indices + count)
-        count += len(uvs.values)
+    for mesh, own in zip(meshes, on, strict=True):
+        there = own or CornerValues(np.array([default]), np.zeros(mesh.polygons.indices.size, dtype=np.int32))
+        welded = there.welded(mesh.polygons.indices)
+        values.append(welded.values)
+        indices.append(welded.indices + count)
+        count += len(welded.values)
     return CornerValues(np.concatenate(values), np.concatenate(indices))
 
 
@@ -165,7 +166,8 @@ def material_of_the_rest(path: str, polygon_count: int, bound: Iterable[FaceSet]
 def split(header: SequenceHeader) -> list[SceneMesh]:
     """Return the meshes that a sequence joins, in order; their vertices follow each other.
 
-    What `join` gave to meshes that had no texture coordinates or hard edges, beside others that had some, is taken off.
+    What `join` gave to meshes that had no texture coordinates, colours or hard edges, beside others that had some, is
+    taken off.
     """
     surface, polygons = header.surface, header.polygons
     corners = np.concatenate([[0], np.cumsum(polygons.counts)])
@@ -175,10 +177,7 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
         end = polygon + each.polygon_count
         inside = slice(int(corners[polygon]), int(corners[end]))
         own = Polygons(polygons.counts[polygon:end], polygons.indices[inside] - vertex)
-        uvs = None if surface.uvs is None else _used(surface.uvs.values, surface.uvs.indices[inside])
         hard_edges = None if surface.hard_edges is None else _renumbered(surface.hard_edges[inside])
-        if several and uvs is not None and not uvs.values.any():
-            uvs = None
         if several and hard_edges is not None and _is_smooth(own, hard_edges):
             hard_edges = None
         meshes.append(
@@ -187,7 +186,8 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
                 path=each.path,
                 vertices=slice(vertex, vertex + each.vertex_count),
                 polygons=own,
-                uvs=uvs,
+                uvs=_own_values(surface.uvs, inside, NO_UV if several else ()),
+                colours=_own_values(surface.colours, inside, WHITE if several else ()),
                 hard_edges=hard_edges,
                 face_sets=tuple(_inside(surface.face_sets, polygon, end)),
                 subdivision=scheme,
@@ -197,9 +197,13 @@ def split(header: SequenceHeader) -> list[SceneMesh]:
     return meshes
 
 
-def _used(values: NDArray[np.float32], indices: IntArray) -> CornerValues:
-    rows, used = np.unique(indices, return_inverse=True)
-    return CornerValues(values[rows], used)
+def _own_values(joined: CornerValues | None, corners: slice, default: Sequence[float]) -> CornerValues | None:
+    """Return what is at corners, in rows of their own; None if it is nothing but the default."""
+    if joined is None:
+        return None
+    rows, used = np.unique(joined.indices[corners], return_inverse=True)
+    own = CornerValues(joined.values[rows], used)
+    return None if default and (own.values == default).all() else own
 
 
 def _renumbered(hard_edges: IntArray) -> IntArray:

@@ -5,6 +5,8 @@ array                     shape                 meaning
 ========================  ====================  =====================================================
 ``uv_values``             (n, 2) float32        texture coordinates, v upwards
 ``uv_indices``            (corners,) int32      row of ``uv_values`` for every corner of the polygons
+``colour_values``         (n, 4) float32        red, green, blue, alpha, from 0 to 1; or uint8, of which 255 is 1
+``colour_indices``        (corners,) int32      row of ``colour_values`` for every corner
 ``creases``               (corners,) int32      corners with the same number share a normal
 ``face_set_names``        (S,) str              names of the face sets
 ``face_set_materials``    (S,) str              their materials, "" for none
@@ -32,11 +34,13 @@ from numpy.typing import NDArray
 
 from mixseq.errors import InvalidSequenceError
 from mixseq.surface import CornerValues, FaceSet, MeshObject, Origin, Surface
+from mixseq_io.colours import as_bytes, of_bytes
 
 Arrays = dict[str, NDArray[Any]]
 
 _GROUPS = (
     ("uv_values", "uv_indices"),
+    ("colour_values", "colour_indices"),
     ("creases",),
     ("face_set_names", "face_set_materials", "face_set_sizes", "face_set_polygons"),
     ("object_names", "object_paths", "object_sizes"),
@@ -52,6 +56,13 @@ def surface_arrays(surface: Surface) -> Arrays:
     arrays: Arrays = {}
     if surface.uvs is not None:
         arrays |= {"uv_values": surface.uvs.values, "uv_indices": surface.uvs.indices}
+    if surface.colours is not None:
+        values = surface.colours.values
+        exact = as_bytes(values)
+        arrays |= {
+            "colour_values": values if exact is None else exact,
+            "colour_indices": surface.colours.indices,
+        }
     if surface.hard_edges is not None:
         arrays["creases"] = surface.hard_edges
     sets = surface.face_sets
@@ -99,9 +110,13 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = 
         missing = [name for name in group if name not in arrays]
         if missing and len(missing) < len(group):
             raise InvalidSequenceError(f"{', '.join(missing)} of the surface are missing")
-    uvs = None
+    uvs = colours = None
     if "uv_values" in arrays:
         uvs = CornerValues(arrays["uv_values"], _whole_numbers(arrays, "uv_indices"))
+    if "colour_values" in arrays:
+        values = arrays["colour_values"]
+        values = of_bytes(values) if values.dtype == np.uint8 else values
+        colours = CornerValues(values, _whole_numbers(arrays, "colour_indices"))
     origin = None
     if "origin" in arrays:
         if arrays["origin"].size != 2:
@@ -109,6 +124,7 @@ def surface_of_arrays(arrays: Mapping[str, NDArray[Any]], folder: Path | None = 
         origin = _beside(Origin(*map(str, arrays["origin"].reshape(-1))), folder)
     return Surface(
         uvs=uvs,
+        colours=colours,
         hard_edges=_whole_numbers(arrays, "creases") if "creases" in arrays else None,
         face_sets=_face_sets(arrays) if "face_set_names" in arrays else (),
         objects=_objects(arrays) if "object_names" in arrays else (),

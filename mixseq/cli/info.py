@@ -101,6 +101,7 @@ def _surface(header: SequenceHeader) -> dict[str, Any]:
             for each in surface.face_sets
         ],
         "uvs": None if surface.uvs is None else len(surface.uvs.values),
+        "colours": None if surface.colours is None else len(surface.colours.values),
         "creases": surface.hard_edges is not None,
         "subdivision": surface.subdivision,
         "origin": None if surface.origin is None else surface.origin.path,
@@ -189,6 +190,8 @@ def _surface_rows(surface: dict[str, Any]) -> Rows:
         rows.append(("face sets", f"{len(face_sets)}: {_list([each['name'] for each in face_sets])}"))
     if surface["uvs"]:
         rows.append(("texture", f"{surface['uvs']:,} coordinates"))
+    if surface["colours"]:
+        rows.append(("colours", f"{surface['colours']:,}"))
     if surface["creases"]:
         rows.append(("hard edges", "yes"))
     schemes = Counter(each["subdivision"] for each in objects)

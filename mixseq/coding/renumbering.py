@@ -21,7 +21,7 @@ from mixseq.choices import OrderName
 from mixseq.polygon_matching import matched
 from mixseq.polygons import Polygons
 from mixseq.sequence import Frames, MeshSequence, SequenceHeader, header_fields
-from mixseq.surface import CornerValues, FaceSet, Surface, by_first_use
+from mixseq.surface import FaceSet, Surface, by_first_use
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +82,11 @@ class Renumbering:
 
     def _of_surface(self, surface: Surface) -> Surface:
         new = _inverse(self.polygons)
-        uvs, hard_edges = surface.uvs, surface.hard_edges
+        uvs, colours, hard_edges = surface.uvs, surface.colours, surface.hard_edges
         return replace(
             surface,
-            uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[self.corners]),
+            uvs=uvs and uvs.taken(self.corners),
+            colours=colours and colours.taken(self.corners),
             hard_edges=None if hard_edges is None else by_first_use(hard_edges[self.corners]),
             face_sets=tuple(
                 FaceSet(each.name, new[each.polygons], each.material) for each in surface.face_sets

@@ -87,6 +87,31 @@ def test_meshes_keep_what_they_had() -> None:
     assert first.hard_edges is None and second.hard_edges is not None
 
 
+def test_meshes_without_colours_are_white_beside_others() -> None:
+    red = CornerValues(np.array([[1, 0, 0, 1]]), np.zeros(4, int))
+    polygons, surface = join([replace(QUAD, colours=red), PAIR], None)
+    assert surface.colours is not None
+    assert surface.colours.at_corners.tolist() == [[1, 0, 0, 1]] * 4 + [[1, 1, 1, 1]] * 6
+    header = SequenceHeader(polygons=polygons, vertex_count=8, times=np.zeros(1), surface=surface)
+    first, second = split(header)
+    assert first.colours is not None and second.colours is None
+    assert first.colours.at_corners.tolist() == red.at_corners.tolist()
+    alone = SequenceHeader(
+        polygons=QUAD.polygons,
+        vertex_count=4,
+        times=np.zeros(1),
+        surface=replace(
+            surface,
+            objects=(),
+            face_sets=(),
+            uvs=None,
+            hard_edges=None,
+            colours=CornerValues(np.ones((1, 4)), red.indices),
+        ),
+    )
+    assert split(alone)[0].colours is not None  # an only mesh keeps even white
+
+
 @pytest.mark.parametrize(("body", "sword"), [("none", "loop"), ("loop", "none"), ("loop", "bilinear")])
 def test_subdivision_through_arrays(body: str, sword: str) -> None:
     _, surface = join([replace(QUAD, subdivision=body), replace(PAIR, subdivision=sword)], None)

@@ -15,6 +15,7 @@ from mixseq_io.surface_arrays import SURFACE_ARRAYS, Arrays, surface_arrays, sur
 def full() -> Surface:
     return Surface(
         uvs=CornerValues(np.random.default_rng(1).random((5, 2)), np.arange(7) % 5),
+        colours=CornerValues(np.random.default_rng(2).random((3, 4)), np.arange(7) % 3),
         hard_edges=np.arange(7)[::-1],
         face_sets=(
             FaceSet("Hände", np.array([0, 1]), "/Looks/Haut 皮"),
@@ -34,6 +35,9 @@ def test_there_and_back() -> None:
     assert got.uvs is not None and surface.uvs is not None
     np.testing.assert_array_equal(got.uvs.values, surface.uvs.values)
     np.testing.assert_array_equal(got.uvs.indices, surface.uvs.indices)
+    assert got.colours is not None and surface.colours is not None
+    np.testing.assert_array_equal(got.colours.values, surface.colours.values)
+    np.testing.assert_array_equal(got.colours.indices, surface.colours.indices)
     assert got.hard_edges is not None
     assert got.hard_edges.tolist() == [6, 5, 4, 3, 2, 1, 0]
     assert [(each.name, each.polygons.tolist(), each.material) for each in got.face_sets] == [
@@ -47,6 +51,7 @@ def test_there_and_back() -> None:
 def test_nothing_is_nothing() -> None:
     assert surface_arrays(Surface()) == {}
     bare = surface_of_arrays({})
+    assert bare.colours is None
     assert (bare.uvs, bare.hard_edges, bare.face_sets, bare.objects) == (None, None, (), ())
     assert (bare.subdivision, bare.origin) == ("none", None)
 
@@ -59,6 +64,7 @@ def without(*names: str) -> Callable[[Arrays], Arrays]:
     ("change", "message"),
     [
         (without("uv_indices"), "uv_indices of the surface are missing"),
+        (without("colour_values"), "colour_values of the surface are missing"),
         (
             without("face_set_sizes", "face_set_names"),
             "face_set_names, face_set_sizes of the surface are missing",
@@ -70,7 +76,7 @@ def without(*names: str) -> Callable[[Arrays], Arrays]:
         (lambda a: a | {"creases": np.zeros(7)}, "creases of the surface are float64; integers are expected"),
         (lambda a: a | {"origin": np.array(["USD"])}, "not a format and a path"),
     ],
-    ids=["half", "two", "sum", "negative", "columns", "schemes", "floats", "origin"],
+    ids=["half", "no colours", "two", "sum", "negative", "columns", "schemes", "floats", "origin"],
 )
 def test_refusals(change: Callable[[Arrays], Arrays], message: str) -> None:
     with pytest.raises(InvalidSequenceError, match=message):

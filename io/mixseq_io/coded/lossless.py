@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import lzma
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from mixseq.coding.bitstream.decoded_check import check_of, refuse_others, with_
 from mixseq.coding.bitstream.hard_edges import decode_hard_edges, encode_hard_edges
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
-from mixseq.surface import Surface, by_first_use
+from mixseq.surface import WHITE, CornerValues, Surface, by_first_use
 from mixseq_io.memory import gigabytes, max_memory
 from mixseq_io.surface_arrays import surface_arrays, surface_of_arrays
 
@@ -87,11 +88,12 @@ def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
 
     A JSON list of the arrays' names, types and shapes (texts are in it as they are), a zero byte, the arrays' bytes;
     all of it compressed by lzma. With the `mesh` that it is on, hard edges are coded by
-    `mixseq.coding.bitstream.hard_edges`, if they can be: model version 8.
+    `mixseq.coding.bitstream.hard_edges`, if they can be: model version 8. Colours that vertices have, and not corners,
+    are then in the order of the vertices, without indices.
     """
     listed: list[list[Any]] = []
     data = []
-    for name, array in _with_coded_hard_edges(surface, mesh).items():
+    for name, array in _arrays_on(surface, mesh).items():
         if array.dtype.kind == "U":
             listed.append([name, array.tolist()])
         else:
@@ -104,11 +106,20 @@ def pack_surface(surface: Surface, mesh: Mesh | None = None) -> bytes:
     return lzma.compress(b"\0".join([text, b"".join(data)]), lzma.FORMAT_RAW, filters=_FILTERS)
 
 
-def _with_coded_hard_edges(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
+def _arrays_on(surface: Surface, mesh: Mesh | None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a surface; those that follow from the mesh it is on are shorter, or left out."""
+    if mesh is None:
+        return surface_arrays(surface)
+    polygons, vertex_count = mesh
+    corners, colours = polygons.indices, surface.colours
+    of_vertices = colours is not None and colours.one_per_vertex(corners)
+    if colours is not None and of_vertices:
+        values = colours.at_vertices(corners, vertex_count, WHITE)
+        surface = replace(surface, colours=CornerValues(values, corners))
     arrays = surface_arrays(surface)
-    coded = None
-    if mesh is not None and surface.hard_edges is not None:
-        coded = encode_hard_edges(*mesh, surface.hard_edges)
+    if of_vertices:
+        del arrays["colour_indices"]
+    coded = None if surface.hard_edges is None else encode_hard_edges(*mesh, surface.hard_edges)
     if coded is None:
         return arrays
     checked = with_check(coded, check_of(by_first_use(arrays.pop("creases"))))
@@ -139,6 +150,8 @@ def unpack_surface(packed: bytes, folder: Path, mesh: Mesh) -> Surface:
             stream, expected = without_check(coded.tobytes())
             arrays["creases"] = decode_hard_edges(stream, *mesh)
             refuse_others(check_of(arrays["creases"]), expected)
+        if "colour_values" in arrays:
+            arrays.setdefault("colour_indices", mesh[0].indices)
         return surface_of_arrays(arrays, folder)
     except (lzma.LZMAError, ValueError, TypeError, KeyError, IndexError) as error:
         raise FormatError(f"the surface is damaged ({error})") from error
