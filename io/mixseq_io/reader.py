@@ -116,7 +116,7 @@ class SequenceReader(ABC):
             check_memory(self.path, 4 * numbers, f"all its {self.header.frame_count} frames")
 
     def markings(self) -> Markings:
-        """Return what tells parts of the mesh apart: sets of polygons, and colours and joints where they are read."""
+        """Return what tells parts of the mesh apart: sets of polygons, and joints where they are read."""
         return Markings(sets=sets_of(self.header))
 
     def close(self) -> None:

@@ -48,11 +48,21 @@ def dressed() -> MeshSequence:
     )
     surface = Surface(
         uvs=CornerValues(np.random.default_rng(3).random((9, 2)), np.arange(corners + 4) % 9),
+        colours=CornerValues(np.random.default_rng(4).random((7, 4)), np.arange(corners + 4) % 7),
         hard_edges=np.append(np.arange(corners), [12, 13, 14, 15]),
         face_sets=(FaceSet("skin", np.array([0, 2]), "skin"), FaceSet("cloth", np.array([3]), "cloth")),
         objects=(MeshObject("body", "", 8, 3), MeshObject("coat", "", 4, 1)),
     )
     return replace(MeshSequence.from_arrays(wave(vertices=12), polygons), surface=surface)
+
+
+def painted() -> MeshSequence:
+    """Return a mesh with opaque colours of bytes at its vertices."""
+    plain = MeshSequence.from_arrays(wave(), PENTAGON_QUAD_TRIANGLE)
+    channels = np.random.default_rng(5).integers(0, 256, (8, 4))
+    channels[:, 3] = 255
+    colours = CornerValues((channels / 255).astype(np.float32), plain.polygons.indices)
+    return replace(plain, surface=Surface(colours=colours))
 
 
 CASES: dict[str, Callable[[], MeshSequence]] = {
@@ -67,6 +77,7 @@ CASES: dict[str, Callable[[], MeshSequence]] = {
     "unused vertices": lambda: MeshSequence.from_arrays(wave(vertices=9), [[0, 4, 8]]),
     "one frame": lambda: MeshSequence.from_arrays(wave(1), fan()),
     "dressed": dressed,
+    "painted": painted,
     "thousand frames": lambda: MeshSequence.from_arrays(wave(1000, 4), fan(4)),
     "hundred frames": lambda: MeshSequence.from_arrays(wave(100), fan(), fps=29.97),
     "uneven times": lambda: MeshSequence.from_arrays(

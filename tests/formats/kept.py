@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from mixseq.arrays import IntArray
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
+from mixseq.surface import WHITE, CornerValues
+from mixseq_io.format import OPAQUE
 
 
 def assert_kept(target: Any, written: MeshSequence, got: MeshSequence) -> None:
@@ -95,6 +97,15 @@ def assert_surface(
         np.testing.assert_allclose(
             theirs.uvs.at_corners[found], ours.uvs.at_corners[order], rtol=0, atol=1e-7
         )
+    if holds.colours and ours.colours is not None:
+        assert theirs.colours is not None
+        expected = ours.colours
+        if holds.colours is not True:
+            vertices = written.polygons.indices
+            at_vertices = expected.at_vertices(vertices, written.vertex_count, WHITE)
+            at_vertices[:, 3:] = 1 if holds.colours == OPAQUE else at_vertices[:, 3:]
+            expected = CornerValues(at_vertices, vertices)
+        np.testing.assert_array_equal(theirs.colours.at_corners[found], expected.at_corners[order])
     if holds.hard_edges:
         np.testing.assert_array_equal(partition(got, found), partition(written, order))
     if holds.face_sets:

@@ -403,3 +403,25 @@ def test_relative_numbers_mean_other_vertices_after_other_lines(tmp_path: Path) 
     (tmp_path / "a_2.obj").write_text("\n".join([*vertices, "f -3 -2 -1"]))
     with pytest.raises(InvalidSequenceError, match="other faces"):
         read(tmp_path / "a_#.obj")
+
+
+def colours_of(path: Path) -> list[list[float]]:
+    found = read(path).surface.colours
+    assert found is not None
+    rounded: list[list[float]] = np.round(found.at_corners.astype(np.float64), 6).tolist()
+    return rounded
+
+
+@pytest.mark.parametrize("red", ["1 0 0.2", "255 0 51"])
+def test_colours_follow_the_coordinates(tmp_path: Path, red: str) -> None:
+    (tmp_path / "a.obj").write_text(f"v 0 0 0 {red}\nv 1 0 0\nv 0 1 0 0 0 0\nf 3 2 1\n")
+    assert colours_of(tmp_path / "a.obj") == [[0, 0, 0, 1], [1, 1, 1, 1], [1, 0, 0.2, 1]]
+    assert read(tmp_path / "a.obj").points[0].tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+
+
+def test_weights_are_no_colours(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n")
+    assert read(tmp_path / "a.obj").surface.colours is None
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 red 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FormatError, match=r"line 1: .* is not a vertex"):
+        read(tmp_path / "a.obj")

@@ -86,3 +86,23 @@ def test_other_faces_in_a_later_frame(tmp_path: Path) -> None:
     (tmp_path / "walk_2.off").write_text(SQUARE.replace("3 0 2 3", "3 2 3 0"))
     with pytest.raises(InvalidSequenceError, match=r"walk_2.off \(frame 2\) has other faces"):
         read(tmp_path / "walk_#.off")
+
+
+@pytest.mark.parametrize(
+    ("colour", "expected"),
+    [
+        ("255 0 51 102", [1, 0, 0.2, 0.4]),
+        ("1 0 0.2 0.4", [1, 0, 0.2, 0.4]),
+        ("255 0 51", [1, 0, 0.2, 1]),
+        ("7", None),
+    ],
+)
+def test_colours(tmp_path: Path, colour: str, expected: list[float] | None) -> None:
+    text = f"COFF\n3 1 0\n0 0 0 {colour}\n1 0 0 {colour}\n0 1 0 {colour}\n3 0 1 2\n"
+    (tmp_path / "a.off").write_text(text)
+    colours = read(tmp_path / "a.off").surface.colours
+    assert (colours is None) == (expected is None)
+    if colours is not None:
+        np.testing.assert_allclose(colours.at_corners, np.array([expected] * 3), atol=1e-7)
+    (tmp_path / "a.off").write_text(text.replace(f" {colour}\n1", "\n1"))  # the first vertex has none
+    assert read(tmp_path / "a.off").surface.colours is None

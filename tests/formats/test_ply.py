@@ -252,3 +252,74 @@ def test_trimesh_agrees(tmp_path: Path, encoding: str) -> None:
     got = trimesh.load(tmp_path / "ours.ply", process=False)
     np.testing.assert_array_equal(got.vertices, ours.points[0])
     np.testing.assert_array_equal(got.faces, ours.faces)
+
+
+def painted(
+    vertex: str = "", of_vertices: str = "", face: str = "", of_faces: tuple[str, str] = ("", "")
+) -> bytes:
+    """Return a text file of a quad and a triangle with more properties, and their numbers."""
+    head = ["ply", "format ascii 1.0", "element vertex 5"]
+    head += [*(f"property float {axis}" for axis in "xyz"), *filter(None, [vertex]), "element face 2"]
+    head += ["property list uchar int vertex_indices", *filter(None, [face]), "end_header"]
+    rows = [" ".join(map(str, point)) + f" {of_vertices}" for point in POINTS]
+    rows += [
+        f"{len(each)} {' '.join(map(str, each))} {own}" for each, own in zip(FACES, of_faces, strict=True)
+    ]
+    return "\n".join([*head, *rows]).encode() + b"\n"
+
+
+def channels(kind: str, *names: str) -> str:
+    return "\n".join(f"property {kind} {name}" for name in names)
+
+
+WEDGES = ("12 " + "1 0 0.2 " * 4, "9 " + "0 0 1 " * 3)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (painted(channels("uchar", "red", "green", "blue"), "255 0 51"), [[1, 0, 0.2, 1]] * 7),
+        (painted(channels("uchar", "red", "green", "blue", "alpha"), "0 0 51 102"), [[0, 0, 0.2, 0.4]] * 7),
+        (painted(channels("float", "red", "green", "blue"), "1 0 0.2"), [[1, 0, 0.2, 1]] * 7),
+        (
+            painted(face=channels("uchar", "red", "green", "blue"), of_faces=("255 0 0", "0 0 255")),
+            [[1, 0, 0, 1]] * 4 + [[0, 0, 1, 1]] * 3,
+        ),
+        (
+            painted(face="property list uchar float color", of_faces=WEDGES),
+            [[1, 0, 0.2, 1]] * 4 + [[0, 0, 1, 1]] * 3,
+        ),
+        (
+            painted(face="property list uchar float color", of_faces=(WEDGES[0], "0")),
+            [[1, 0, 0.2, 1]] * 4 + [[1, 1, 1, 1]] * 3,
+        ),
+        (painted(face="property list uchar float color", of_faces=("3 1 0 0", "3 1 0 0")), None),
+        (painted(channels("uchar", "red", "green"), "255 0"), None),
+    ],
+    ids=["bytes", "alpha", "floats", "faces", "corners", "some corners", "other lists", "two channels"],
+)
+def test_colours(tmp_path: Path, content: bytes, expected: list[list[float]] | None) -> None:
+    (tmp_path / "a.ply").write_bytes(content)
+    colours = read(tmp_path / "a.ply").surface.colours
+    assert (colours is None) == (expected is None)
+    if colours is not None:
+        np.testing.assert_allclose(colours.at_corners, np.array(expected), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("values", "property_"),
+    [
+        (np.tile([1, 0, 0.2, 1], (5, 1)), b"property uchar blue\nelement face"),
+        (np.tile([1, 0, 0.2, 0.4], (5, 1)), b"property uchar alpha\nelement face"),
+        (np.tile([1, 0, 0.3, 1], (5, 1)), b"property float blue\nelement face"),
+    ],
+    ids=["bytes", "alpha", "floats"],
+)
+def test_colours_are_written_in_few_bytes(tmp_path: Path, values: np.ndarray, property_: bytes) -> None:
+    polygons = Polygons(np.array([4, 3]), np.concatenate(FACES))
+    plain = MeshSequence.from_arrays(np.array([POINTS]), polygons)
+    write(tmp_path / "a.ply", replace(plain, surface=Surface(colours=CornerValues(values, polygons.indices))))
+    assert property_ in (tmp_path / "a.ply").read_bytes()
+    colours = read(tmp_path / "a.ply").surface.colours
+    assert colours is not None
+    np.testing.assert_array_equal(colours.values, values.astype(np.float32))

@@ -42,6 +42,9 @@ __all__ = [
 ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, LookupError, ArithmeticError)
 """What the library raises about damaged files: its own errors, and those of converting what it read."""
 
+_CHANNELS = {imath.C3fArray: "rgb", imath.C4fArray: "rgba"}
+"""Arrays of colours, of which NumPy sees only a channel without copying number by number."""
+
 _HEADER = 16
 """Bytes of an Ogawa header: "Ogawa", 255 once the file is complete, version (2), where the root group is (8)."""
 
@@ -98,7 +101,11 @@ def values(array: Any, sample: int, room: int) -> NDArray[Any]:
     FormatError
         If the array claims to be larger.
     """
-    return np.array(stored_array(array, sample, room))
+    stored = stored_array(array, sample, room)
+    channels = _CHANNELS.get(type(stored))
+    if channels:
+        return np.stack([np.asarray(getattr(stored, each)) for each in channels], axis=1)
+    return np.array(stored)
 
 
 def stored_array(array: Any, sample: int, room: int) -> Any:
@@ -113,7 +120,10 @@ def array_of(kind: Any, rows: ArrayLike) -> Any:
     """Return an array of imath, such as ``V3fArray``, with the given rows."""
     content = np.asarray(rows)
     filled = kind(len(content))
-    if kind is imath.UnsignedIntArray:  # the one that NumPy cannot see into
+    if kind in _CHANNELS:
+        for channel, column in zip(_CHANNELS[kind], content.T, strict=False):
+            np.asarray(getattr(filled, channel))[...] = column
+    elif kind is imath.UnsignedIntArray:  # the one that NumPy cannot see into
         for place, value in enumerate(content.tolist()):
             filled[place] = value
     elif len(content):

@@ -1,4 +1,4 @@
-"""The faces of a PolyMesh or SubD, and what is on them: texture coordinates, hard edges and face sets.
+"""The faces of a PolyMesh or SubD, and what is on them: texture coordinates, colours, hard edges and face sets.
 
 Alembic lists the corners of a face clockwise seen from outside; applications write them from the last to the first.
 Values on a mesh come per face, vertex or corner (its "scope"), with or without indices.
@@ -24,8 +24,13 @@ from mixseq_io.alembic.archive_meshes import Mesh
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, selector, values
 from mixseq_io.alembic.samples import sample_times
 from mixseq_io.blocks import warn
+from mixseq_io.colours import with_alpha
 from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
 
+COLOURS = "Cd"
+"""What colours are called among the parameters of any kind that a mesh may have."""
+
+_COLOUR_KINDS = (AbcGeom.IC3fGeomParam, AbcGeom.IC4fGeomParam)
 _SCHEMES = {"catmull-clark": "catmullClark", "": "catmullClark", "loop": "loop", "bilinear": "bilinear"}
 
 
@@ -68,12 +73,12 @@ def read_scene_mesh(source: Source) -> SceneMesh:
     Warns
     -----
     MixseqWarning
-        If it has several sets of texture coordinates, or what is on it does not fit it.
+        If it has several sets of texture coordinates or colours, or what is on it does not fit it.
     """
     schema, mesh = source.mesh.schema, source.mesh
     stored, order = stored_polygons(source)
     polygons = Polygons(stored.counts, stored.indices[order])
-    uvs, hard_edges = _texture_coordinates(source, stored), None
+    uvs, colours, hard_edges = _texture_coordinates(source, stored), _colours(source, stored), None
     if not mesh.subdivided:
         normals = _corner_values(source, schema.getNormalsParam(), stored, "normals")
         if normals is not None and normals.values.shape[1] == 3:
@@ -83,7 +88,8 @@ def read_scene_mesh(source: Source) -> SceneMesh:
         path=mesh.path,
         vertices=source.vertices,
         polygons=polygons,
-        uvs=None if uvs is None else CornerValues(uvs.values, uvs.indices[order]),
+        uvs=uvs and uvs.taken(order),
+        colours=colours and colours.taken(order),
         hard_edges=hard_edges,
         face_sets=_face_sets(source, len(stored.counts)),
         subdivision=_scheme(source) if mesh.subdivided else "none",
@@ -124,6 +130,24 @@ def _texture_coordinates(source: Source, polygons: Polygons) -> CornerValues | N
         kept = "the standard ones are kept" if parameter.valid() else "they are left out"
         warn(f"{source.path}: {source.mesh.path} has more texture coordinates, {', '.join(more)}; {kept}")
     return _corner_values(source, parameter, polygons, "texture coordinates")
+
+
+def _colours(source: Source, polygons: Polygons) -> CornerValues | None:
+    """Return the colours ``Cd``, or the first that there are."""
+    others = source.mesh.schema.getArbGeomParams()
+    kinds = {
+        each.getName(): kind
+        for each in (others.propertyheaders if others.valid() else ())
+        for kind in _COLOUR_KINDS
+        if kind.matches(each)
+    }
+    if not kinds:
+        return None
+    name = COLOURS if COLOURS in kinds else next(iter(kinds))
+    if len(kinds) > 1:
+        warn(f"{source.path}: {source.mesh.path} has several sets of colours; {name} is kept")
+    found = _corner_values(source, kinds[name](others, name), polygons, "colours")
+    return found and CornerValues(with_alpha(found.values), found.indices)
 
 
 def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str) -> CornerValues | None:

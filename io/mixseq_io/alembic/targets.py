@@ -13,12 +13,16 @@ from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import shared_normals
 from mixseq.polygons import reversed_corners
 from mixseq.sequence import SequenceHeader
+from mixseq.surface import CornerValues
 from mixseq_io.alembic.library import AbcGeom, AbcMaterial, array_of, imath
 from mixseq_io.alembic.object_paths import Place, object_places, unique_names
+from mixseq_io.alembic.polymesh import COLOURS
 from mixseq_io.scene_meshes import SceneMesh, split
 
 _SCHEMES = {"catmullClark": "catmull-clark", "loop": "loop", "bilinear": "bilinear"}
 _CORNERS = AbcGeom.GeometryScope.kFacevaryingScope
+_OPAQUE = (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
+_WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,18 @@ class Target:
                 node.getSchema().setFaceExclusivity(AbcGeom.FaceSetExclusivity.kFaceSetExclusive)
             if each.material:
                 AbcMaterial.addMaterialAssignment(node, each.material)
+        if self.scene_mesh.colours is not None:
+            self._add_colours(mesh.getSchema(), self.scene_mesh.colours)
         return MadeMesh(self, mesh)
+
+    def _add_colours(self, schema: Any, colours: CornerValues) -> None:
+        """Add colours, without alpha where all are opaque; they do not change, and have a sample of their own."""
+        opaque = bool((colours.values[:, 3] == 1).all())
+        parameter, sample, kind = _OPAQUE if opaque else _WITH_ALPHA
+        values = array_of(kind, colours.values)  # held until they are set
+        indices = array_of(imath.UnsignedIntArray, colours.indices[self._order])
+        made = parameter(schema.getArbGeomParams(), COLOURS, True, _CORNERS, 1)
+        made.set(sample(values, indices, _CORNERS))
 
     def sample(self, positions: Any, complete: bool) -> Any:
         """Return a sample of points; a complete one has everything that does not change."""
@@ -110,12 +125,15 @@ class Target:
         scene_mesh = self.scene_mesh
         normals = 0 if scene_mesh.hard_edges is None else int(scene_mesh.hard_edges.max(initial=-1)) + 1
         uvs = 0 if scene_mesh.uvs is None else len(scene_mesh.uvs.values)
+        colours = scene_mesh.colours
+        painted = 0 if colours is None else 16 * len(colours.values) + 4 * colours.indices.size + PER_OBJECT
         per_frame = 12 * (scene_mesh.vertex_count * (2 if moving else 1) + normals) + PER_SAMPLE
         sets = sum(4 * each.polygons.size + PER_OBJECT for each in scene_mesh.face_sets)
         once = (
             12 * scene_mesh.polygons.indices.size
             + 4 * scene_mesh.polygons.counts.size
             + 8 * uvs
+            + painted
             + sets
             + PER_OBJECT
         )

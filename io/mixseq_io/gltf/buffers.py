@@ -32,7 +32,7 @@ Chunk = bytes | memoryview | NDArray[Any]
 
 GENERATOR = f"mixseq {__version__}"
 FLOAT, UNSIGNED = 5126, 5125
-_COMPONENTS = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
+COMPONENT_OF = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
 VERTICES, INDICES = 34962, 34963
 MESHOPT = "EXT_meshopt_compression"
 
@@ -127,7 +127,7 @@ class Layout:
         view = self.add([data], data.nbytes, **properties)
         width = 1 if data.ndim == 1 else data.shape[1]
         kind = {1: "SCALAR", 16: "MAT4"}.get(width, f"VEC{width}")
-        return self.accessor(view, len(data), kind, component=_COMPONENTS[data.dtype.str[1:]])
+        return self.accessor(view, len(data), kind, component=COMPONENT_OF[data.dtype.str[1:]])
 
     def accessor(self, view: int, count: int, kind: str, offset: int = 0, component: int = FLOAT) -> int:
         """Add an accessor of what is at an offset in a view; return its number."""

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.errors import MissingExtraError, OutputError
+from mixseq_io.colours import nearest_bytes
 
 _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
 """Bits of a number: a point is off by 1/4000 of the largest side of the mesh, a normal by a degree."""
@@ -22,7 +24,7 @@ _POSITION_BITS, _UV_BITS, _NORMAL_BITS = 11, 11, 7
 _BEST = 10
 """DracoPy's name of the level at which it takes the fewest bytes."""
 
-_NAMES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}
+_NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
 """What Draco's types of attributes are in glTF."""
 
 
@@ -43,7 +45,7 @@ class DracoTriangles:
     """
 
     data: bytes
-    attributes: Mapping[str, NDArray[np.float32]]
+    attributes: Mapping[str, NDArray[Any]]
     identifiers: Mapping[str, int]
     triangle_count: int
 
@@ -53,8 +55,11 @@ def compressed_triangles(
     points: NDArray[np.float32],
     normals: NDArray[np.float32],
     uvs: NDArray[np.float32] | None,
+    colours: NDArray[np.float32] | None,
 ) -> DracoTriangles:
-    """Compress triangles ``(F, 3)`` with points, normals ``(n, 3)`` and texture coordinates ``(n, 2)`` of vertices.
+    """Compress triangles ``(F, 3)`` and what vertices have: points, normals ``(n, 3)``, texture coordinates, colours.
+
+    Texture coordinates are ``(n, 2)``; colours ``(n, 4)`` become bytes.
 
     Raises
     ------
@@ -70,6 +75,7 @@ def compressed_triangles(
             triangles,
             quantization_bits=_POSITION_BITS,
             compression_level=_BEST,
+            colors=None if colours is None else nearest_bytes(colours),
             normals=normals.astype(np.float64),
             normal_quantization_bits=_NORMAL_BITS,
             tex_coord=None if uvs is None else uvs.astype(np.float64),

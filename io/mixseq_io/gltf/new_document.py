@@ -20,6 +20,7 @@ from mixseq.arrays import IntArray
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
+from mixseq_io.colours import as_bytes, within_one
 from mixseq_io.gltf.buffers import GENERATOR, INDICES, VERTICES, Json, Layout, append
 from mixseq_io.gltf.morphs import MovingMesh, MovingPrimitive
 from mixseq_io.scene_meshes import SceneMesh, split
@@ -37,6 +38,8 @@ class SplitPrimitive:
         Its group of corners that share a normal, see `mixseq.geometry.normals.shared_normals`.
     uvs : (n, 2) float32 or None
         Its texture coordinates, v upwards.
+    colours : (n, 4) float32 or None
+        Its colours.
     triangles : (m, 3) uint32
         Indices of glTF vertices.
     face_set : FaceSet or None
@@ -46,6 +49,7 @@ class SplitPrimitive:
     vertices: IntArray
     normals: IntArray
     uvs: NDArray[np.float32] | None
+    colours: NDArray[np.float32] | None
     triangles: NDArray[np.uint32]
     face_set: FaceSet | None
 
@@ -58,9 +62,10 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
     """
     owner = owners(mesh)
     of_corner = np.repeat(owner, mesh.polygons.counts)
-    keys = [mesh.polygons.indices]
-    keys += [] if mesh.hard_edges is None else [mesh.hard_edges]
-    keys += [] if mesh.uvs is None else [mesh.uvs.indices]
+    on = {name: each for name, each in (("uvs", mesh.uvs), ("colours", mesh.colours)) if each is not None}
+    keys = {"vertices": mesh.polygons.indices, **{name: each.indices for name, each in on.items()}}
+    if mesh.hard_edges is not None:
+        keys["normals"] = mesh.hard_edges
     triangles = Polygons(mesh.polygons.counts, np.arange(of_corner.size)).triangles  # of corners
     unused = np.flatnonzero(np.bincount(mesh.polygons.indices, minlength=mesh.vertex_count) == 0)
     primitives: list[SplitPrimitive] = []
@@ -68,17 +73,22 @@ def split_corners(mesh: SceneMesh) -> list[SplitPrimitive]:
     of_triangle = of_corner[triangles[:, 0]]
     for (number, corners), (_, own) in zip(_by_owner(of_corner), _by_owner(of_triangle), strict=True):
         alone = unused if not primitives else unused[:0]
-        some = [np.append(key[corners], alone if key is keys[0] else np.zeros_like(alone)) for key in keys]
-        chosen, copies = _distinct(some)
+        some = {
+            name: np.append(key[corners], alone if name == "vertices" else np.zeros_like(alone))
+            for name, key in keys.items()
+        }
+        chosen, copies = _distinct(list(some.values()))
         place[corners] = copies[: corners.size]
-        vertices = some[0][chosen]
+        rows = {name: key[chosen] for name, key in some.items()}
+        values = {name: each.values[rows[name]] for name, each in on.items()}
         # A vertex that no polygon uses has the first normal, where normals are not those of vertices.
         used = chosen < corners.size
         primitives.append(
             SplitPrimitive(
-                vertices=vertices,
-                normals=np.where(used, vertices, 0) if mesh.hard_edges is None else some[1][chosen],
-                uvs=None if mesh.uvs is None else mesh.uvs.values[some[-1][chosen]],
+                vertices=rows["vertices"],
+                normals=np.where(used, rows.get("normals", rows["vertices"]), 0),
+                uvs=values.get("uvs"),
+                colours=values.get("colours"),
                 triangles=place[triangles[own]],
                 face_set=None if number < 0 else mesh.face_sets[number],
             )
@@ -221,6 +231,8 @@ def _new_primitive(
     attributes: dict[str, int] = {}
     if primitive.uvs is not None:
         attributes["TEXCOORD_0"] = layout.add_array(upside_down(primitive.uvs), target=VERTICES)
+    if primitive.colours is not None:
+        attributes["COLOR_0"] = add_colours(layout, primitive.colours)
     entry: Json = {
         "attributes": attributes,
         "indices": layout.add_array(narrow(primitive.triangles.reshape(-1)), target=INDICES),
@@ -235,6 +247,15 @@ def _new_primitive(
 def upside_down(uvs: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return texture coordinates ``(n, 2)`` with v downwards, as glTF has them."""
     return (uvs * (1, -1) + (0, 1)).astype(np.float32)
+
+
+def add_colours(layout: Layout, colours: NDArray[np.float32]) -> int:
+    """Add colours ``(n, 4)``, as bytes if these are the same; return their accessor."""
+    exact = as_bytes(colours)
+    number = layout.add_array(within_one(colours) if exact is None else exact, target=VERTICES)
+    if exact is not None:
+        layout.document["accessors"][number]["normalized"] = True
+    return number
 
 
 def narrow(indices: NDArray[np.uint32]) -> NDArray[np.uint32] | NDArray[np.uint16]:

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
-from mixseq.surface import CornerValues, FaceSet
+from mixseq.surface import NO_UV, WHITE, CornerValues, FaceSet
 from mixseq_io.choosing import chosen, moving
+from mixseq_io.colours import with_alpha
 from mixseq_io.gltf.animation import Channel
 from mixseq_io.gltf.document import Document
 from mixseq_io.gltf.node_tree import Scene
 from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.texture_transforms import texture_transform
 from mixseq_io.gltf.world_points import Shape, bearers
-from mixseq_io.labels.markings import Skinning, joined_colours, joined_skinning
+from mixseq_io.labels.markings import Skinning, joined_skinning
 from mixseq_io.scene_meshes import SceneMesh
 
 
@@ -92,6 +93,7 @@ def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) 
         vertices=slice(first, first + weld.count),
         polygons=polygons,
         uvs=_uvs(weld.primitives, corners),
+        colours=_colours(weld.primitives, corners),
         hard_edges=_hard_edges(weld.primitives, corners, polygons),
         face_sets=_face_sets(document, weld.primitives),
     )
@@ -99,16 +101,46 @@ def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) 
 
 def _uvs(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
     """Return TEXCOORD_0, whose v points down in glTF, as materials transform it; (0, 0) where only others have it."""
-    found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
-    if all(each is None for each in found):
-        return None
     flip, up = np.array([1, -1], np.float32), np.array([0, 1], np.float32)
-    values = [
-        np.zeros((len(each.positions), 2)) if uvs is None else _transformed(each, uvs) * flip + up
+    found = [each.attribute("TEXCOORD_0", 2) for each in primitives]
+    turned = [
+        None if uvs is None else _transformed(each, uvs) * flip + up
         for each, uvs in zip(primitives, found, strict=True)
     ]
-    rows, indices = np.unique(np.concatenate(values), axis=0, return_inverse=True)
-    return CornerValues(rows, indices.reshape(-1)[corners])
+    return _joined_values(primitives, turned, NO_UV, corners)
+
+
+def _colours(primitives: Sequence[Primitive], corners: IntArray) -> CornerValues | None:
+    """Return COLOR_0; white, as renderers take it, where only other primitives have it."""
+    return _joined_values(primitives, [_colours_of_vertices(each) for each in primitives], WHITE, corners)
+
+
+def _colours_of_vertices(primitive: Primitive) -> FloatArray | None:
+    index = primitive.attributes.index("COLOR_0")
+    if index is None:
+        return None
+    width = 3 if primitive.document.item("accessors", index).text("type") == "VEC3" else 4
+    values = primitive.attribute("COLOR_0", width)
+    assert values is not None
+    if values.dtype.kind == "u":  # exporters that forget to say "normalized"
+        values = values / float(np.iinfo(values.dtype).max)
+    return with_alpha(values)
+
+
+def _joined_values(
+    primitives: Sequence[Primitive],
+    found: Sequence[FloatArray | None],
+    default: Sequence[float],
+    corners: IntArray,
+) -> CornerValues | None:
+    """Return what vertices of primitives have, each once, at corners; the default where only others have some."""
+    if all(each is None for each in found):
+        return None
+    values = [
+        np.tile(default, (len(each.positions), 1)) if own is None else own
+        for each, own in zip(primitives, found, strict=True)
+    ]
+    return CornerValues.of_corners(np.concatenate(values)).taken(corners)
 
 
 def _transformed(primitive: Primitive, uvs: NDArray[Any]) -> NDArray[Any]:
@@ -147,26 +179,6 @@ def _face_sets(document: Document, primitives: Sequence[Primitive]) -> tuple[Fac
             name = document.item("materials", index).text("name") or f"material {index}"
             face_sets.append(FaceSet(name, polygons, name))
     return tuple(face_sets)
-
-
-def colours_of(shapes: Sequence[Shape]) -> FloatArray | None:
-    """Return COLOR_0 at the corners ``(sum of counts, 4)`` of all meshes, None if none has it."""
-    primitives = [each for shape in shapes for each in shape.weld.primitives]
-    return joined_colours(
-        [_colours(each) for each in primitives], [each.triangles.size for each in primitives]
-    )
-
-
-def _colours(primitive: Primitive) -> FloatArray | None:
-    index = primitive.attributes.index("COLOR_0")
-    if index is None:
-        return None
-    width = 3 if primitive.document.item("accessors", index).text("type") == "VEC3" else 4
-    values = primitive.attribute("COLOR_0", width)
-    assert values is not None
-    if values.dtype.kind == "u":  # exporters that forget to say "normalized"
-        values = values / float(np.iinfo(values.dtype).max)
-    return np.asarray(values[primitive.triangles.reshape(-1)])
 
 
 def skinning_of(shapes: Sequence[Shape]) -> Skinning | None:

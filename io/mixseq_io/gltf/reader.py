@@ -30,7 +30,7 @@ from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_ch
 from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
-from mixseq_io.gltf.node_meshes import chosen_nodes, colours_of, moving_nodes, scene_mesh_of, skinning_of
+from mixseq_io.gltf.node_meshes import chosen_nodes, moving_nodes, scene_mesh_of, skinning_of
 from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
 from mixseq_io.gltf.sequence_extension import has_sequence, is_glb
@@ -167,8 +167,9 @@ def _welded(document: Document, mesh: int) -> Weld | None:
         warn(
             f"{place}: primitives {', '.join(map(str, others[:20]))} are points, lines or empty; they are left out"
         )
-    if any("TEXCOORD_1" in each.attributes for each in primitives):
-        warn(f"{place} has several sets of texture coordinates; TEXCOORD_0 is read")
+    for what, name in (("texture coordinates", "TEXCOORD"), ("colours", "COLOR")):
+        if any(each.sets(name) > 1 for each in primitives):
+            warn(f"{place} has several sets of {what}; {name}_0 is read")
     return weld(document, mesh) if primitives else None
 
 
@@ -210,9 +211,7 @@ class _GltfReader(SequenceReader):
 
     def markings(self) -> Markings:
         """Return what tells parts of the meshes apart."""
-        return replace(
-            super().markings(), colours=colours_of(self._shapes), skinning=skinning_of(self._shapes)
-        )
+        return replace(super().markings(), skinning=skinning_of(self._shapes))
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, self.header.frame_count, size):

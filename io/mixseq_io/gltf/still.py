@@ -18,10 +18,11 @@ from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import as_float32
 from mixseq_io.gltf import draco_packing
-from mixseq_io.gltf.buffers import FLOAT, INDICES, UNSIGNED, VERTICES, Json, Layout, append
+from mixseq_io.gltf.buffers import COMPONENT_OF, FLOAT, INDICES, UNSIGNED, VERTICES, Json, Layout, append
 from mixseq_io.gltf.compression import DRACO
 from mixseq_io.gltf.new_document import (
     SplitPrimitive,
+    add_colours,
     material,
     material_name,
     narrow,
@@ -49,6 +50,7 @@ def as_one_mesh(header: SequenceHeader) -> SceneMesh:
         vertices=slice(0, header.vertex_count),
         polygons=header.polygons,
         uvs=surface.uvs,
+        colours=surface.colours,
         hard_edges=surface.hard_edges,
         face_sets=surface.face_sets,
     )
@@ -117,13 +119,18 @@ def _used(
     }
     if primitive.uvs is not None:
         attributes["TEXCOORD_0"] = upside_down(primitive.uvs[kept])
+    if primitive.colours is not None:
+        attributes["COLOR_0"] = primitive.colours[kept]
     return corners.reshape(-1, 3).astype(np.uint32), attributes
 
 
 def _plain(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
-    accessors = {name: layout.add_array(values, target=VERTICES) for name, values in attributes.items()}
+    accessors = {
+        name: add_colours(layout, values) if name == "COLOR_0" else layout.add_array(values, target=VERTICES)
+        for name, values in attributes.items()
+    }
     layout.bounded(accessors["POSITION"], _bounds(attributes["POSITION"]))
     return {
         "attributes": accessors,
@@ -135,13 +142,19 @@ def _draco(
     layout: Layout, triangles: NDArray[np.uint32], attributes: Mapping[str, NDArray[np.float32]]
 ) -> Json:
     coded = draco_packing.compressed_triangles(
-        triangles, attributes["POSITION"], attributes["NORMAL"], attributes.get("TEXCOORD_0")
+        triangles,
+        attributes["POSITION"],
+        attributes["NORMAL"],
+        attributes.get("TEXCOORD_0"),
+        attributes.get("COLOR_0"),
     )
     view = layout.add([coded.data], len(coded.data))
     accessors = {
-        name: _without_data(layout, len(values), f"VEC{values.shape[1]}", FLOAT)
+        name: _without_data(layout, len(values), f"VEC{values.shape[1]}", COMPONENT_OF[values.dtype.str[1:]])
         for name, values in coded.attributes.items()
     }
+    if "COLOR_0" in accessors:
+        layout.document["accessors"][accessors["COLOR_0"]]["normalized"] = True
     layout.bounded(accessors["POSITION"], _bounds(coded.attributes["POSITION"]))
     return {
         "attributes": accessors,
@@ -157,7 +170,7 @@ def _none(
     accessors = {
         name: _without_data(layout, 3, f"VEC{values.shape[1]}", FLOAT)
         for name, values in attributes.items()
-        if name != "NORMAL"
+        if name not in ("NORMAL", "COLOR_0")
     }
     layout.bounded(accessors["POSITION"], ([0.0] * 3, [0.0] * 3))
     return {"attributes": accessors}

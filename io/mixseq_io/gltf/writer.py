@@ -24,7 +24,7 @@ from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
 from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
 from mixseq_io.gltf.packing import check_error, writing_document
-from mixseq_io.losses import lost_subdivision, warn_of_losses
+from mixseq_io.losses import lost_colours, lost_subdivision, warn_of_losses
 from mixseq_io.originals import opened_original
 from mixseq_io.reader import reading
 from mixseq_io.scene_meshes import SceneMesh, split
@@ -117,6 +117,7 @@ def lost_alone(header: SequenceHeader) -> list[str]:
     lost = []
     if not header.polygons.only_triangles:
         lost.append("polygons other than triangles (they are cut)")
+    lost += lost_colours(header)
     subdivision = lost_subdivision(header.surface)
     if subdivision:
         lost.append(subdivision)

@@ -32,7 +32,7 @@ from mixseq_io.labels.faces import Labels, most_frequent, triangle_labels
 from mixseq_io.labels.markings import SMALLEST_JOINT, Skinning, shortest
 
 UNNAMED = "(none)"
-"""Name of what no set contains, or no colour is on."""
+"""Name of what no set contains."""
 
 MOST_COLOURS = 256
 
@@ -73,8 +73,7 @@ def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
     FormatError
         If there are more than `MOST_COLOURS`; the message goes on from the name of the file.
     """
-    clipped = np.clip(np.nan_to_num(colours), 0, _BRIGHTEST)
-    bytes_ = np.where(np.isnan(colours), -1, np.rint(255 * clipped)).astype(np.int64)
+    bytes_ = np.rint(255 * np.clip(np.nan_to_num(colours), 0, _BRIGHTEST)).astype(np.int64)
     kinds, of_corner = np.unique(bytes_, axis=0, return_inverse=True)
     if len(kinds) > MOST_COLOURS:
         raise FormatError(
@@ -139,8 +138,6 @@ def _depth(joint: int, parent: Sequence[int]) -> int:
 
 
 def _hexadecimal(colour: NDArray[np.int64]) -> str:
-    if (colour[:3] < 0).any():
-        return UNNAMED
     shown = colour[:3] if len(colour) < 4 or colour[3] == 255 else colour
     return "#" + "".join(f"{value:02x}" for value in shown.tolist())
 

@@ -1,4 +1,4 @@
-"""What files have on a mesh that can tell its parts apart: named sets of faces, colours, the joints of skeletons.
+"""What files have on a mesh that can tell its parts apart, besides colours: named sets of faces, joints of skeletons.
 
 Readers find it (`mixseq_io.reader.SequenceReader.markings`), by the vertices and polygons of the sequence that they
 read: what a reader welds is welded here, too.
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixseq.arrays import FloatArray
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 
@@ -64,14 +63,11 @@ class Markings:
     ----------
     sets : mapping of str to tuple of FaceSet
         Named sets of polygons by their source; sets of one name count as one.
-    colours : (sum of counts, k) float, optional
-        Colour of every corner of the polygons, from 0 to 1; nan where there is none.
     skinning : Skinning, optional
         The joints that move the vertices.
     """
 
     sets: Mapping[str, tuple[FaceSet, ...]] = field(default_factory=dict)
-    colours: FloatArray | None = None
     skinning: Skinning | None = None
 
 
@@ -84,20 +80,6 @@ def sets_of(header: SequenceHeader) -> dict[str, tuple[FaceSet, ...]]:
         MATERIALS: tuple(FaceSet(materials[each.material], each.polygons) for each in every if each.material),
     }
     return {source: sets for source, sets in named.items() if sets}
-
-
-def joined_colours(meshes: Sequence[FloatArray | None], corners: Sequence[int]) -> FloatArray | None:
-    """Put the colours ``(corners, k)`` of several meshes one after the other, as RGBA; None if none has some."""
-    if all(each is None for each in meshes):
-        return None
-    joined = np.full((sum(corners), 4), np.nan)
-    start = 0
-    for mesh, count in zip(meshes, corners, strict=True):
-        if mesh is not None:
-            joined[start : start + count, 3] = 1.0
-            joined[start : start + count, : mesh.shape[1]] = mesh
-        start += count
-    return joined
 
 
 def joined_skinning(meshes: Sequence[Skinning]) -> Skinning:

@@ -8,7 +8,7 @@ source         what it is
 ``groups``     named sets of faces: OBJ groups, Alembic face sets, USD subsets without a family
 *a family*     USD: the subsets of any other family
 ``materials``  the faces of every material
-``colours``    vertex colours: PLY, glTF ``COLOR_0``, USD ``displayColor``
+``colours``    colours of vertices, faces or corners, in all formats that have some
 ``skeleton``   weights of skins: UsdSkel, glTF
 =============  ==========================================================================================
 
@@ -215,8 +215,9 @@ def _marked(reader: SequenceReader, header: SequenceHeader, smallest: float) -> 
     face = _same_faces(file, header, reader.header)
     markings = reader.markings()
     sources: Sources = {name: partial(labels_of_sets, sets, polygons) for name, sets in markings.sets.items()}
-    if markings.colours is not None:
-        sources[COLOURS] = partial(_colours, file, markings.colours, polygons)
+    colours = reader.header.surface.colours
+    if colours is not None:
+        sources[COLOURS] = partial(_colours, file, colours.at_corners, polygons)
     if markings.skinning is not None:
         sources[SKELETON] = partial(labels_of_skinning, markings.skinning, polygons, smallest)
     if face is None:

@@ -7,7 +7,7 @@ all later files: where their faces are written in the same bytes, they need not 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from mixseq.sequence import Polygons, SequenceHeader
 from mixseq.surface import Surface
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import checked, warn
-from mixseq_io.labels.markings import Markings
 from mixseq_io.losses import lost_scale, lost_times, warn_of_losses
 from mixseq_io.numbered.names import files_of_pattern, find_frames, is_pattern, numbered_name
 from mixseq_io.reader import SequenceReader, naming
@@ -42,8 +41,6 @@ class MeshFile:
         Name of the mesh, "" if the file has none.
     surface : Surface
         What else is on the mesh, in the first frame.
-    colours : (sum of counts, k) float, optional
-        Colours of the corners, from 0 to 1, in the first frame.
     """
 
     points: FloatArray
@@ -51,7 +48,6 @@ class MeshFile:
     source: Any
     name: str = ""
     surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
-    colours: FloatArray | None = None
 
 
 Parser = Callable[[Path, MeshFile | None], MeshFile]
@@ -110,10 +106,6 @@ class _FilesReader(SequenceReader):
         self._files = files
         self._first = first
         self._parse = parse
-
-    def markings(self) -> Markings:
-        """Return what tells parts of the mesh apart, in the first file."""
-        return replace(super().markings(), colours=self._first.colours)
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):

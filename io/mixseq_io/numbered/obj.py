@@ -3,7 +3,8 @@
 ==================================  ==============================================================
 in the file                         here
 ==================================  ==============================================================
-``v``, without weights and colours  points
+``v``, without weights              points
+``v`` with six numbers              colours of vertices, of the first frame
 ``f``                               polygons
 ``vt``                              texture coordinates, of the first frame
 ``vn``                              hard edges: where the first frame has several normals at a vertex
@@ -21,8 +22,8 @@ Points are written with the digits that give back the same float32 or float64. C
 of them it was, and whether the file is whole; points of other files are read as float64. Normals are only written
 where there are hard edges, anew for every frame; one across which the first frame is flat cannot be told from none
 when they are read. A name of a material is the last part of its path. OBJ has no place
-for times, frame rate, units, the up axis, velocities, subdivision, and two materials on one polygon; the library of
-materials (``mtllib``) is not kept.
+for times, frame rate, units, the up axis, velocities, subdivision, alpha, several colours at a vertex, and two
+materials on one polygon; the library of materials (``mtllib``) is not kept.
 
 Specification: https://paulbourke.net/dataformats/obj/
 """
@@ -40,7 +41,8 @@ from mixseq.arrays import FloatArray
 from mixseq.geometry.normals import shared_normals
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import FaceSet
-from mixseq_io.losses import lost_surface
+from mixseq_io.colours import colours_of_vertices
+from mixseq_io.losses import lost_colours, lost_surface
 from mixseq_io.numbered.frame_files import Encoder, open_files, write_files
 from mixseq_io.numbered.obj_groups import NOTHING
 from mixseq_io.numbered.obj_parser import FIRST_LINE, LAST_LINE, parse_obj
@@ -82,6 +84,7 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
     uvs = b"" if header.surface.uvs is None else _lines("vt", header.surface.uvs.values)
     hard_edges = header.surface.hard_edges
+    colours = colours_of_vertices(header, 3)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         yield FIRST_LINE + str(points.dtype).encode() + b"\n"
@@ -90,7 +93,7 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
             yield _lines("vn", shared_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
-            yield _lines("v", points[a:b])
+            yield _lines("v", points[a:b], colours[a:b])
             yield own
         yield LAST_LINE + b"\n"
 
@@ -99,7 +102,8 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
 
 def lost_in_obj(header: SequenceHeader) -> list[str]:
     """Return what OBJ has no place for in a sequence's surface."""
-    lost = lost_surface(header, held=("uvs", "hard_edges", "face_sets", "objects"))
+    lost = lost_surface(header, held=("uvs", "colours", "hard_edges", "face_sets", "objects"))
+    lost += lost_colours(header, corners=False, alpha=False)
     sets = header.surface.face_sets
     names = _material_names(sets)
     with_material = [each for each in sets if each.material]
@@ -115,11 +119,12 @@ def lost_in_obj(header: SequenceHeader) -> list[str]:
     return lost
 
 
-def _lines(keyword: str, rows: FloatArray) -> bytes:
-    """Return a line for every row of numbers, with the digits that give back the same number."""
+def _lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
+    """Return a line for every row of numbers, with the digits that give back the same number; and maybe its end."""
     number = " %.9g" if rows.dtype == np.float32 else " %.17g"
-    line = keyword + number * rows.shape[1] + "\n"
-    text: str = line * len(rows) % tuple(rows.reshape(-1).tolist())
+    line = keyword + number * rows.shape[1]
+    lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
+    text: str = lines % tuple(rows.reshape(-1).tolist())
     return text.encode()
 
 

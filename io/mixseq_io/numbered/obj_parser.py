@@ -12,8 +12,9 @@ from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
-from mixseq.surface import CornerValues, Surface
+from mixseq.surface import WHITE, CornerValues, Surface
 from mixseq_io.blocks import warn
+from mixseq_io.colours import from_text
 from mixseq_io.numbered.frame_files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped
 from mixseq_io.reader import read_whole, reading
@@ -31,6 +32,8 @@ _LEFT_OUT = frozenset(
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
 )
 """Statements of the specification, of its older versions too, that say nothing about a polygon mesh."""
+_WITH_COLOUR = 6
+"""Numbers of a vertex with a colour; four are a point and a weight."""
 _LARGEST = 2**31 - 1
 _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
@@ -64,6 +67,7 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
     name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
     surface = Surface(
         uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),
+        colours=_colours(polygons, lines.colours, len(lines.points)),
         hard_edges=_hard_edges(file, polygons, lines.normals, corners[:, 2]),
         face_sets=face_sets,
         objects=objects,
@@ -76,6 +80,7 @@ class _Lines:
     """The lines of a file by their kinds, faces not yet parsed."""
 
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: dict[int, tuple[float, ...]] = field(default_factory=dict)
     uvs: list[tuple[float, ...]] = field(default_factory=list)
     normals: list[tuple[float, ...]] = field(default_factory=list)
     faces: list[bytes] = field(default_factory=list)
@@ -98,8 +103,12 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
         kind, rest = words if len(words) == 2 else (line.strip(), b"")
         try:
             if kind == b"v":
-                x, y, z = rest.split()[:3]
+                numbers = rest.split()
+                x, y, z = numbers[:3]
                 coordinates += (float(x), float(y), float(z))
+                if whole and len(numbers) == _WITH_COLOUR:
+                    red, green, blue = map(float, numbers[3:])
+                    found.colours[len(coordinates) // 3 - 1] = (red, green, blue)
             elif kind in _FACES:
                 found.faces.append(rest)
                 found.vertices_before.append(len(coordinates) // 3)
@@ -189,6 +198,15 @@ def _uvs(
     with np.errstate(over="ignore"):
         uvs = CornerValues(rows.astype(np.float32), np.where(missing, len(values), indices))
     return uvs.welded(polygons.indices)
+
+
+def _colours(polygons: Polygons, found: dict[int, tuple[float, ...]], count: int) -> CornerValues | None:
+    """Return the colours that follow the coordinates of vertices; vertices without are white."""
+    if not found:
+        return None
+    values = np.tile(WHITE, (count, 1))
+    values[list(found), :3] = from_text(np.array(list(found.values())))
+    return CornerValues(values, polygons.indices)
 
 
 def _hard_edges(

@@ -1,9 +1,9 @@
 """Numbered OFF files: one text file per frame, read by trimesh.
 
-Read are the vertices and the faces of OFF and COFF files; trimesh cuts quads into triangles. Points are written with
-the digits that give back the same float32 or float64; a comment in our own files tells which of them it was, points of
-other files are read as float64. OFF has no place for
-polygons, the name, times, frame rate, units, the up axis, velocities and anything of the surface.
+Read are the vertices and the faces of OFF and COFF files, of these also the colours of the vertices; trimesh cuts quads
+into triangles. Points are written with the digits that give back the same float32 or float64; a comment in our own
+files tells which of them it was, points of other files are read as float64. OFF has no place for polygons, the name,
+times, frame rate, units, the up axis, velocities and anything of the surface but one colour at each vertex.
 
 Specification: http://www.geomview.org/docs/html/OFF.html
 """
@@ -20,7 +20,9 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
-from mixseq_io.losses import lost_surface
+from mixseq.surface import CornerValues, Surface
+from mixseq_io.colours import colours_of_vertices, from_text, with_alpha
+from mixseq_io.losses import lost_colours, lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
 from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 
@@ -42,7 +44,7 @@ def write_off(
     start: int | None = None,
 ) -> None:
     """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
-    lost = lost_surface(header)
+    lost = lost_surface(header, held=("colours",)) + lost_colours(header, corners=False)
     if not header.polygons.only_triangles:
         lost.append("polygons (they are cut into triangles)")
     write_files(path, "OFF", header, blocks, velocities, _encoder(header), start=start, lost=lost)
@@ -63,22 +65,33 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
     with reading(file, "an OFF file", ValueError, TypeError, IndexError, NameError, OverflowError):
         data = read_whole(file, text=True)
         lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
-        _check_lines(file, lines)
+        of_vertices = _check_lines(file, lines)
         text = b"\n".join(lines).decode("ascii")
         if len(text.splitlines()) != len(lines):
             raise ValueError("it has characters that end a line of text only")
         mesh = load_off(StringIO(text))
-        ours = data.startswith(b"OFF\n" + _COMMENT + b"float32")
+        ours = data.removeprefix(b"C").startswith(b"OFF\n" + _COMMENT + b"float32")
         vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
         faces = np.asarray(mesh["faces"]).reshape(-1, 3)
     with naming(file):
-        return MeshFile(
-            points=vertices, polygons=Polygons.from_triangles(faces.astype(np.int64)), source=None
-        )
+        polygons = Polygons.from_triangles(faces.astype(np.int64))
+        colours = _colours(of_vertices, polygons) if lines[0].startswith(b"C") and like is None else None
+        return MeshFile(points=vertices, polygons=polygons, source=None, surface=Surface(colours=colours))
 
 
-def _check_lines(file: Path, lines: list[bytes]) -> None:
-    """Refuse a file with other numbers of lines, or of corners in a line, than announced: trimesh leaves those out."""
+def _colours(lines: list[bytes], polygons: Polygons) -> CornerValues | None:
+    """Return the colours of vertices, if all have three or all have four numbers."""
+    rows = [line.split()[3:] for line in lines]
+    if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
+        return None
+    return CornerValues(with_alpha(from_text(np.array(rows, dtype=np.float64))), polygons.indices)
+
+
+def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
+    """Return the lines of vertices.
+
+    Refuse a file with other numbers of lines, or of corners in a line, than announced: trimesh leaves those out.
+    """
     first = lines[0].removeprefix(b"C").removeprefix(b"OFF").split() if lines else []
     counts = [int(word) for word in (first or (lines[1].split() if len(lines) > 1 else []))[:2]]
     vertices, faces = counts if len(counts) == 2 and min(counts) >= 0 else (0, 0)
@@ -96,17 +109,22 @@ def _check_lines(file: Path, lines: list[bytes]) -> None:
                 f"{file}, face {face}: {excerpt(line)} is not a face; a number of corners, 3 or more, and so many "
                 "numbers of vertices are expected"
             )
+    return body[:vertices]
 
 
 def _encoder(header: SequenceHeader) -> Encoder:
     counts = f"{header.vertex_count} {len(header.faces)} 0\n".encode()
     faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in header.faces.tolist()).encode()
 
+    colours = colours_of_vertices(header, 4)
+    kind = b"COFF\n" if colours else b"OFF\n"
+
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
         digits = "%.9g" if points.dtype == np.float32 else "%.17g"
-        line = f"{digits} {digits} {digits}\n"
-        yield b"OFF\n" + _COMMENT + str(points.dtype).encode() + b"\n" + counts
-        yield (line * len(points) % tuple(points.reshape(-1).tolist())).encode()
+        line = f"{digits} {digits} {digits}"
+        lines = "".join(f"{line}{colour}\n" for colour in colours) or f"{line}\n" * len(points)
+        yield kind + _COMMENT + str(points.dtype).encode() + b"\n" + counts
+        yield (lines % tuple(points.reshape(-1).tolist())).encode()
         yield faces
 
     return encode

@@ -1,14 +1,15 @@
 """Numbered PLY files: one file per frame, text or binary, polygons and vertex order as in the files.
 
 Read are the properties ``x``, ``y``, ``z`` of the vertices, the list ``vertex_indices`` (or ``vertex_index``) of the
-faces, and texture coordinates: ``s t`` or ``u v`` of the vertices, or the list ``texcoord`` of the faces. Colours
-``red``, ``green``, ``blue`` are read as labels of parts only (`mixseq_io.labels`). Other properties and elements
-(normals, confidence) are skipped. Points keep the file's precision, ``float`` or
-``double``; integers become float64.
+faces, texture coordinates, ``s t`` or ``u v`` of the vertices or the list ``texcoord`` of the faces, and colours,
+``red``, ``green``, ``blue`` and maybe ``alpha`` of the vertices or the faces, or the list ``color`` of the faces. Other
+properties and elements (normals, confidence) are skipped. Points keep the file's precision, ``float`` or ``double``;
+integers become float64.
 
 Written are little-endian binary files in the precision of the points, texture coordinates as ``s t`` if every vertex
-has a single one, else as ``texcoord``. PLY has no place for the name, times, frame rate, units, the up axis,
-velocities, hard edges, face sets, objects and subdivision.
+has a single one, else as ``texcoord``; so colours, which are ``uchar`` if these say the same, else ``float``, and
+``color`` where a vertex has several: lists of corners are as MeshLab has them. PLY has no place for the name, times,
+frame rate, units, the up axis, velocities, hard edges, face sets, objects and subdivision.
 
 The parser is our own because trimesh refuses binary files with triangles and quads, and cuts polygons of text files
 into triangles.
@@ -18,8 +19,10 @@ Specification: https://paulbourke.net/dataformats/ply/
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +31,16 @@ from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
-from mixseq.surface import CornerValues, Surface
-from mixseq_io.losses import lost_surface
+from mixseq.surface import NO_UV, WHITE, CornerValues, Surface
+from mixseq_io.colours import as_bytes, from_text, with_alpha, within_one
+from mixseq_io.losses import lost_colours, lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
-from mixseq_io.numbered.ply_elements import Columns, read_elements
+from mixseq_io.numbered.ply_elements import Column, Columns, read_elements
 from mixseq_io.reader import SequenceReader, read_whole, reading
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+_COLOUR = ("red", "green", "blue", "alpha")
+_KINDS = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 
 def open_ply(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
@@ -50,7 +56,7 @@ def write_ply(
     start: int | None = None,
 ) -> None:
     """Write one PLY file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
-    lost = lost_surface(header, held=("uvs",))
+    lost = lost_surface(header, held=("uvs", "colours")) + lost_colours(header)
     write_files(path, "PLY", header, blocks, velocities, ply_encoder(header), start=start, lost=lost)
 
 
@@ -83,8 +89,7 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         points=points,
         polygons=polygons,
         source=source,
-        surface=Surface(uvs=_uvs(file, elements, polygons)),
-        colours=_colours(elements, polygons),
+        surface=Surface(uvs=_uvs(file, elements, polygons), colours=_colours(elements, polygons)),
     )
 
 
@@ -110,103 +115,125 @@ def _whole(numbers: NDArray[np.generic]) -> IntArray:
 
 def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
     """Return the texture coordinates, those of faces before those of vertices; faces without get (0, 0)."""
-    vertices, faces = elements["vertex"], elements["face"]
-    wedges = faces.get("texcoord")
+    lists = elements["face"].get("texcoord")
     with np.errstate(over="ignore"):
-        if wedges is not None and wedges.counts is not None and wedges.counts.any():
-            wrong = (wedges.counts != 0) & (wedges.counts != 2 * polygons.counts)
+        if lists is not None and lists.counts is not None and lists.counts.any():
+            wrong = (lists.counts != 0) & (lists.counts != 2 * polygons.counts)
             if wrong.any():
                 face = int(np.argmax(wrong))
                 raise FormatError(
-                    f"{file}, face {face} has {wedges.counts[face]} numbers of texture coordinates for "
+                    f"{file}, face {face} has {lists.counts[face]} numbers of texture coordinates for "
                     f"{polygons.counts[face]} corners; it is damaged"
                 )
-            pairs = np.zeros((polygons.indices.size, 2), dtype=np.float32)
-            pairs[np.repeat(wedges.counts > 0, polygons.counts)] = wedges.values.reshape(-1, 2)
-            rows, indices = np.unique(pairs, axis=0, return_inverse=True)
-            return CornerValues(rows, indices.reshape(-1))
+            return CornerValues.of_corners(_of_lists(lists, polygons, NO_UV))
         for names in _UV_NAMES:
-            values = _side_by_side(vertices, *names)
+            values = _side_by_side(elements["vertex"], *names)
             if values is not None:
                 return CornerValues(values.astype(np.float32), polygons.indices)
     return None
 
 
-def _colours(elements: dict[str, Columns], polygons: Polygons) -> FloatArray | None:
-    """Return colours (sum of counts, 3) of the corners: those of their vertices, or else those of their faces."""
-    names = ("red", "green", "blue")
-    for element in ("vertex", "face"):
-        values = _side_by_side(elements[element], *names)
-        if values is not None:
-            kind = elements[element]["red"].values.dtype
-            # Text gives floats for integers, too.
-            largest = (
-                float(np.iinfo(kind).max) if kind.kind != "f" else 255.0 if values.max(initial=0) > 1 else 1.0
-            )
-            of_face = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
-            rows = polygons.indices if element == "vertex" else of_face
-            # Faces may still name vertices that are not there, which is for the header to tell.
-            return np.asarray(np.take(values, rows, axis=0, mode="clip") / largest) if len(values) else None
+def _colours(elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
+    """Return the colours: those of corners, or else of vertices, or else of faces."""
+    vertices, faces = elements["vertex"], elements["face"]
+    lists = faces.get("color")
+    if lists is not None and lists.counts is not None and lists.counts.any():
+        colours = replace(lists, values=_from_zero_to_one(lists.values))
+        for width in (3, 4):
+            if not lists.counts[lists.counts != width * polygons.counts].any():
+                return CornerValues.of_corners(with_alpha(_of_lists(colours, polygons, WHITE[:width])))
+    of_face = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    for columns, rows in ((vertices, polygons.indices), (faces, of_face)):
+        values = _side_by_side(columns, *_COLOUR)
+        values = _side_by_side(columns, *_COLOUR[:3]) if values is None else values
+        if values is not None and len(values):
+            kind = columns[_COLOUR[0]].values.dtype
+            return CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows)
     return None
+
+
+def _from_zero_to_one(numbers: NDArray[Any]) -> FloatArray:
+    """Return numbers of colours, which text files give as floats if they are integers, too, from 0 to 1."""
+    if numbers.dtype.kind == "f":
+        return from_text(numbers)
+    return numbers / np.float64(np.iinfo(numbers.dtype).max)
+
+
+def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> NDArray[np.float32]:
+    """Return what a list of the faces has at their corners; faces with empty lists get the default."""
+    assert column.counts is not None
+    values = np.tile(np.asarray(default, dtype=np.float32), (polygons.indices.size, 1))
+    values[np.repeat(column.counts > 0, polygons.counts)] = column.values.reshape(-1, len(default))
+    return values
 
 
 def ply_encoder(header: SequenceHeader) -> Encoder:
     """Return what turns points ``(V, 3)`` into the parts of a PLY file; the faces are made once."""
-    polygons, uvs = header.polygons, header.surface.uvs
-    of_vertex = None if uvs is None else _uvs_of_vertices(uvs, polygons, header.vertex_count)
-    of_corner = None if uvs is None or of_vertex is not None else uvs.at_corners
-    columns = ["x", "y", "z"] + ([] if of_vertex is None else ["s", "t"])
-    face_lists = ["property list uint int vertex_indices"]
-    face_lists += [] if of_corner is None else ["property list uint float texcoord"]
-    faces = _face_bytes(polygons, of_corner)
+    polygons, surface = header.polygons, header.surface
+    columns: list[tuple[str, NDArray[Any]]] = []  # names, and numbers of vertices
+    lists: list[tuple[str, NDArray[np.float32]]] = []  # name, and numbers of corners
+    if surface.uvs is not None:
+        if surface.uvs.one_per_vertex(polygons.indices):
+            columns.append(("s t", surface.uvs.at_vertices(polygons.indices, header.vertex_count, NO_UV)))
+        else:
+            lists.append(("texcoord", surface.uvs.at_corners))
+    if surface.colours is not None:
+        channels = 3 if (surface.colours.values[:, 3] == 1).all() else 4
+        colours = replace(surface.colours, values=within_one(surface.colours.values))
+        if colours.one_per_vertex(polygons.indices):
+            values = colours.at_vertices(polygons.indices, header.vertex_count, WHITE)[:, :channels]
+            exact = as_bytes(values)
+            columns.append((" ".join(_COLOUR[:channels]), values if exact is None else exact))
+        else:
+            lists.append(("color", colours.at_corners[:, :channels]))
+    faces = _face_bytes(polygons, [values for _, values in lists])
+    lines = [
+        f"element face {len(polygons.counts)}",
+        "property list uint int vertex_indices",
+        *(f"property list uint float {name}" for name, _ in lists),
+        "end_header",
+    ]
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        number = points.dtype.newbyteorder("<")
-        kinds = [("double" if points.dtype == np.float64 else "float")] * 3 + ["float", "float"]
-        properties = [f"property {kind} {name}" for kind, name in zip(kinds, columns, strict=False)]
-        lines = (
+        own = [("x y z", points), *columns]
+        head = [
             "ply",
             "format binary_little_endian 1.0",
             "comment Written by mixseq",
             f"element vertex {len(points)}",
-            *properties,
-            f"element face {len(polygons.counts)}",
-            *face_lists,
-            "end_header",
-        )
-        yield "".join(f"{line}\n" for line in lines).encode()
-        rows = np.empty(len(points), dtype=[("points", number, 3), ("uvs", "<f4", len(columns) - 3)])
-        rows["points"] = points
-        if of_vertex is not None:
-            rows["uvs"] = of_vertex
+            *(
+                f"property {_KINDS[values.dtype.str[1:]]} {name}"
+                for names, values in own
+                for name in names.split()
+            ),
+        ]
+        yield "".join(f"{line}\n" for line in head + lines).encode()
+        kinds = [(names, values.dtype.newbyteorder("<"), values.shape[1]) for names, values in own]
+        rows = np.empty(len(points), dtype=kinds)
+        for names, values in own:
+            rows[names] = values
         yield rows.tobytes()
         yield faces
 
     return encode
 
 
-def _uvs_of_vertices(uvs: CornerValues, polygons: Polygons, count: int) -> NDArray[np.float32] | None:
-    """Return the texture coordinates (V, 2) of vertices, if none has several."""
-    values = np.zeros((count, 2), dtype=np.float32)
-    values[polygons.indices] = uvs.at_corners
-    return values if np.array_equal(values[polygons.indices], uvs.at_corners) else None
-
-
-def _face_bytes(polygons: Polygons, uvs: NDArray[np.float32] | None) -> bytes:
-    """Return the rows of the faces: the number of corners and the corners, and maybe the same of their uvs.
+def _face_bytes(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> bytes:
+    """Return the rows of the faces: the number of corners and the corners, and so numbers of corners, list by list.
 
     All numbers have four bytes, so that rows of any lengths are laid out at once in an array of such words.
     """
     counts = polygons.counts.astype(np.int64)
-    lengths = 1 + counts if uvs is None else 2 + 3 * counts
+    columns = [polygons.indices[:, None], *(np.ascontiguousarray(each, "<f4").view("<i4") for each in lists)]
+    lengths = sum(1 + each.shape[1] * counts for each in columns)
     starts = np.cumsum(lengths) - lengths
     words = np.empty(int(lengths.sum()), dtype="<i4")
     step = np.arange(polygons.indices.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    words[starts] = counts
-    words[np.repeat(starts + 1, counts) + step] = polygons.indices
-    if uvs is not None:
-        words[starts + 1 + counts] = 2 * counts
-        place = np.repeat(starts + 2 + counts, counts) + 2 * step
-        pairs = np.ascontiguousarray(uvs, dtype="<f4").view("<i4")
-        words[place], words[place + 1] = pairs[:, 0], pairs[:, 1]
+    for each in columns:
+        width = each.shape[1]
+        words[starts] = width * counts
+        place = np.repeat(starts + 1, counts) + width * step
+        for column in range(width):
+            words[place + column] = each[:, column]
+        starts = starts + 1 + width * counts
     return words.tobytes()

@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from mixseq.sequence import SequenceHeader
-from mixseq.surface import FaceSet
+from mixseq.surface import WHITE, CornerValues, FaceSet
 from mixseq_io.blocks import warn
 from mixseq_io.scene_meshes import SceneMesh, split
 from mixseq_io.usd.frame_values import Cast, Normals, Placed
@@ -82,6 +83,28 @@ def _define_mesh(stage: Usd.Stage, path: str, scene_mesh: SceneMesh) -> None:
             Vt.IntArrayFromBuffer(scene_mesh.uvs.indices),
             UsdGeom.Tokens.faceVarying,
         )
+    if scene_mesh.colours is not None:
+        _define_colours(mesh, scene_mesh, scene_mesh.colours)
+
+
+def _define_colours(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh, colours: CornerValues) -> None:
+    """Author colours in the interpolation that says the same with the fewest numbers; opacity if some is not full."""
+    vertices, values, rows = scene_mesh.polygons.indices, colours.values, None
+    if len(values) == 1:
+        interpolation = UsdGeom.Tokens.constant
+    elif colours.one_per_vertex(vertices):
+        interpolation = UsdGeom.Tokens.vertex
+        values = colours.at_vertices(vertices, scene_mesh.vertex_count, WHITE)
+    else:
+        interpolation, rows = UsdGeom.Tokens.faceVarying, Vt.IntArrayFromBuffer(colours.indices)
+    primvars = [mesh.CreateDisplayColorPrimvar(interpolation)]
+    primvars[0].Set(Vt.Vec3fArrayFromBuffer(np.ascontiguousarray(values[:, :3])))
+    if (values[:, 3] != 1).any():
+        primvars.append(mesh.CreateDisplayOpacityPrimvar(interpolation))
+        primvars[1].Set(Vt.FloatArrayFromBuffer(np.ascontiguousarray(values[:, 3])))
+    if rows is not None:
+        for each in primvars:
+            each.SetIndices(rows)
 
 
 def _show_name(prim: Usd.Prim, name: str) -> None:

@@ -8,6 +8,7 @@ https://openusd.org/release/api/class_usd_shade_material_binding_a_p_i.html
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from mixseq.errors import InvalidSequenceError
 from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.surface import CornerValues, FaceSet
+from mixseq_io.colours import with_alpha
 from mixseq_io.reader import naming
 from mixseq_io.scene_meshes import SceneMesh, material_of_the_rest
 from mixseq_io.usd.mesh_motion import AnimatedMesh
@@ -30,6 +32,14 @@ _UV_TYPES = (
     Sdf.ValueTypeNames.TexCoord2dArray,
     Sdf.ValueTypeNames.TexCoord2hArray,
     Sdf.ValueTypeNames.Float2Array,
+)
+_COLOUR_TYPES = (
+    Sdf.ValueTypeNames.Color3fArray,
+    Sdf.ValueTypeNames.Color3dArray,
+    Sdf.ValueTypeNames.Color3hArray,
+    Sdf.ValueTypeNames.Color4fArray,
+    Sdf.ValueTypeNames.Color4dArray,
+    Sdf.ValueTypeNames.Color4hArray,
 )
 
 _PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.full, UsdShade.Tokens.preview)
@@ -68,7 +78,8 @@ def scene_mesh_of(
         path=path,
         vertices=slice(first_vertex, first_vertex + animated.vertex_count),
         polygons=animated.weld.polygons(polygons),
-        uvs=_uvs(animated, polygons, notes),
+        uvs=_chosen_values(animated, polygons, notes, "texture coordinates", _UV_TYPES, "st"),
+        colours=_colours(animated, polygons, notes),
         # The normals of a surface that is subdivided follow from the subdivision.
         hard_edges=_hard_edges(animated, polygons, notes) if scheme == UsdGeom.Tokens.none else None,
         face_sets=tuple(_face_sets(mesh, len(polygons.counts), code, notes)),
@@ -84,9 +95,8 @@ def _turned(scene_mesh: SceneMesh) -> SceneMesh:
     return replace(
         scene_mesh,
         polygons=Polygons(scene_mesh.polygons.counts, scene_mesh.polygons.indices[order]),
-        uvs=None
-        if scene_mesh.uvs is None
-        else CornerValues(scene_mesh.uvs.values, scene_mesh.uvs.indices[order]),
+        uvs=scene_mesh.uvs and scene_mesh.uvs.taken(order),
+        colours=scene_mesh.colours and scene_mesh.colours.taken(order),
         hard_edges=None if scene_mesh.hard_edges is None else scene_mesh.hard_edges[order],
     )
 
@@ -116,29 +126,55 @@ def _constant(attribute: Usd.Attribute, codes: NDArray[np.float64]) -> NDArray[n
     return first
 
 
-def _uvs(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> CornerValues | None:
-    """Return the texture coordinates ``st``, or the first that there are."""
+def _colours(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> CornerValues | None:
+    """Return the colours ``displayColor``, or the first that there are, with the opacity that may be beside them."""
+    colours = _chosen_values(animated, polygons, notes, "colours", _COLOUR_TYPES, "displayColor")
+    opacity = UsdGeom.PrimvarsAPI(animated.mesh).FindPrimvarWithInheritance("displayOpacity")
+    if colours is None:
+        return None
+    alpha = _values(animated, polygons, notes, "opacities", opacity) if opacity.HasAuthoredValue() else None
+    if alpha is None:
+        return CornerValues(with_alpha(colours.values), colours.indices)
+    return CornerValues.of_corners(np.hstack([colours.at_corners[:, :3], alpha.at_corners]))
+
+
+def _chosen_values(
+    animated: AnimatedMesh,
+    polygons: Polygons,
+    notes: Notes,
+    what: str,
+    types: Sequence[Sdf.ValueTypeName],
+    usual: str,
+) -> CornerValues | None:
+    """Return the values of some type that have the usual name, or the first that there are."""
     prim = animated.mesh.GetPrim()
-    every = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
-    sets = [each for each in every if each.GetTypeName() in _UV_TYPES]
+    every = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    sets = [each for each in every if each.GetTypeName() in types and each.HasAuthoredValue()]
     if not sets:
         return None
-    chosen = min(sets, key=lambda each: (each.GetPrimvarName() != "st", _UV_TYPES.index(each.GetTypeName())))
-    name = chosen.GetPrimvarName()
+    chosen = min(sets, key=lambda each: (each.GetPrimvarName() != usual, types.index(each.GetTypeName())))
     if len(sets) > 1:
-        notes.add(prim, f"of several sets of texture coordinates only {name!r} is kept")
-    if chosen.ValueMightBeTimeVarying():
-        notes.add(prim, "texture coordinates that change over time stay as they are in the first frame")
-    code = Usd.TimeCode(animated.start)
-    values = np.array(chosen.Get(code) or (), dtype=np.float32).reshape(-1, 2)
-    rows = rows_of_corners(chosen.GetInterpolation(), polygons)
-    if chosen.IsIndexed():
-        indices = np.array(chosen.GetIndices(code) or (), dtype=np.int32)
+        notes.add(prim, f"of several sets of {what} only {chosen.GetPrimvarName()!r} is kept")
+    return _values(animated, polygons, notes, what, chosen)
+
+
+def _values(
+    animated: AnimatedMesh, polygons: Polygons, notes: Notes, what: str, primvar: UsdGeom.Primvar
+) -> CornerValues | None:
+    """Return what a primvar has at the corners in the first frame, None if it does not fit the faces."""
+    prim, code = animated.mesh.GetPrim(), Usd.TimeCode(animated.start)
+    if primvar.ValueMightBeTimeVarying():
+        notes.add(prim, f"{what} that change over time stay as they are in the first frame")
+    values = np.array(primvar.Get(code) or (), dtype=np.float32)
+    rows = rows_of_corners(primvar.GetInterpolation(), polygons)
+    if primvar.IsIndexed():
+        indices = np.array(primvar.GetIndices(code) or (), dtype=np.int32)
         rows = indices[rows] if within(rows, len(indices)) else np.array([-1])
     if not within(rows, len(values)):
-        notes.add(prim, f"texture coordinates {name!r} do not fit the faces and are left out")
+        notes.add(prim, f"{what} {primvar.GetPrimvarName()!r} do not fit the faces and are left out")
         return None
-    return CornerValues(values, rows)
+    width = 1 if values.ndim == 1 else values.shape[1]
+    return CornerValues(values.reshape(-1, width), rows)
 
 
 def _hard_edges(animated: AnimatedMesh, polygons: Polygons, notes: Notes) -> NDArray[np.int32] | None:

@@ -1,10 +1,9 @@
 """USD: labels of parts, read and written.
 
-Read is what tells parts of meshes apart besides their materials: families of subsets, colours, joints of skeletons.
+Read is what tells parts of meshes apart besides materials and colours: families of subsets, joints of skeletons.
 Written are parts as a family of subsets that partitions the faces of every mesh.
 
 Specifications: https://openusd.org/release/api/class_usd_geom_subset.html (families and their types),
-https://openusd.org/release/api/class_usd_geom_gprim.html (displayColor),
 https://openusd.org/release/api/class_usd_skel_binding_a_p_i.html
 """
 
@@ -17,7 +16,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from scipy.sparse import csr_array
 
-from mixseq.arrays import FloatArray, IntArray
+from mixseq.arrays import IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
@@ -29,12 +28,10 @@ from mixseq_io.labels.markings import (
     MATERIALS,
     Markings,
     Skinning,
-    joined_colours,
     joined_skinning,
     sets_of,
 )
 from mixseq_io.usd.mesh_motion import AnimatedMesh
-from mixseq_io.usd.mesh_surface import rows_of_corners, within
 from mixseq_io.usd.paths import Identifiers
 from mixseq_io.usd.stage_meshes import display_name
 
@@ -53,12 +50,10 @@ def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Marki
         The meshes in the order of their vertices.
     """
     polygons = [_polygons(animated) for animated in meshes]
-    colours = [_colours(animated, own) for animated, own in zip(meshes, polygons, strict=True)]
     skinned = any(_is_skinned(animated) for animated in meshes)
     materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
     return Markings(
         sets=_families(meshes, polygons) | materials,
-        colours=joined_colours(colours, [own.indices.size for own in polygons]),
         skinning=joined_skinning([_skinning(animated) for animated in meshes]) if skinned else None,
     )
 
@@ -101,18 +96,6 @@ def _subsets(mesh: UsdGeom.Mesh) -> Iterator[UsdGeom.Subset]:
 def _source(subset: UsdGeom.Subset) -> str:
     family = str(subset.GetFamilyNameAttr().Get() or "")
     return LABELS if family == FAMILY else family or GROUPS
-
-
-def _colours(animated: AnimatedMesh, polygons: Polygons) -> FloatArray | None:
-    """Return ``displayColor`` at the corners ``(sum of counts, 3)``, None if there is none that fits."""
-    primvar = UsdGeom.PrimvarsAPI(animated.mesh.GetPrim()).FindPrimvarWithInheritance("displayColor")
-    if not primvar or not primvar.HasAuthoredValue():
-        return None
-    values = np.array(primvar.ComputeFlattened(Usd.TimeCode(animated.start)) or (), dtype=np.float64).reshape(
-        -1, 3
-    )
-    rows = rows_of_corners(primvar.GetInterpolation(), polygons)
-    return values[rows] if within(rows, len(values)) else None
 
 
 def _is_skinned(animated: AnimatedMesh) -> bool:

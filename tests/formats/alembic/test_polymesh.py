@@ -156,3 +156,66 @@ def test_more_texture_coordinates(path: Path) -> None:
     del archive, mesh, others, second
     with pytest.warns(MixseqWarning, match="/square has more texture coordinates, dirt; they are left out"):
         assert load(path).surface.uvs is None
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize(
+    ("scope", "places"),
+    [
+        (Scope.kFacevaryingScope, [0, 1, 2, 3, 4, 5]),
+        (Scope.kVertexScope, CLOCKWISE),
+        (Scope.kConstantScope, [0] * 6),
+    ],
+    ids=["corners", "vertices", "constant"],
+)
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colours(path: Path, scope: Any, places: ArrayLike, indexed: bool, channels: int) -> None:
+    count = int(np.max(places)) + 1
+    rows = np.arange(count * channels, dtype=np.float32).reshape(count, channels) / 32
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    add_colours(mesh, "paint", rows, scope, indexed)
+    del archive, mesh
+    colours = load(path).surface.colours
+    assert colours is not None
+    expected = (rows[::-1] if indexed else rows)[np.asarray(places)[[2, 1, 0, 5, 4, 3]]]
+    np.testing.assert_array_equal(colours.at_corners[:, :channels], expected)
+    if channels == 3:
+        np.testing.assert_array_equal(colours.at_corners[:, 3], 1)
+
+
+def add_colours(mesh: Any, name: str, rows: ArrayLike, scope: Any, indexed: bool = False) -> None:
+    """Add colours as a parameter; indexed ones are stored the other way round."""
+    content = np.asarray(rows)
+    parameter, sample, kind = (
+        (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
+        if content.shape[1] == 3
+        else (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
+    )
+    values = kind(len(content))
+    for channel, column in zip("rgba", content.T, strict=False):
+        np.asarray(getattr(values, channel))[...] = column
+    made = parameter(mesh.getSchema().getArbGeomParams(), name, indexed, scope, 1)
+    backwards = filled(imath.UnsignedIntArray, np.arange(len(content))[::-1])
+    made.set(sample(values, backwards, scope) if indexed else sample(values, scope))
+
+
+def test_of_several_sets_of_colours_that_of_houdini_is_kept(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    add_colours(mesh, "mask", [[0, 0, 1]] * 4, Scope.kVertexScope)
+    add_colours(mesh, "Cd", [[1, 0, 0]] * 4, Scope.kVertexScope)
+    del archive, mesh
+    with pytest.warns(MixseqWarning, match="square has several sets of colours; Cd is kept"):
+        colours = load(path).surface.colours
+    assert colours is not None
+    assert colours.at_corners[0].tolist() == [1, 0, 0, 1]
+
+
+def test_colours_that_do_not_fit(path: Path) -> None:
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    add_colours(mesh, "Cd", [[1, 0, 0]] * 3, Scope.kVertexScope)
+    del archive, mesh
+    with pytest.warns(MixseqWarning, match="the colours of .*square do not fit its faces"):
+        assert load(path).surface.colours is None

@@ -70,11 +70,11 @@ def test_texture_coordinates_are_those_of_the_texture(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_colours_of_vertices(name: str) -> None:
     with open_gltf(FOLDER / f"{name}.glb") as reader:
-        colours = reader.markings().colours
+        found = reader.header.surface.colours
         height = next(reader.blocks(1))[0, reader.header.polygons.indices, 1] / 4
-    assert colours is not None
+    assert found is not None
     expected = np.stack([height, 1 - height, 0.5 + 0 * height], axis=1)
-    np.testing.assert_allclose(colours[:, :3], expected, atol=0.01)
+    np.testing.assert_allclose(found.at_corners[:, :3], expected, atol=0.01)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -303,3 +303,29 @@ def test_what_is_temporary_beside_a_package_has_one_name(
     (lock,) = (name for name in seen if name.endswith(".lock"))
     assert all(name.startswith(lock.removesuffix(".lock")) for name in seen)
     assert [file.name for file in tmp_path.iterdir()] == ["walk.usdz"]
+
+
+@pytest.mark.parametrize(
+    ("values", "indices", "interpolation", "rows"),
+    [
+        ([[1, 0, 0, 1]], [0] * 6, "constant", None),
+        ([[0.5, 0, 0, 1], [0, 1, 0, 0.5], [0, 0, 1, 1], [1, 1, 0, 1]], [0, 1, 2, 0, 2, 3], "vertex", None),
+        ([[0.5, 0, 0, 1], [0, 1, 0, 1]], [0, 0, 0, 1, 1, 1], "faceVarying", [0, 0, 0, 1, 1, 1]),
+    ],
+)
+def test_colours(
+    tmp_path: Path, values: list[list[float]], indices: list[int], interpolation: str, rows: list[int] | None
+) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)[None]
+    square = MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]])
+    write(
+        tmp_path / "a.usda",
+        replace(square, surface=Surface(colours=CornerValues(np.array(values), np.array(indices)))),
+    )
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/mesh/mesh"))
+    colour, opacity = mesh.GetDisplayColorPrimvar(), mesh.GetDisplayOpacityPrimvar()
+    assert (colour.GetInterpolation(), colour.Get()) == (interpolation, [tuple(row[:3]) for row in values])
+    assert (list(colour.GetIndices()) if colour.IsIndexed() else None) == rows
+    alpha = [row[3] for row in values]
+    assert (list(opacity.Get()) if opacity.HasAuthoredValue() else [1] * len(alpha)) == alpha

@@ -14,6 +14,7 @@ from mixseq.errors import InvalidSequenceError, MixseqWarning
 from tests.formats.usd.stage_maker import INDICES, Make, plain, saved
 
 UVS = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0.25), (0.75, 0.5), (0.25, 0)], dtype=np.float32)
+COLOURS = np.array([(n / 8, 0.25, 1 - n / 8) for n in range(7)], dtype=np.float32)
 
 INTERPOLATIONS = {
     "constant": [0] * 7,
@@ -58,6 +59,63 @@ class TestSurface:
         np.testing.assert_array_equal(sequence.surface.uvs.at_corners, UVS[rows])
         corners = np.array(INDICES)[[0, 3, 2, 1, 4, 6, 5]] if left_handed else INDICES
         np.testing.assert_array_equal(sequence.polygons.indices, corners)
+
+    @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+    @pytest.mark.parametrize("opacity", ["none", "alike", "constant"])
+    def test_colours(self, stage: Usd.Stage, make: Make, interpolation: str, opacity: str) -> None:
+        rows = np.array(INTERPOLATIONS[interpolation])
+        mesh = make("/mesh")
+        mesh.CreateDisplayColorPrimvar(interpolation).Set(COLOURS[: rows.max() + 1].tolist())
+        alpha = np.array([1.0, 0.5, 0.25, 0.75, 0, 0.125, 1])
+        if opacity == "alike":
+            mesh.CreateDisplayOpacityPrimvar(interpolation).Set(alpha[: rows.max() + 1].tolist())
+        elif opacity == "constant":
+            mesh.CreateDisplayOpacityPrimvar("constant").Set([0.5])
+        colours = saved(stage).surface.colours
+        assert colours is not None
+        expected = {"none": np.ones(7), "alike": alpha[rows], "constant": np.full(7, 0.5)}[opacity]
+        np.testing.assert_array_equal(colours.at_corners, np.column_stack([COLOURS[rows], expected]))
+
+    def test_colours_of_prims_above(self, stage: Usd.Stage, make: Make) -> None:
+        make("/asset/mesh")
+        above = UsdGeom.PrimvarsAPI(stage.DefinePrim("/asset"))
+        above.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "constant").Set([(1, 0, 0.5)])
+        colours = saved(stage).surface.colours
+        assert colours is not None
+        assert colours.at_corners.tolist() == [[1, 0, 0.5, 1]] * 7
+
+    def test_the_first_set_of_colours(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        paint = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("paint", Sdf.ValueTypeNames.Color4fArray, "vertex")
+        paint.Set([(0, 0, 1, 0.5)] * 5)
+        colours = saved(stage).surface.colours
+        assert colours is not None
+        assert colours.at_corners.tolist() == [[0, 0, 1, 0.5]] * 7
+        mesh.CreateDisplayColorPrimvar("constant").Set([(1, 0, 0)])
+        with pytest.warns(MixseqWarning, match="sets of colours only 'displayColor' is kept: /mesh"):
+            colours = saved(stage).surface.colours
+        assert colours is not None
+        assert colours.at_corners.tolist() == [[1, 0, 0, 1]] * 7
+
+    def test_colours_that_change_or_do_not_fit(self, stage: Usd.Stage, make: Make) -> None:
+        mesh = make("/mesh")
+        primvar = mesh.CreateDisplayColorPrimvar("vertex")
+        primvar.Set([(1, 0, 0)] * 5, 1)
+        primvar.Set([(0, 1, 0)] * 5, 2)
+        with pytest.warns(MixseqWarning, match="colours that change over time stay as they are in the first"):
+            colours = saved(stage).surface.colours
+        assert colours is not None and colours.at_corners[0].tolist() == [1, 0, 0, 1]
+        primvar.GetAttr().Clear()
+        primvar.Set([(1, 0, 0)] * 4)
+        with pytest.warns(
+            MixseqWarning, match="colours 'displayColor' do not fit the faces and are left out"
+        ):
+            assert saved(stage).surface.colours is None
+        primvar.Set([(1, 0, 0)] * 5)
+        mesh.CreateDisplayOpacityPrimvar("vertex").Set([0.5])
+        with pytest.warns(MixseqWarning, match="opacities 'displayOpacity' do not fit"):
+            colours = saved(stage).surface.colours
+        assert colours is not None and colours.at_corners[0].tolist() == [1, 0, 0, 1]
 
     def test_the_first_set_of_texture_coordinates(self, stage: Usd.Stage, make: Make) -> None:
         mesh = make("/mesh")

@@ -1,0 +1,188 @@
+"""Colours: bytes and floats, from file to file, and what becomes of them where a format has less room."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+
+import mixseq
+from mixseq.arrays import FloatArray, IntArray
+from mixseq.choices import OrderName
+from mixseq.coding.encoder.numbering import cheapest_numbering
+from mixseq.errors import MixseqWarning
+from mixseq.sequence import MeshSequence, SequenceHeader
+from mixseq.surface import CornerValues, Surface
+from mixseq_io import read, write
+from mixseq_io.colours import as_bytes, from_text, nearest_bytes, of_bytes, with_alpha, within_one
+from mixseq_io.surface_arrays import surface_arrays
+from tests.formats.conftest import painted
+from tests.meshes import bar
+
+
+def coloured(sequence: MeshSequence, values: FloatArray, indices: IntArray) -> MeshSequence:
+    return replace(sequence, surface=replace(sequence.surface, colours=CornerValues(values, indices)))
+
+
+def square(values: FloatArray, indices: IntArray | None = None) -> MeshSequence:
+    """Two triangles with a colour at every vertex, or as indices tell."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)[None]
+    sequence = MeshSequence.from_arrays(points, [[0, 1, 2], [0, 2, 3]])
+    return coloured(sequence, values, sequence.polygons.indices if indices is None else indices)
+
+
+def colours(sequence: SequenceHeader) -> NDArray[np.float32]:
+    assert sequence.surface.colours is not None
+    return sequence.surface.colours.at_corners
+
+
+def test_all_bytes_are_bytes_again() -> None:
+    every = np.arange(256, dtype=np.uint8)
+    np.testing.assert_array_equal(as_bytes(of_bytes(every)), every)
+    # However a program divides by 255, the nearest float32 is the same.
+    np.testing.assert_array_equal(of_bytes(every), (every / 255).astype(np.float32))
+    np.testing.assert_array_equal(of_bytes(every)[[0, 51, 255]], np.array([0, 0.2, 1], np.float32))
+
+
+@given(arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32)))
+def test_floats_are_bytes_only_if_nothing_is_lost(values: NDArray[np.float32]) -> None:
+    exact = as_bytes(values)
+    if exact is None:
+        assert (of_bytes(nearest_bytes(values)) != values).any()
+        assert np.abs(of_bytes(nearest_bytes(values)) - values).max() <= 0.5001 / 255
+    else:
+        np.testing.assert_array_equal(of_bytes(exact), values)
+
+
+def test_what_is_no_byte() -> None:
+    for value in (0.3, -0.0001, 1.5, np.nan):
+        assert as_bytes(np.array([0.0, value], np.float32)) is None
+    np.testing.assert_array_equal(within_one(np.array([-1, 0.5, 2, np.nan])), [0, 0.5, 1, 0])
+    np.testing.assert_array_equal(nearest_bytes(np.array([-1, 0.5, 2, np.nan])), [0, 128, 255, 0])
+
+
+def test_alpha_and_texts() -> None:
+    assert with_alpha(np.array([[0.1, 0.2, 0.3]])).tolist() == [[0.1, 0.2, 0.3, 1.0]]
+    assert with_alpha(np.array([[0.1, 0.2, 0.3, 0.4]])).tolist() == [[0.1, 0.2, 0.3, 0.4]]
+    assert from_text(np.array([[0, 255, 51]])).tolist() == [[0, 1, 0.2]]
+    assert from_text(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_bytes_stay_bytes_in_arrays() -> None:
+    assert surface_arrays(painted().surface)["colour_values"].dtype == np.uint8
+    assert surface_arrays(square(np.full((4, 4), 0.3)).surface)["colour_values"].dtype == np.float32
+
+
+BEYOND = np.array([[-0.5, 0, 0, 1], [0.25, 0, 0, 1], [2, 0, 0, 1], [0, 0.1, 0, 1]], np.float32)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply", "a.glb", "a.pc2"])
+def test_colours_beyond_white_are_cut_with_a_warning(name: str, tmp_path: Path) -> None:
+    with pytest.warns(
+        MixseqWarning, match=r"cannot hold .*colours below 0 and above 1 \(0 and 1 are written\)"
+    ):
+        write(tmp_path / name, square(BEYOND))
+    np.testing.assert_allclose(colours(read(tmp_path / name)), colours(square(within_one(BEYOND))), atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["a.usda", "a.npz", "a.h5", "a.abc"])
+def test_colours_beyond_white_are_kept(name: str, tmp_path: Path) -> None:
+    write(tmp_path / name, square(BEYOND))
+    np.testing.assert_array_equal(colours(read(tmp_path / name)), colours(square(BEYOND)))
+
+
+@pytest.mark.parametrize(("name", "alpha"), [("a.obj", 1.0), ("a.off", 0.5)])
+def test_vertices_have_the_colour_of_their_first_corner(name: str, alpha: float, tmp_path: Path) -> None:
+    reds = np.array([[n / 8, 0, 0, 0.5] for n in range(6)], np.float32)
+    told = "several colours at a vertex" + (", the alpha of colours" if alpha == 1 else "")
+    told = told.replace(",", r" \(that of its first corner is written\),")
+    with pytest.warns(MixseqWarning, match=told):
+        write(tmp_path / name, square(reds, np.arange(6)))
+    got = colours(read(tmp_path / name))
+    np.testing.assert_array_equal(got[:, 0], np.array([0, 1, 2, 0, 2, 5]) / 8)
+    np.testing.assert_array_equal(got[:, 3], alpha)
+
+
+def test_one_colour_at_a_vertex_is_no_loss(tmp_path: Path) -> None:
+    """Rows differ from corner to corner, as of readers that have a row for each; values do not."""
+    mesh = square(np.eye(4))
+    apart = coloured(mesh, np.array(colours(mesh)), np.arange(6))
+    apart = coloured(mesh, np.where(np.arange(4) == 3, 1, apart.surface.colours.values), np.arange(6))  # type: ignore[union-attr]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("a.obj", "a.off", "a.ply"):
+            write(tmp_path / name, apart)
+            np.testing.assert_array_equal(colours(read(tmp_path / name)), colours(apart))
+
+
+@pytest.fixture(scope="module")
+def painted_bar() -> MeshSequence:
+    """A bending bar with a colour at every vertex, and one polygon in nine of another colour."""
+    sequence = bar(5, 9, 4)
+    rng = np.random.default_rng(8)
+    values = of_bytes(rng.integers(0, 256, (sequence.vertex_count + 1, 4)).astype(np.uint8))
+    ninth = np.repeat(np.arange(len(sequence.polygons.counts)) % 9 == 0, 3)
+    return coloured(sequence, values, np.where(ninth, sequence.vertex_count, sequence.polygons.indices))
+
+
+@pytest.mark.parametrize("of", ["corners", "vertices", "floats"])
+@pytest.mark.parametrize("order", ["keep", "vertices", "free"])
+@pytest.mark.parametrize("suffix", [".h5", ".glb"])
+def test_compressed_files_keep_every_bit(
+    painted_bar: MeshSequence, of: str, order: OrderName, suffix: str, tmp_path: Path
+) -> None:
+    sequence = painted_bar
+    if of != "corners":
+        values = np.array(sequence.surface.colours.values) ** (1 if of == "vertices" else 1.5)  # type: ignore[union-attr]
+        sequence = coloured(sequence, values[:-1], sequence.polygons.indices)
+    mixseq.save(tmp_path / f"a{suffix}", mixseq.compress(sequence, max_error=0.01, order=order))
+    got = mixseq.load(tmp_path / f"a{suffix}").header
+    expected = cheapest_numbering(sequence.header, order).of_header(sequence.header)
+    assert got.polygons.same_as(expected.polygons)
+    np.testing.assert_array_equal(colours(got), colours(expected))
+
+
+def test_colours_of_vertices_take_a_byte_for_a_channel_at_most(
+    painted_bar: MeshSequence, tmp_path: Path
+) -> None:
+    """Noise cannot be packed: what is left is the index of corners, which is not stored."""
+    plain = replace(painted_bar, surface=Surface())
+    assert painted_bar.surface.colours is not None
+    values = painted_bar.surface.colours.values[:-1]
+    sizes = []
+    for sequence in (plain, coloured(plain, values, plain.polygons.indices)):
+        mixseq.save(tmp_path / "a.h5", mixseq.compress(sequence, max_error=0.01))
+        sizes.append((tmp_path / "a.h5").stat().st_size)
+    assert 0 < sizes[1] - sizes[0] <= values.size + 120
+
+
+def test_models_and_operations_carry_them(painted_bar: MeshSequence, tmp_path: Path) -> None:
+    mixseq.save(tmp_path / "a.h5", mixseq.fit(painted_bar, space="vertex"))
+    model = mixseq.load(tmp_path / "a.h5")
+    np.testing.assert_array_equal(colours(model.sample()), colours(painted_bar))
+
+
+@pytest.mark.realdata
+def test_a_painted_character_through_all_formats(data: Path, tmp_path: Path) -> None:
+    """CesiumMan, painted by height, is the same in each format and in each after another."""
+    man = read(data / "gltf" / "CesiumMan.glb")
+    height = man.points[0, :, 2]
+    shade = np.rint(255 * (height - height.min()) / np.ptp(height)).astype(np.uint8)
+    values = of_bytes(np.column_stack([shade, 255 - shade, shade // 2, np.full_like(shade, 255)]))
+    man = coloured(man, values, man.polygons.indices)
+    man = replace(man, surface=replace(man.surface, origin=None))
+    for name in ("a.glb", "a.usdc", "a.abc", "a.npz", "a.h5", "a_####.ply", "a_####.obj", "a_####.off"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MixseqWarning)
+            write(tmp_path / name, mixseq.sequence.collect(man.header, man.blocks()))
+        got = read(tmp_path / name)
+        assert got.surface.colours is not None
+        at_vertices = got.surface.colours.at_vertices(got.polygons.indices, got.vertex_count, np.zeros(4))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(at_vertices, values, err_msg=name)
