@@ -18,7 +18,7 @@ from tests.web.conftest import Node
 PLAY = """
 import { readFileSync, writeFileSync } from "node:fs";
 import { open } from "decoder/sequence.js";
-import { hardEdgesOf, uvsOf } from "decoder/surface.js";
+import { coloursOf, hardEdgesOf, uvsOf } from "decoder/surface.js";
 const folder = process.argv[2], bytes = (name) => new Uint8Array(readFileSync(`${folder}/${name}`));
 const sequence = open(new TextDecoder().decode(bytes("text")), bytes("streams"));
 const write = (name, array) => writeFileSync(`${folder}/${name}`, array ?? new Uint8Array(0));
@@ -30,7 +30,8 @@ times.forEach((time, k) => {
   loaded.push(chunks.filter((chunk) => chunk.loaded).length);
 });
 const triangles = sequence.triangles(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence);
-const arrays = { counts, corners, triangles, uvs, edges, positions, times: sequence.times };
+const colours = coloursOf(sequence);
+const arrays = { counts, corners, triangles, uvs, colours, edges, positions, times: sequence.times };
 Object.entries(arrays).forEach((one) => write(...one));
 fields.parts.forEach(({ vertices, fields, values }, part) => {
   write(`vertices${part}`, vertices);
@@ -51,6 +52,7 @@ class Played:
     triangles: IntArray
     times: Float
     uvs: FloatArray
+    colours: FloatArray
     hard_edges: IntArray
     parts: list[tuple[IntArray, IntArray, FloatArray]]
     positions: FloatArray
@@ -82,6 +84,7 @@ def played(node: Node, folder: Path, coded: CompressedSequence | Path, times: Fl
         array("triangles", "<u4"),
         array("times", "<f8"),
         array("uvs", "<f4").reshape(-1, 2),
+        array("colours", "<f4").reshape(-1, 4),
         array("edges", "<i4"),
         [
             (array(f"vertices{k}", "<u4"), array(f"fields{k}", "<u4"), array(f"values{k}", "<f4"))

@@ -124,7 +124,13 @@ def random_sequence(seed: int) -> MeshSequence:
     )
     uvs = CornerValues(rng.integers(0, 64, (20, 2)).astype(np.float32) / 64, polygons.indices % 20)
     hard = rng.integers(0, 3, len(polygons.indices)) + 3 * polygons.indices
-    surface = Surface(uvs=uvs if seed % 2 else None, hard_edges=hard.astype(np.int32) if seed % 3 else None)
+    of_vertices = CornerValues(rng.integers(0, 256, (len(polygons.indices), 4)) / 255, polygons.indices)
+    of_corners = CornerValues(rng.random((9, 4)), np.arange(len(polygons.indices)) % 9)
+    surface = Surface(
+        uvs=uvs if seed % 2 else None,
+        colours=(None, of_vertices, of_corners)[seed % 3],
+        hard_edges=hard.astype(np.int32) if seed % 3 else None,
+    )
     return MeshSequence.from_header(replace(sequence.header, surface=surface), sequence.points)
 
 
@@ -140,6 +146,8 @@ def test_random_sequences(node: Node, tmp_path: Path, seed: int, monkeypatch: py
         assert found.uvs.tobytes() == coded.header.surface.uvs.at_corners.tobytes()
     else:
         assert not len(found.uvs)
+    colours = coded.header.surface.colours
+    assert found.colours.tobytes() == (b"" if colours is None else colours.at_corners.tobytes())
     if coded.header.surface.hard_edges is not None:
         np.testing.assert_array_equal(found.hard_edges, by_first_use(coded.header.surface.hard_edges))
 

@@ -16,6 +16,7 @@ from mixseq.choices import StillName
 from mixseq.geometry.normals import shared_normals
 from mixseq.polygons import Polygons
 from mixseq.sequence import MeshSequence
+from mixseq.surface import CornerValues, Surface
 from tests.formats.gltf.test_mesh_sequences import dressed_bar, needs_draco
 from tests.meshes import bar
 from tests.viewing.conftest import Keep, browser, keep, new_page, page
@@ -193,6 +194,29 @@ def test_materials_and_place(page: Page, tmp_path: Path, sequence: MeshSequence)
     ]
     matrix = np.reshape(facts["matrix"], (4, 4)).T  # Z is up, in centimetres
     np.testing.assert_allclose(matrix @ [0, 0, 1, 1], [0, 0.01, 0, 1], atol=1e-9)
+
+
+def test_colours_of_vertices_are_drawn(page: Page, tmp_path: Path) -> None:
+    """One polygon is red, and cut off; the others have colours at their vertices."""
+    sequence = bar()
+    shades = np.arange(sequence.vertex_count) % 256 / 255
+    values = np.column_stack([shades, 1 - shades, shades, np.ones_like(shades)])
+    indices = np.array(sequence.polygons.indices)
+    indices[: sequence.polygons.counts[0]] = sequence.vertex_count
+    colours = CornerValues(np.vstack([values, [1, 0, 0, 0.5]]), indices)
+    sequence = replace(sequence, surface=Surface(colours=colours))
+    mixseq.save(tmp_path / "walk.glb", mixseq.compress(sequence, max_error=1e-3), still="none")
+    facts = opened(page, tmp_path / "walk.glb")
+    header = mixseq.load(tmp_path / "walk.glb").header
+    drawn = np.frombuffer(b64decode(facts["triangles"]), "<u4")
+    painted = header.surface.colours
+    assert painted is not None and header.polygons.only_triangles
+    found = floats(page.evaluate("() => packed(shot.geometry.attributes.color.array)"), 4)
+    np.testing.assert_array_equal(found[drawn], painted.at_corners)
+    assert page.evaluate("() => [shot.material.vertexColors, shot.material.color.getHex()]") == [
+        True,
+        0xFFFFFF,
+    ]
 
 
 def test_copies_have_moments_of_their_own(page: Page, tmp_path: Path) -> None:

@@ -14,14 +14,22 @@ export function uvsOf(sequence) {
   return guarded("the texture coordinates", () => {
     if (!streams.uvs) {
       const { uv_values: values, uv_indices: rows } = surfaceOf(sequence);
-      if (!values) return null;
-      ofCorners(rows, cornerCount, values.length / 2);
-      return Float32Array.from({ length: 2 * cornerCount }, (_, k) => values[2 * rows[k >> 1] + (k & 1)]);
+      return values ? atCorners(values, ofCorners(rows, cornerCount, values.length / 2), 2) : null;
     }
     const { counts, corners } = sequence.polygons(), { data, expected } = withoutCheck(streams.uvs);
     const numbers = decodeUvs(data, counts, corners, vertexCount);
     refuseOthers(checkOf(numbers), expected);
     return Float32Array.from(numbers, (number) => number / parameters.uvSteps);
+  });
+}
+
+/** Colours at the corners, red, green, blue and alpha of each, from 0 to 1; null if there are none. */
+export function coloursOf(sequence) {
+  return guarded("the colours", () => {
+    const { colour_values: values, colour_indices: rows = sequence.polygons().corners } = surfaceOf(sequence);
+    if (!values) return null;
+    const colours = atCorners(values, ofCorners(rows, sequence.cornerCount, values.length / 4), 4);
+    return values instanceof Uint8Array ? colours.map((byte) => byte / 255) : colours;
   });
 }
 
@@ -53,6 +61,11 @@ export function surfaceOf({ streams, cornerCount }) {
     }
     return arrays;
   });
+}
+
+/** The values that corners have, a row of some width each, of which `rows` tells the number. */
+function atCorners(values, rows, width) {
+  return Float32Array.from({ length: width * rows.length }, (_, k) => values[width * rows[Math.floor(k / width)] + (k % width)]);
 }
 
 /** Make sure that there is a number for every corner, from 0 to below a size. */

@@ -1,24 +1,29 @@
 // The mesh of a sequence as graphics cards have it: triangles, and vertices that are cut where a corner has other texture
-// coordinates, or another normal, than the corner before.
+// coordinates, or another colour or normal, than the corner before.
 import { triangulated } from "../decoder/polygons.js";
-import { hardEdgesOf, uvsOf } from "../decoder/surface.js";
+import { coloursOf, hardEdgesOf, uvsOf } from "../decoder/surface.js";
 
 /**
  * `triangles` of vertices; `vertices` tells which of the sequence each is, `groups` which share a normal, `uvs` has their
- * texture coordinates, v downwards as in glTF, null if there are none.
+ * texture coordinates, v downwards as in glTF, `colours` red, green, blue and alpha; null if there are none.
  */
 export function drawnMesh(sequence) {
-  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), edges = hardEdgesOf(sequence), normals = edges ? byFirstUse(edges).numbers : corners;
-  const { numbers: drawn, firsts: cut } = byFirstUse(corners, ...(edges ? [normals] : []), ...(uvs ? [axisOf(uvs, 0), axisOf(uvs, 1)] : []));
+  const { counts, corners } = sequence.polygons(), uvs = uvsOf(sequence), colours = coloursOf(sequence), edges = hardEdgesOf(sequence);
+  const normals = edges ? byFirstUse(edges).numbers : corners, on = [...axesOf(uvs, 2), ...axesOf(colours, 4)];
+  const { numbers: drawn, firsts: cut } = byFirstUse(corners, ...(edges ? [normals] : []), ...on);
   return {
     triangles: triangulated(counts, drawn),
     vertices: Uint32Array.from(cut, (corner) => corners[corner]),
     groups: Uint32Array.from(cut, (corner) => normals[corner]),
     uvs: uvs && Float32Array.from({ length: 2 * cut.length }, (_, k) => (k & 1 ? 1 - uvs[2 * cut[k >> 1] + 1] : uvs[2 * cut[k >> 1]])),
+    colours: colours && Float32Array.from({ length: 4 * cut.length }, (_, k) => colours[4 * cut[k >> 2] + (k & 3)]),
   };
 }
 
-const axisOf = (uvs, axis) => Float32Array.from({ length: uvs.length / 2 }, (_, corner) => uvs[2 * corner + axis]);
+/** The columns of rows of some width, none if there are no rows. */
+function axesOf(rows, width) {
+  return Array.from({ length: rows ? width : 0 }, (_, axis) => rows.filter((_, k) => k % width === axis));
+}
 
 /**
  * The `numbers` 0, 1, 2, ... of rows as they come, equal where these are, and where each is at first, `firsts`. Rows are given

@@ -30,14 +30,20 @@ export class MeshSequencePlugin {
 
   async #load({ name = "", primitives }, { coding, streams, polygons }) {
     const bytes = async (view) => new Uint8Array(await this.parser.getDependency("bufferView", view));
-    const materials = primitives.map(({ material }) =>
-      material === undefined ? new MeshStandardMaterial({ color: 0xd8d0c4, roughness: 0.8 }) : this.parser.getDependency("material", material));
+    const materials = primitives.map(({ material }) => (material === undefined ? null : this.parser.getDependency("material", material)));
     const [text, data] = await Promise.all([coding, streams].map(bytes));
     const { sequence, drawn } = await openDecoded(new TextDecoder().decode(text), data); // by a Worker
-    const mesh = new MeshSequence(sequence, drawn, await Promise.all(materials), polygons);
+    const painted = (await Promise.all(materials)).map((material) => paintedBy(material, drawn.colours !== null));
+    const mesh = new MeshSequence(sequence, drawn, painted, polygons);
     mesh.name = this.parser.createUniqueName(name || "sequence");
     return mesh;
   }
+}
+
+/** A material, a plain one if there is none, whose colour the colours of vertices are multiplied with if there are some. */
+function paintedBy(material, vertexColors) {
+  if (!material) return new MeshStandardMaterial({ color: vertexColors ? 0xffffff : 0xd8d0c4, roughness: 0.8, vertexColors });
+  return vertexColors ? Object.assign(material.clone(), { vertexColors }) : material; // others may share it
 }
 
 /** The mesh sequences in an object and all below it. */
@@ -60,13 +66,14 @@ export class MeshSequence extends Mesh {
   }
 
   #begin(sequence, drawn, materials, polygons) {
-    const { triangles, vertices, uvs } = drawn, { geometry } = this, { counts } = sequence.polygons();
+    const { triangles, vertices, uvs, colours } = drawn, { geometry } = this, { counts } = sequence.polygons();
     Object.assign(this, { sequence, drawn, polygons, material: materials.length > 1 ? materials : materials[0] });
     this.isMeshSequence = true;
     this.frustumCulled = false; // the shape may be anywhere
     geometry.setIndex(new BufferAttribute(triangles, 1));
     for (const name of ["position", "normal"]) geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * vertices.length), 3));
     if (uvs) geometry.setAttribute("uv", new BufferAttribute(uvs, 2));
+    if (colours) geometry.setAttribute("color", new BufferAttribute(colours, 4));
     for (let run = 0, polygon = 0, start = 0; run < polygons.length && materials.length > 1; run += 2) {
       const first = start;
       for (const end = polygon + polygons[run + 1]; polygon < end; polygon++) start += 3 * Math.max(counts[polygon] - 2, 0);

@@ -69,6 +69,9 @@ export class Sequence implements Facts {
 /** Texture coordinates at the corners, v upwards; null if there are none. */
 export function uvsOf(sequence: Sequence): Float32Array | null;
 
+/** Colours at the corners, red, green, blue and alpha, from 0 to 1; null if there are none. */
+export function coloursOf(sequence: Sequence): Float32Array | null;
+
 /** Numbers of normals at the corners; null if all corners of a vertex share one. */
 export function hardEdgesOf(sequence: Sequence): ArrayLike<number> | null;
 
@@ -83,6 +86,8 @@ export interface DrawnMesh {
   groups: Uint32Array;
   /** v downwards. */
   uvs: Float32Array | null;
+  /** Red, green, blue and alpha of each. */
+  colours: Float32Array | null;
 }
 
 /** The mesh as graphics cards have it, cut at seams and hard edges. */
