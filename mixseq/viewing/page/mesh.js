@@ -4,8 +4,8 @@
 /**
  * Make a renderer of a canvas, or null where there is no WebGL 2.
  *
- * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `draw(panels, look, quality)` draws
- * pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
+ * `meshOf(item)` makes a mesh of {vertices, faces, centre, colourings: [{palette, top}]}; `warmUp(look)` draws a first point while there
+ * are none; `draw(panels, look, quality)` draws pictures beside each other, with a share of the pixels. A panel is {box: [left, top, width, height] in pixels of the
  * page, shown: [{mesh, now, next, share, colouring, tint, moved}], rows: rotation to the screen, target: what is looked at, scale: pixels per unit, shift: pixels from the middle, ground: its height,
  * reach: half the side of the ground that has shadows, size: of what moves}. The look is {background, line, shade, ink, wires, grid}; colours are 0 to 1.
  */
@@ -146,6 +146,14 @@ var mixseqRenderer = function (canvas) {
 
   // Pictures ------------------------------------------------------------------------------------------------------
 
+  /** Draw a point with all programs: cards finish programs when they first draw. */
+  function warmUp(look) {
+    const zero = [0, 0, 0], pose = { number: 0, places: new Float32Array(3), normals: new Float32Array(3), colours: new Uint8Array(1) };
+    const mesh = meshOf({ vertices: 1, faces: new Uint32Array(3), centre: zero, colourings: [{ palette: [zero] }] });
+    const shown = [{ mesh, now: pose, next: pose, share: 0, colouring: 0, tint: zero, moved: zero }];
+    draw([{ box: [0, 0, 1, 1], shown, rows: [[1, 0, 0], [0, 0, -1], [0, 1, 0]], target: zero, scale: 1, shift: zero, ground: 0, reach: 1, size: 1 }], look);
+  }
+
   function draw(panels, look, quality = 1) {
     ratio = quality * Math.min(window.devicePixelRatio || 1, 2);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
@@ -217,5 +225,5 @@ var mixseqRenderer = function (canvas) {
     return power * (first < 1.5 ? 1 : first < 3.5 ? 2 : first < 7.5 ? 5 : 10);
   }
 
-  return { meshOf, draw };
+  return { meshOf, warmUp, draw };
 };

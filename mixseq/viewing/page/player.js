@@ -7,6 +7,7 @@
   const canvas = element("view");
   const SLOW = 90; // milliseconds between frames
   const AHEAD = 8; // poses that are decoded before they are shown
+  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = { line: [0.45, 0.44, 0.42, 0.38], shade: [0.25, 0.24, 0.28, 0.42], ink: [0.1, 0.1, 0.12, 0.45] };
   const DARK = { line: [0.75, 0.75, 0.78, 0.26], shade: [0, 0, 0, 0.6], ink: [0.05, 0.05, 0.06, 0.5] };
 
@@ -15,6 +16,12 @@
   function fail(text) {
     element("bar").hidden = element("side").hidden = true;
     mixseqFail(text);
+  }
+
+  /** How all is drawn; the background is that of the page, of which the canvas is a part. */
+  function look() {
+    const background = getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
+    return { ...(darkness.matches ? DARK : LIGHT), background, wires: state.wires, grid: state.grid };
   }
 
   const damaged = (error) => fail(`The page is damaged: ${error.message}. Try to get it again.`);
@@ -46,6 +53,7 @@
   if (!renderer) {
     return fail("This browser cannot draw the page: it has no WebGL 2, or it is turned off. Try another browser, or turn hardware acceleration on.");
   }
+  renderer.warmUp(look());
   try {
     await opening;
   } catch (error) {
@@ -58,7 +66,6 @@
 
   const period = description.period, clock = mixseqClock(items, period, redraw);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
   let panels = [], drawn = 0, asked = false, last = null, pace = 0;
 
   const stage = mixseqStage(element("stage"), element("names"), element("legend"));
@@ -117,7 +124,7 @@
     const drawable = shown.map((each, k) => ({ ...each, mesh: meshes[k], tint: stage.tint(k, tinted()), moved: movedBy(each, items[k]) }));
     panels = stage.panels(items, camera, state);
     panels.forEach((panel, k) => (panel.shown = state.overlaid ? drawable : [drawable[k]]));
-    renderer.draw(panels, { ...(darkness.matches ? DARK : LIGHT), background: background(), wires: state.wires, grid: state.grid }, quality());
+    renderer.draw(panels, look(), quality());
     element("message").hidden = true;
     drawn++;
   }
@@ -129,9 +136,6 @@
 
   /** Where there is no graphics card, half the pixels each way have to do while it moves. */
   const quality = () => (clock.playing && pace > SLOW ? 0.5 : 1);
-
-  /** The colour of the page, of which the canvas is a part. */
-  const background = () => getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
 
   const tinted = () => state.overlaid && state.colour === "clay";
 
