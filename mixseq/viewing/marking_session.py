@@ -6,9 +6,7 @@ examination of the pairs of now. None of it keeps a click waiting.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from traceback import print_exception
 from typing import Protocol
 
 import numpy as np
@@ -17,10 +15,9 @@ from mixseq.correspondence.examination import Examination, examine
 from mixseq.correspondence.markers import Markers
 from mixseq.correspondence.mirroring import Mirror
 from mixseq.correspondence.suggestions import suggest_markers
-from mixseq.errors import MixseqError
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
-from mixseq.viewing.background import Background
+from mixseq.viewing.background import Jobs
 from mixseq.viewing.marking import Marking, MarkingHistory, Pair, Places
 
 
@@ -34,7 +31,7 @@ class MarkingListener(Protocol):
         """Something could not be done."""
 
 
-class MarkingSession(Background):
+class MarkingSession(Jobs[Callable[[], None]]):
     """Markers of two meshes while they are set.
 
     Parameters
@@ -59,11 +56,9 @@ class MarkingSession(Background):
         self._mirrors: tuple[Mirror, Mirror] | None = None
         self._mirrored: dict[tuple[int, int], Pair | None] = {}
         self._examined: tuple[tuple[Pair, ...], Examination] | None = None
-        self._jobs: deque[Callable[[], None]] = deque()
         self.work = ""
-        self._jobs.extend([] if len(markers) else [self._suggest])
-        self._jobs.extend([self._find_mirrors, self._examine])
-        super().__init__(self._work)
+        first = [] if len(markers) else [self._suggest]
+        super().__init__(listener.failed, [*first, self._find_mirrors, self._examine])
 
     # What there is --------------------------------------------------------------------------------------
 
@@ -163,26 +158,14 @@ class MarkingSession(Background):
     # What is done beside --------------------------------------------------------------------------------
 
     def _later(self, job: Callable[[], None]) -> None:
-        with self._changed:
-            if job not in self._jobs:
-                self._jobs.append(job)
-                self._changed.notify_all()
+        self._add(job, needless=lambda waiting: waiting == job)
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._jobs or self._closed)
-                if self._closed:
-                    return
-                job = self._jobs.popleft()
-            try:
-                job()
-            except Exception as error:
-                if not isinstance(error, MixseqError):  # a bug, but the session goes on
-                    print_exception(error)
-                self._listener.failed("markers", error)
-            self.work = ""
-            self._listener.changed()
+    def _do(self, job: Callable[[], None]) -> None:
+        try:
+            job()
+        except Exception as error:
+            self._fail("markers", error)
+        self._tell("")
 
     def _tell(self, what: str) -> None:
         self.work = what

@@ -6,20 +6,18 @@ before was seen.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from traceback import print_exception
 from typing import Protocol
 
 from mixseq.arrays import Float
-from mixseq.errors import MixseqError, MixseqWarning, OutputError
+from mixseq.errors import OutputError
 from mixseq.operations import retime
 from mixseq.scene.items import Scene
 from mixseq.signals import Model
-from mixseq.viewing.background import Background
+from mixseq.viewing.background import Jobs
 from mixseq.viewing.history import History
 from mixseq.viewing.playback import Playback
 
@@ -70,7 +68,7 @@ class _Job:
     preview: bool = False
 
 
-class Session(Background):
+class Session(Jobs[_Job]):
     """Editing of the models of a scene.
 
     Parameters
@@ -95,8 +93,7 @@ class Session(Background):
         self._saved: dict[int, Model] = {}
         self._writing: list[Thread] = []
         self._index = min(self._histories, default=-1)
-        self._jobs: deque[_Job] = deque()
-        super().__init__(self._work)
+        super().__init__(listener.failed)
 
     def close(self) -> None:
         """End the threads, after the edit and the files that they are at."""
@@ -141,11 +138,11 @@ class Session(Background):
 
     def edit(self, name: str, edit: Edit) -> None:
         """Do something to the model, on another thread; it can be undone."""
-        self._add(_Job(name, self._index, _step(name, edit)))
+        self._ask(_Job(name, self._index, _step(name, edit)))
 
     def preview(self, name: str, edit: Edit) -> None:
         """Show what an edit of the model would make of it, unless another one is asked for first."""
-        self._add(_Job(name, self._index, _step(name, edit), preview=True))
+        self._ask(_Job(name, self._index, _step(name, edit), preview=True))
 
     def retime(self, keys: Float, preview: bool = False) -> None:
         """Retime the model; if that was the last step, it is done anew.
@@ -162,20 +159,20 @@ class Session(Background):
             model = retime(history.before_retiming.model, keys)
             return history.retimed(model, tuple((float(output), float(source)) for output, source in keys))
 
-        self._add(_Job("retime", self._index, change, preview))
+        self._ask(_Job("retime", self._index, change, preview))
 
     def undo(self) -> None:
         """Take back the last step, after the edits that were asked for before."""
-        self._add(_Job("undo", self._index, History.undone))
+        self._ask(_Job("undo", self._index, History.undone))
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        self._add(_Job("redo", self._index, History.redone))
+        self._ask(_Job("redo", self._index, History.redone))
 
     def settle(self) -> None:
         """Show the model as it is, whatever a preview shows."""
         if self._histories:
-            self._add(_Job("settle", self._index, lambda history: history))
+            self._ask(_Job("settle", self._index, lambda history: history))
 
     def save(self, path: Path, replace: bool = False) -> None:
         """Write the model to a file, on a thread of its own; does nothing once the session is closed.
@@ -210,30 +207,20 @@ class Session(Background):
             self._saved[index] = model
             self._listener.saved(what)
 
-    def _add(self, job: _Job) -> None:
-        with self._changed:
-            while self._jobs and self._jobs[-1].preview:
-                self._jobs.pop()
-            self._jobs.append(job)
-            self._changed.notify_all()
+    def _ask(self, job: _Job) -> None:
+        self._add(job, needless=lambda waiting: waiting.preview)
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._jobs or self._closed)
-                if self._closed:
-                    return
-                job = self._jobs.popleft()
-            try:
-                history = job.change(self._histories[job.index])
-                scene = self._playback.scene.with_item(job.index, history.model).checked()
-            except Exception as error:
-                model = self._histories[job.index].model
-                self._playback.change(self._playback.scene.with_item(job.index, model))
-                if not job.preview:  # the mouse goes on, and what comes of the last one is reported
-                    self._fail(job.name, error)
-            else:
-                self._see(job, history, scene)
+    def _do(self, job: _Job) -> None:
+        try:
+            history = job.change(self._histories[job.index])
+            scene = self._playback.scene.with_item(job.index, history.model).checked()
+        except Exception as error:
+            model = self._histories[job.index].model
+            self._playback.change(self._playback.scene.with_item(job.index, model))
+            if not job.preview:  # the mouse goes on, and what comes of the last one is reported
+                self._fail(job.name, error)
+        else:
+            self._see(job, history, scene)
 
     def _see(self, job: _Job, history: History, scene: Scene) -> None:
         if job.preview:
@@ -246,14 +233,6 @@ class Session(Background):
             self._listener.edited(self)
         except Exception as error:
             self._fail("drawing charts", error)
-
-    def _fail(self, what: str, error: Exception) -> None:
-        if not isinstance(error, MixseqError | MixseqWarning):  # a bug, but the session goes on
-            print_exception(error)
-        try:
-            self._listener.failed(what, error)
-        except Exception as again:
-            print_exception(again)
 
 
 def _step(name: str, edit: Edit) -> Callable[[History], History]:

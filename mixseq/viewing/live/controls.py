@@ -240,6 +240,12 @@ def notify(client: Any, title: str, text: str, good: bool = False) -> None:
     client.add_notification(title, text, auto_close_seconds=6.0, color="teal" if good else "red")
 
 
+def notify_all(server: Any, title: str, text: str, good: bool = False) -> None:
+    """Tell something on all pages."""
+    for client in server.get_clients().values():
+        notify(client, title, text, good)
+
+
 def _legend(colourings: list[Colouring]) -> str:
     """Return the scale of colours, as a bar with its ends."""
     shown = next((each for each in colourings if not each.constant), None)

@@ -17,7 +17,7 @@ from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
 from mixseq.topology import Topology
 from mixseq.viewing.live.bridge import add_bridge
-from mixseq.viewing.live.controls import notify
+from mixseq.viewing.live.controls import notify_all
 from mixseq.viewing.live.marking_controls import VIEWS, MarkingControls
 from mixseq.viewing.live.marking_stage import MarkingStage, balls
 from mixseq.viewing.live.server import served
@@ -130,7 +130,7 @@ class MarkingViewer:
 
     def failed(self, what: str, error: Exception) -> None:
         """Tell on all pages what could not be done."""
-        self.tell(f"{what}: not done", str(error))
+        notify_all(self._server, f"{what}: not done", str(error))
 
     def save(self) -> None:
         """Write what is set to the file."""
@@ -141,12 +141,12 @@ class MarkingViewer:
             self.failed("save", error)
         else:
             self.session.kept(marking.pairs)
-            self.tell("Saved", what, good=True)
+            notify_all(self._server, "Saved", what, good=True)
 
     # What the playback and the page tell ----------------------------------------------------------------
 
     def _failed(self, error: Exception) -> None:
-        self.tell("The meshes cannot be shown", str(error))
+        notify_all(self._server, "The meshes cannot be shown", str(error))
 
     def _look(self, camera: tuple[float, float]) -> None:
         self._stage.look(self._playback.scene, camera)
@@ -167,11 +167,6 @@ class MarkingViewer:
         if isinstance(message, Drawn):
             self._stage.drawn()
             self._playback.drawn()
-
-    def tell(self, title: str, text: str, good: bool = False) -> None:
-        """Tell something on all pages."""
-        for client in self._server.get_clients().values():
-            notify(client, title, text, good)
 
 
 @contextmanager

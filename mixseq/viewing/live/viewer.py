@@ -10,7 +10,7 @@ from typing import Any
 
 from mixseq.scene.colours import SceneColours
 from mixseq.viewing.live.bridge import add_bridge
-from mixseq.viewing.live.controls import PlayControls, ShowControls, notify
+from mixseq.viewing.live.controls import PlayControls, ShowControls, notify_all
 from mixseq.viewing.live.editing import Editor
 from mixseq.viewing.live.server import served
 from mixseq.viewing.live.stage import LiveStage
@@ -125,13 +125,13 @@ class Viewer:
 
     def failed(self, what: str, error: Exception) -> None:
         """Tell on all pages what could not be done, and draw what there is instead."""
-        self.tell(f"{what}: not done", str(error))
+        notify_all(self._server, f"{what}: not done", str(error))
         if self._editor is not None:
             self._editor.undone()
 
     def saved(self, what: str) -> None:
         """Tell on all pages that a file was written."""
-        self.tell("Saved", what, good=True)
+        notify_all(self._server, "Saved", what, good=True)
 
     @property
     def _index(self) -> int:
@@ -149,7 +149,7 @@ class Viewer:
     def _failed(self, error: Exception) -> None:
         if self._play is not None:
             self._play.refresh()
-        self.tell("This frame cannot be shown", str(error))
+        notify_all(self._server, "This frame cannot be shown", str(error))
 
     # What the page tells --------------------------------------------------------------------------------
 
@@ -174,11 +174,6 @@ class Viewer:
         if self._editor is not None:
             what = self._editor.picked(index, picked)
         self._shown.picked(f"{name}: {what}" if len(self.playback.scene.items) > 1 else what)
-
-    def tell(self, title: str, text: str, good: bool = False) -> None:
-        """Tell something on all pages."""
-        for client in self._server.get_clients().values():
-            notify(client, title, text, good)
 
 
 @contextmanager
@@ -205,6 +200,6 @@ def viewer(colours: SceneColours, settings: ViewSettings, save: Save) -> Iterato
         server, address = stack.enter_context(served(settings.host, settings.port))
         running = Viewer(server, address, colours, settings, save, stack)
         stack.enter_context(
-            warnings_heard(lambda text: running.tell("Please note", text))
+            warnings_heard(lambda text: notify_all(server, "Please note", text))
         )  # of threads of ours
         yield running
