@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -25,6 +24,9 @@ HEIGHT = 2.0
 FIELD = 35.0
 """Degrees that the camera sees from top to bottom."""
 
+NEAR = 0.7
+"""Of the distance from which all meshes are seen: from nearer the camera looks at one of them."""
+
 MARGIN = 1.15
 """So many times as far to the sides as everything is, where it is."""
 
@@ -39,23 +41,40 @@ class Arrangement:
         Axis of each mesh that points up.
     scale : float
         Units of the scene per unit of the meshes.
+    boxes : (n, 2, 3) float64
+        Lowest and highest places of every mesh, seen from its origin, in units of the scene.
     offsets : (n, 3) float64
         Where the origins of the meshes are, in units of the scene.
-    low, high : (3,) float64
-        The box around everything.
-    labels : (n, 3) float64
-        Places above the meshes.
     view : View
         From where they are seen.
     """
 
     up_axes: tuple[str, ...]
     scale: float
+    boxes: Float
     offsets: Float
-    low: Float
-    high: Float
-    labels: Float
     view: View
+
+    @property
+    def low(self) -> Float:
+        """The lowest corner ``(3,)`` of the box around everything."""
+        return np.asarray((self.boxes[:, 0] + self.offsets).min(axis=0))
+
+    @property
+    def high(self) -> Float:
+        """The highest corner ``(3,)`` of it."""
+        return np.asarray((self.boxes[:, 1] + self.offsets).max(axis=0))
+
+    @property
+    def middles(self) -> Float:
+        """The middles ``(n, 3)`` of the meshes."""
+        return np.asarray(self.boxes.mean(axis=1) + self.offsets)
+
+    @property
+    def labels(self) -> Float:
+        """Places ``(n, 3)`` above the meshes."""
+        tops = np.where([True, False, True], self.middles, self.boxes[:, 1] + self.offsets)
+        return np.asarray(tops + np.array([0, 0.04 * HEIGHT, 0]))
 
     def placed(self, index: int, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the points ``(V, 3)`` of a mesh in the scene."""
@@ -73,6 +92,29 @@ class Arrangement:
         distance = (near + MARGIN * np.maximum(np.abs(up), np.abs(right) / aspect) / tangent).max()
         return centre + distance * rows[2], centre
 
+    def turned(self, azimuth: float, looked_at: Float, distance: float) -> Arrangement:
+        """Return meshes in a row across the view from elsewhere, so that none hides another.
+
+        What the camera looks at stays where it is: from near the nearest mesh, otherwise the middle of the row.
+
+        Parameters
+        ----------
+        azimuth : float
+            Degrees, as of `View`.
+        looked_at : (3,) float
+            What the camera turns about.
+        distance : float
+            How far away it is from that.
+        """
+        offsets = _row(self.boxes, azimuth)
+        moved = (self.offsets - offsets) * [1, 0, 1]
+        place, centre = self.camera(aspect=1.0)
+        if distance < NEAR * np.linalg.norm(place - centre):
+            shift = moved[np.linalg.norm(self.middles - looked_at, axis=1).argmin()]
+        else:
+            shift = moved.mean(axis=0)
+        return replace(self, offsets=offsets + shift, view=View(azimuth, self.view.elevation))
+
 
 def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | None = None) -> Arrangement:
     """Find places for meshes of a scene, such that they never meet if they stand side by side.
@@ -86,36 +128,22 @@ def arranged(scene: Scene, side_by_side: bool, camera: tuple[float, float] | Non
         boxes.append(
             (np.min([pose.min(axis=0) for pose in poses], 0), np.max([pose.max(axis=0) for pose in poses], 0))
         )
-    first = scene.items[0]
-    view = seen_from(first.ends, up_axes[0], camera)
-    offsets = _row(boxes, view.azimuth) if side_by_side else _together(boxes)
-    low = np.min([box[0] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)
-    high = np.max([box[1] + offset for box, offset in zip(boxes, offsets, strict=True)], axis=0)
+    spans = np.array(boxes)
+    view = seen_from(scene.items[0].ends, up_axes[0], camera)
+    offsets = _row(spans, view.azimuth) if side_by_side else _together(spans)
+    low, high = (spans[:, 0] + offsets).min(axis=0), (spans[:, 1] + offsets).max(axis=0)
     scale = HEIGHT / (float((high - low).max()) or 1.0)
     centre = (low + high) / 2 * [1, 0, 1]
-    offsets = offsets - centre
-    labels = [
-        (np.where([True, False, True], (box[0] + box[1]) / 2, box[1]) + offset) * scale
-        for box, offset in zip(boxes, offsets, strict=True)
-    ]
-    return Arrangement(
-        up_axes,
-        scale,
-        scale * offsets,
-        scale * (low - centre),
-        scale * (high - centre),
-        np.array(labels) + np.array([0, 0.04 * HEIGHT, 0]),
-        view,
-    )
+    return Arrangement(up_axes, scale, scale * spans, scale * (offsets - centre), view)
 
 
-def _together(boxes: Sequence[tuple[Float, Float]]) -> Float:
+def _together(boxes: Float) -> Float:
     """Meshes stay where they are, on the ground of the lowest."""
-    ground = min(float(low[1]) for low, _ in boxes)
+    ground = float(boxes[:, 0, 1].min())
     return np.tile([0.0, -ground, 0.0], (len(boxes), 1))
 
 
-def _row(boxes: Sequence[tuple[Float, Float]], azimuth: float) -> Float:
+def _row(boxes: Float, azimuth: float) -> Float:
     """Put meshes in a row across the view, on the ground."""
     a = np.radians(azimuth)
     right = np.array([np.cos(a), 0.0, -np.sin(a)])

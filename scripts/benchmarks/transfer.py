@@ -9,8 +9,7 @@ the target at rest) pose by pose, after a translation, as placed, and with the v
 fixed, if there is one.
 
 Markers of the pairs that end in -picked were set in the viewer (mixseq view --markers), from nothing: what it proposes
-was confirmed, the rest was chosen by eye on what it shows, of cat and lion on near views of the same meshes. All were
-saved before anything was measured with them.
+was confirmed, the rest was chosen by eye on what it shows. All were saved before anything was measured with them.
 """
 
 from __future__ import annotations

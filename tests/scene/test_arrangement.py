@@ -159,9 +159,8 @@ def test_the_camera_sees_everything(name: str, aspect: float) -> None:
 def test_the_camera_sees_any_box(
     size: tuple[float, ...], at: tuple[float, ...], azimuth: float, aspect: float
 ) -> None:
-    low = np.array(at)
-    nothing = np.zeros((1, 3))
-    found = Arrangement(("Y",), 1.0, nothing, low, low + size, nothing, View(azimuth))
+    box = np.array([[at, np.add(at, size)]])
+    found = Arrangement(("Y",), 1.0, box, np.zeros((1, 3)), View(azimuth))
     assert shares(found, aspect).max() == pytest.approx(1 / MARGIN)
     place, centre = found.camera(aspect)
     assert place[1] > centre[1]  # from above
@@ -175,3 +174,26 @@ def test_the_camera_is_where_it_was_asked_for() -> None:
     still = MeshSequence.from_arrays(bar().points[:1], bar().faces)
     place, centre = arranged(Scene((SceneItem("bar", still),)), True, (90.0, 0.0)).camera(1.0)
     np.testing.assert_allclose((place - centre) / np.linalg.norm(place - centre), [1, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 37.0, 90.0, 180.0, -120.0])
+@pytest.mark.parametrize("name", ["two", "moving", "unlike", "up"])
+def test_a_row_turns_with_the_camera(name: str, azimuth: float) -> None:
+    scene = scene_of(*SHOTS[name])
+    before = arranged(scene, side_by_side=True)
+    found = before.turned(azimuth, np.zeros(3), 10.0)
+    right = across(found)
+    ends = [(float((mesh @ right).min()), float((mesh @ right).max())) for mesh in placed(scene, found)]
+    assert all(left > end for (_, end), (left, _) in pairwise(ends))
+    assert found.low[1] == pytest.approx(0)
+    assert found.scale == before.scale
+
+
+def test_what_is_looked_at_stays() -> None:
+    before = arranged(scene_of(*SHOTS["two"]), side_by_side=True)
+    for index, middle in enumerate(before.middles):
+        found = before.turned(before.view.azimuth + 70.0, middle, 1.0)
+        np.testing.assert_allclose(found.offsets[index], before.offsets[index], atol=1e-12)
+        assert np.abs(found.offsets[1 - index] - before.offsets[1 - index]).max() > 0.1
+    found = before.turned(before.view.azimuth + 70.0, before.middles[0], 10.0)
+    np.testing.assert_allclose(found.middles.mean(axis=0), before.middles.mean(axis=0), atol=1e-12)

@@ -154,17 +154,46 @@ def test_a_marker_is_chosen_moved_and_deleted(new_page: NewPage, running: Markin
     hand.button("Accept all")
     eventually(lambda: len(hand.bones()) == 8)
     hand.see_left()
-    number = hand.bones().index(("tail4", "tail4"))
+    number = hand.bones().index(("nose", "nose"))
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])  # its ball
     eventually(lambda: f"{number + 1} is chosen" in hand.text("hint"))
     hand.click(0, "thigh.l")
-    assert hand.bones()[number] == ("thigh.l", "tail4")
+    assert hand.bones()[number] == ("thigh.l", "nose")
     hand.click_vertex(0, running.session.marking.pairs[number].vertices[0])
     assert running.session.marking.chosen == number
     hand.button("Delete")
     eventually(lambda: len(hand.bones()) == 7)
     hand.button("Undo")
     eventually(lambda: len(hand.bones()) == 8)
+
+
+def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> None:
+    """They stay beside each other while the camera turns, and it finds the same place of the other one."""
+    hand = Hand(new_page(), running)
+    eventually(lambda: len(running.session.proposals) == 8)
+    mouse, stage = hand.page.mouse, running._stage
+    before = stage.arrangement.view.azimuth
+    mouse.move(500, 500)
+    mouse.down()
+    mouse.move(300, 500, steps=10)
+    mouse.up()
+    eventually(lambda: abs(stage.arrangement.view.azimuth - before) > 30)
+    hand.page.wait_for_timeout(1000)
+    ends = [
+        [hand.page.evaluate(PLACE, [side, vertex])[0] for vertex in range(0, fox.mesh.vertex_count, 40)]
+        for side, fox in enumerate(FOXES)
+    ]
+    assert max(ends[0]) < min(ends[1])
+
+    def looked_at() -> int:
+        (client,) = running._server.get_clients().values()
+        return int(np.linalg.norm(stage.arrangement.middles - client.camera.look_at, axis=1).argmin())
+
+    first = looked_at()
+    hand.button("Other mesh")
+    eventually(lambda: looked_at() != first)
+    hand.button("Other mesh")
+    eventually(lambda: looked_at() == first)
 
 
 def test_on_a_phone(new_page: NewPage, running: MarkingViewer, keep: Keep) -> None:

@@ -42,6 +42,8 @@ class MarkingControls:
         The file that is saved to.
     look : callable
         Looks from elsewhere.
+    other : callable
+        Lets a camera look at the other mesh.
     save : callable
         Saves.
     """
@@ -53,6 +55,7 @@ class MarkingControls:
         names: tuple[str, str],
         file: str,
         look: Callable[[tuple[float, float]], None],
+        other: Callable[[Any], None],
         save: Callable[[], None],
     ) -> None:
         gui = server.gui
@@ -63,6 +66,7 @@ class MarkingControls:
             self._hint = gui.add_html("")
             steps = gui.add_button_group("Steps", ("Undo", "Redo", "Delete"))
             views = gui.add_button_group("See from", tuple(VIEWS))
+            across = gui.add_button("Other mesh", hint="Look at the same place of the other mesh (key O)")
         with gui.add_folder("Proposed"):
             self._proposed = gui.add_html("")
             proposals = gui.add_button_group("", ("Accept", "Skip", "Accept all"))
@@ -74,6 +78,8 @@ class MarkingControls:
             button = gui.add_button("Save")
         steps.on_click(lambda _: getattr(session, steps.value.lower())())
         views.on_click(lambda _: look(VIEWS[views.value]))
+        across.on_click(lambda event: other(event.client.camera))
+        gui.add_command("Other mesh", hotkey="O").on_trigger(lambda event: other(event.client.camera))
         does = {"Accept": session.accept, "Skip": session.skip, "Accept all": session.accept_all}
         proposals.on_click(lambda _: does[proposals.value]())
         again.on_click(lambda _: session.suggest())

@@ -9,14 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float, Index, Single
+from mixseq.arrays import Float, Index
 from mixseq.correspondence.triangle_mesh import TriangleMesh
 from mixseq.scene.arrangement import HEIGHT
 from mixseq.topology import Topology
 from mixseq.viewing.marking import Marking, Pair
 
-RADIUS = 0.01 * HEIGHT
-"""That of a ball; twice that of proposals but the next one. Ours, as all sizes here."""
+RADIUS = 0.004
+"""That of a ball, by how far away the camera is from what it looks at; ours, as all sizes here."""
+
+FARTHEST = 2.5 * HEIGHT
+"""From farther away, balls get smaller on the screen."""
+
+STEP = 1.15
+"""Balls are drawn anew when their radius changes by this factor."""
 
 CHOSEN = 1.6
 """How many times as large is the ball of a chosen pair, or of one that is begun."""
@@ -94,15 +100,33 @@ class MarkingStage:
         self._server = server
         self._clicked = clicked
         self._topologies = topologies
-        self._placed: dict[int, tuple[Single, Float]] = {}
+        self._radius = RADIUS * FARTHEST
+        self._placed: dict[int, tuple[Float, Float]] = {}
         self._labels: dict[str, Any] = {}
         self._nodes: dict[int, Any] = {}
+        self._frames = [server.scene.add_frame(f"/markers/{side}", show_axes=False) for side in range(2)]
         self._ball = _icosphere()
 
-    def place(self, side: int, points: Single) -> None:
-        """Take notice of where the vertices ``(V, 3)`` of a mesh are in the scene."""
-        mesh = TriangleMesh(np.asarray(points, np.float64), self._topologies[side])
-        self._placed[side] = points, mesh.vertex_normals
+    def place(self, side: int, points: Float) -> None:
+        """Take notice of where the vertices ``(V, 3)`` of a mesh are, seen from where it stands."""
+        self._placed[side] = points, TriangleMesh(points, self._topologies[side]).vertex_normals
+
+    def stand(self, offsets: Float) -> None:
+        """Take notice of where the meshes stand ``(2, 3)``."""
+        for frame, offset in zip(self._frames, offsets, strict=True):
+            frame.position = offset
+
+    def standing(self, side: int, vertices: Index) -> Float:
+        """Return where vertices of a mesh are in the scene ``(n, 3)``."""
+        return np.asarray(self._placed[side][0][vertices] + self._frames[side].position)
+
+    def seen_from(self, distance: float) -> bool:
+        """Take notice of how far away the camera is; returns whether balls are to be drawn anew."""
+        radius = RADIUS * min(distance, FARTHEST)
+        if 1 / STEP < radius / self._radius < STEP:
+            return False
+        self._radius = radius
+        return True
 
     def draw(self, side: int, drawn: Sequence[Ball]) -> None:
         """Draw the balls of a side, and no others."""
@@ -110,23 +134,22 @@ class MarkingStage:
         vertices = np.array([ball.vertex for ball in drawn], np.int64)
         with self._server.atomic():
             self._show(side, drawn, points[vertices])
-            places = points[vertices] + ABOVE * RADIUS * normals[vertices]
-            self._write(side, drawn, np.asarray(places, np.float64))
+            self._write(side, drawn, points[vertices] + ABOVE * self._radius * normals[vertices])
 
-    def _show(self, side: int, drawn: Sequence[Ball], places: Single) -> None:
+    def _show(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
         """Move the balls of a side; some are spare, and far away, as new ones blink when they come."""
         count = max(SPARE, 1 << len(drawn).bit_length())
         positions = np.tile(np.array([0.0, -AWAY, 0.0], np.float32), (count, 1))
-        scales = np.full(count, RADIUS, np.float32)
+        scales = np.full(count, self._radius, np.float32)
         colours = np.zeros((count, 3), np.uint8)
         for row, ball in enumerate(drawn):
-            positions[row], scales[row], colours[row] = places[row], RADIUS * ball.scale, ball.colour
+            positions[row], scales[row], colours[row] = places[row], self._radius * ball.scale, ball.colour
         node = self._nodes.get(side)
         if node is not None and len(node.batched_positions) == count:
             node.batched_positions, node.batched_scales, node.batched_colors = positions, scales, colours
             return
         node = self._nodes[side] = self._server.scene.add_batched_meshes_simple(
-            f"/markers/{side}",
+            f"/markers/{side}/balls",
             *self._ball,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
             batched_positions=positions,
@@ -144,11 +167,11 @@ class MarkingStage:
 
     def _write(self, side: int, drawn: Sequence[Ball], places: Float) -> None:
         texts = {
-            f"/numbers/{side}/{row}": (ball.text, place)
+            f"/markers/{side}/{row}": (ball.text, place)
             for row, (ball, place) in enumerate(zip(drawn, places, strict=True))
             if ball.text
         }
-        for name in [each for each in self._labels if each.startswith(f"/numbers/{side}/")]:
+        for name in [each for each in self._labels if each.startswith(f"/markers/{side}/")]:
             if name not in texts:
                 self._labels.pop(name).remove()
         for name, (text, place) in texts.items():

@@ -28,6 +28,12 @@ from mixseq.viewing.marking_session import MarkingSession
 from mixseq.viewing.messages import Drawn, Message
 from mixseq.viewing.playback import Playback
 
+TURNED = 2.0
+"""Degrees by which the camera turns before the meshes follow."""
+
+STEEP = 0.05
+"""From so near to straight above or below it is not told from which side they are seen."""
+
 SaveMarkers = Callable[[Markers], str]
 """Writes markers to the file that was named when the viewer was started, and returns a sentence about it."""
 
@@ -104,7 +110,7 @@ class MarkingViewer:
         self.session = stack.enter_context(MarkingSession(meshes.source, meshes.target, meshes.markers, self))
         add_bridge(server, self._heard)
         self._controls = MarkingControls(
-            server, self.session, meshes.names, meshes.file, self._look, self.save
+            server, self.session, meshes.names, meshes.file, self._look, self._other, self.save
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(320)
@@ -155,12 +161,43 @@ class MarkingViewer:
 
     def _place(self) -> None:
         """Put balls where the meshes stand now."""
+        arrangement = self._stage.arrangement
         for side, item in enumerate(self._playback.scene.items):
-            self._balls.place(side, self._stage.standing(side, item.pose(0.0)))
+            points = arrangement.placed(side, item.pose(0.0)).astype(np.float64)
+            self._balls.place(side, points - arrangement.offsets[side])
+        self._balls.stand(arrangement.offsets)
         self.changed()
+
+    def _moved(self, camera: Any) -> None:
+        """Keep meshes beside each other, and balls small, while the camera of a page moves."""
+        toward = camera.position - camera.look_at
+        azimuth, distance = float(np.degrees(np.arctan2(toward[0], toward[2]))), float(np.linalg.norm(toward))
+        turned = abs((azimuth - self._stage.arrangement.view.azimuth + 180) % 360 - 180)
+        if turned > TURNED and np.hypot(toward[0], toward[2]) > STEEP * abs(toward[1]):
+            self._stage.turn(azimuth, camera.look_at, distance)
+            self._balls.stand(self._stage.arrangement.offsets)
+        if self._balls.seen_from(distance):
+            self.changed()
+
+    def _other(self, camera: Any) -> None:
+        """Look at the same place of the other mesh: the marker that is nearest tells where that is."""
+        middles = self._stage.arrangement.middles
+        here = int(np.linalg.norm(middles - camera.look_at, axis=1).argmin())
+        pairs = np.array(
+            [each.vertices for each in (*self.session.marking.pairs, *self.session.proposals)], np.int64
+        )
+        ends = [
+            np.concatenate([middles[[side]], self._balls.standing(side, pairs.reshape(-1, 2)[:, side])])
+            for side in (here, 1 - here)
+        ]
+        nearest = int(np.linalg.norm(ends[0] - camera.look_at, axis=1).argmin())
+        camera.position = (
+            camera.position + ends[1][nearest] - ends[0][nearest]
+        )  # takes along what it looks at
 
     def _connected(self, client: Any) -> None:
         self._stage.welcome(client)
+        client.camera.on_update(self._moved)
         self._playback.refresh()
 
     def _heard(self, message: Message) -> None:

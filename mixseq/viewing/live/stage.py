@@ -83,7 +83,8 @@ class LiveStage:
             receive_shadow=False,
         )
         for index, item in enumerate(colours.scene.items):
-            points = self._arrangement.placed(index, item.pose(0.0))
+            offset = self._arrangement.offsets[index]
+            points = self._arrangement.placed(index, item.pose(0.0)) - offset.astype(np.float32)
             nothing = np.zeros_like(points)
             mesh = server.scene.add_mesh_simple(
                 f"/mesh/{index}",
@@ -92,6 +93,7 @@ class LiveStage:
                 color=(255, 255, 255),
                 material=material,
                 side="double",
+                position=offset,
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -132,7 +134,7 @@ class LiveStage:
                 placed, shift = self._standing(self._arrangement, index, points)
                 if index == 0:
                     self._ground.position = (-shift[0] % CELL, -1e-3 * HEIGHT, -shift[2] % CELL)
-                self._meshes[index].vertices = placed
+                self._meshes[index].vertices = placed - self._arrangement.offsets[index].astype(np.float32)
                 if self._marked is not None and self._marked[0] == index:
                     self._mark.position = placed[self._marked[1]]
                 if not colours.constant or self._painted[index] is not colours:
@@ -157,19 +159,32 @@ class LiveStage:
         self._camera = camera
         self.arrange(scene, side_by_side=True)
 
-    def standing(self, index: int, points: Single) -> Single:
-        """Return where the points ``(V, 3)`` of a mesh are in the scene."""
+    def turn(self, azimuth: float, looked_at: Float, distance: float) -> None:
+        """Keep meshes side by side, see `Arrangement.turned`; the camera is there already."""
         with self._lock:
-            return self._standing(self._arrangement, index, points)[0]
+            self._arrangement = self._arrangement.turned(azimuth, looked_at, distance)
+        self._place_meshes()
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """Where meshes stand."""
+        with self._lock:
+            return self._arrangement
 
     def arrange(self, scene: Scene, side_by_side: bool) -> None:
         """Put meshes side by side or into one place; the next moment does."""
         arrangement = arranged(scene, side_by_side, self._camera)
         with self._lock:
             self._arrangement = arrangement
-            for label, place in zip(self._labels, arrangement.labels, strict=True):
-                label.position = place
+        self._place_meshes()
         self._place_cameras()
+
+    def _place_meshes(self) -> None:
+        with self._lock, self._server.atomic():
+            for mesh, offset in zip(self._meshes, self._arrangement.offsets, strict=True):
+                mesh.position = offset
+            for label, place in zip(self._labels, self._arrangement.labels, strict=False):
+                label.position = place
 
     def hide(self, index: int, hidden: bool) -> None:
         """Hide a mesh, or show it again."""
