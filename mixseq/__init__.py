@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mixseq.signals import Curve, Model, PoseMap, fit
     from mixseq.topology import Topology
     from mixseq.unit_conversion import convert_units
-    from mixseq_io import open_sequence, read, read_skeleton, write, write_blocks, write_rig
+    from mixseq_io import open_sequence, read, read_bind_pose, read_skeleton, write, write_blocks, write_rig
     from mixseq_io.correspondence.markers import read_markers
     from mixseq_io.loading import load
     from mixseq_io.saving import save
@@ -71,6 +71,7 @@ _HOME = {
     "open_sequence": "mixseq_io",
     "read": "mixseq_io",
     "read_markers": "mixseq_io.correspondence.markers",
+    "read_bind_pose": "mixseq_io",
     "read_skeleton": "mixseq_io",
     "save": "mixseq_io.saving",
     "segment": "mixseq.operations.segmenting",
@@ -111,6 +112,7 @@ __all__ = [
     "open_sequence",
     "operations",
     "read",
+    "read_bind_pose",
     "read_markers",
     "read_skeleton",
     "save",

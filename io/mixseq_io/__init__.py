@@ -23,7 +23,7 @@ from mixseq_io.labels.reading import read_labels
 from mixseq_io.reader import SequenceReader
 from mixseq_io.registry import open_sequence, read, write, write_blocks
 from mixseq_io.rig_files import write_rig
-from mixseq_io.skeleton_files import read_skeleton
+from mixseq_io.skeleton_files import read_bind_pose, read_skeleton
 
 __all__ = [
     "FORMATS",
@@ -32,6 +32,7 @@ __all__ = [
     "in_step",
     "open_sequence",
     "read",
+    "read_bind_pose",
     "read_labels",
     "read_skeleton",
     "write",

@@ -76,6 +76,12 @@ def _skeleton(path: str, _: Given) -> Any:
     return read_skeleton(path)
 
 
+def _bind_pose(path: str, _: Given) -> Any:
+    from mixseq_io.skeleton_files import read_bind_pose
+
+    return read_bind_pose(path)
+
+
 def _labels(path: str, given: Given) -> Any:
     from mixseq_io.labels.reading import read_labels
 
@@ -120,6 +126,7 @@ _BY_NAME: dict[str, Read] = {
     "bones": _labels,
     "points": _mesh,
     "skeleton": _skeleton,
+    "bind_pose": _bind_pose,
     "keys": _keys,
     "retiming": _retiming,
     "curve": _pairs,

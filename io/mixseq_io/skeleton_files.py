@@ -18,6 +18,7 @@ from mixseq_io.rig_files import GLTF, RIG_EXTENSIONS
 
 if TYPE_CHECKING:
     from mixseq.rigging.skeletons import Skeleton
+    from mixseq.sequence import MeshSequence
 
 
 @public
@@ -49,21 +50,56 @@ def read_skeleton(path: str | os.PathLike[str], name: str | None = None) -> Skel
         If there are several skeletons; the message names them.
     """
     file = Path(path)
-    check_regular(file, "a file")
-    suffix = file.suffix.lower()
-    if suffix not in RIG_EXTENSIONS:
-        raise FormatError(
-            f"{file}: skeletons are read from glTF and USD; a file that ends in {', '.join(RIG_EXTENSIONS[:-1])} or "
-            f"{RIG_EXTENSIONS[-1]} is expected"
-        )
+    _check_skeleton_file(file)
     with naming(file):
-        if suffix in GLTF:
+        if file.suffix.lower() in GLTF:
             from mixseq_io.gltf.joints import read_joints
 
             return read_joints(file, name)
         from mixseq_io.usd.joints import read_skel_joints
 
         return read_skel_joints(file, name)
+
+
+@public
+def read_bind_pose(path: str | os.PathLike[str], name: str | None = None) -> MeshSequence:
+    """Read the meshes of a skeleton as they were when they were bound to it, as a sequence of one frame.
+
+    They have the vertices of `mixseq_io.read`, and stand around the joints of `read_skeleton`. What hangs on joints of
+    glTF is among them. Morph targets of glTF are mixed as the file has them without animations, those of USD are not.
+
+    Parameters
+    ----------
+    path, name
+        See `read_skeleton`.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, of another type, or has no skeleton of that name, or no mesh on it.
+    AmbiguousError
+        If there are several skeletons; the message names them.
+    """
+    from mixseq.sequence import collect
+
+    file = Path(path)
+    _check_skeleton_file(file)
+    if file.suffix.lower() in GLTF:
+        from mixseq_io.gltf.reader import open_gltf_bind_pose as open_bind_pose
+    else:
+        from mixseq_io.usd.reader import open_usd_bind_pose as open_bind_pose
+    with open_bind_pose(file, name) as reader:
+        return collect(reader.header, reader.blocks())
+
+
+def _check_skeleton_file(file: Path) -> None:
+    """Refuse what is no file with skeletons."""
+    check_regular(file, "a file")
+    if file.suffix.lower() not in RIG_EXTENSIONS:
+        raise FormatError(
+            f"{file}: skeletons are read from glTF and USD; a file that ends in {', '.join(RIG_EXTENSIONS[:-1])} or "
+            f"{RIG_EXTENSIONS[-1]} is expected"
+        )
 
 
 def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | None) -> int:
@@ -131,7 +167,7 @@ def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Sk
     if not np.isfinite(bind).all():
         joint = int(np.argmin(np.isfinite(bind).all(axis=(1, 2))))
         raise InvalidSequenceError(f"the bind pose of joint {joint} ({names[joint]!r}) is not finite")
-    order = _parents_first(parents)
+    order = parents_first(parents)
     place = {joint: bone for bone, joint in enumerate(order)} | {-1: -1}
     axes = bind[order][:, :3, :3]
     # The length of the first column takes away the unit of the file, which would hide a small matrix.
@@ -144,7 +180,7 @@ def skeleton_of(names: Sequence[str], parents: Sequence[int], bind: Float) -> Sk
     )
 
 
-def _parents_first(parents: Sequence[int]) -> list[int]:
+def parents_first(parents: Sequence[int]) -> list[int]:
     """Return the joints in their order, but for parents that stand after a child: these come before it."""
     order: dict[int, None] = {}
     for joint in range(len(parents)):

@@ -56,6 +56,7 @@ def _as_seconds(
         "mixseq decode walk.h5 slow.usdc --fps 240 --start 0.5 --end 1 --velocities",
         "mixseq decode walk.h5 again.usdc --cluster tcp://host:8786",
         "mixseq decode walk.h5 walk.glb --as skin --bones 30",
+        "mixseq decode walk.abc walk.glb --as skin --skeleton character.glb",
         "mixseq decode walk.abc walk.glb --as morph --max-error 0.001",
         "mixseq decode walk.h5 walk.vat --max-error 0.001",
     ),
@@ -94,6 +95,13 @@ def _as_seconds(
     help="Write glTF or USD for engines: a skin over moving bones, or a mesh with few morph targets.",
 )
 @setting("--bones", type=click.IntRange(min=1), metavar="N", help="Number of bones of a skin.")
+@setting("--skeleton", type=FILE, metavar="FILE", help="glTF or USD file with the bones of a skin.")
+@click.option(
+    "--kg",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="P",
+    help="Give a skin as few bones as reach this KG error, in percent.",
+)
 @setting(
     "--correctives",
     type=click.FloatRange(min=0, min_open=True),
@@ -104,7 +112,7 @@ def _as_seconds(
     "--max-error",
     type=click.FloatRange(min=0, min_open=True),
     metavar="E",
-    help="Largest error of a morph or of textures, in diagonals; without it a morph is exact, a texture plain.",
+    help="Largest error of a skin's bones, of a morph or of textures, in diagonals; a morph without it is exact.",
 )
 @setting(
     "--texture",
@@ -128,6 +136,8 @@ def command(
     salvage: bool,
     kind: str | None,
     bones: int | None,
+    skeleton: Path | None,
+    kg: float | None,
     correctives: float | None,
     max_error: float | None,
     max_targets: int | None,
@@ -148,7 +158,7 @@ def command(
     back, and compared with them. MODEL may then be a sequence, too.
     """
     chosen = Chosen(times, frames, fps, start, end)
-    settings = RigSettings(kind, bones, correctives, max_error, max_targets)
+    settings = RigSettings(kind, bones, skeleton, correctives, max_error, kg, max_targets)
     textures = target.suffix.lower() == ".vat"
     if textures:
         check_textures(kind, velocities, writing)

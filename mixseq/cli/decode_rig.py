@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import SettingsError
+from mixseq.errors import FormatError, SettingsError
 from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 _ONLY_FOR = {
     "bones": "skin",
+    "skeleton": "skin",
+    "kg": "skin",
     "correctives": "skin",
-    "max_error": "morph (or a target .vat)",
+    "max_error": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
 _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
@@ -35,16 +37,22 @@ class RigSettings:
         What to write; None for a sequence.
     bones : int or None
         Number of bones.
+    skeleton : Path or None
+        A file with the bones, and mostly with the mesh on them.
     correctives, max_error : float or None
-        Largest error of a vertex in diagonals, of a skin by its correctives, and of a morph.
+        Largest error of a vertex in diagonals: of a skin by its correctives; of its bones, or of a morph.
+    kg : float or None
+        KG error of a skin's bones, in percent.
     max_targets : int or None
         Number of morph targets at most.
     """
 
     kind: str | None
     bones: int | None
+    skeleton: Path | None
     correctives: float | None
     max_error: float | None
+    kg: float | None
     max_targets: int | None
 
     def check(self, velocities: bool, writing: Mapping[str, Any], texture: str | None = None) -> None:
@@ -71,11 +79,37 @@ class RigSettings:
                     )
 
     def fit(self, sequence: MeshSequence, progress: Progress) -> Skin | Morph:
-        """Fit the skin or the morph to a sequence."""
+        """Fit the skin or the morph to a sequence.
+
+        The mesh that is bound to a skeleton tells its bind pose if it has the vertices of the sequence.
+        """
         targets = {} if self.max_targets is None else {"max_targets": self.max_targets}
         if self.kind == "morph":
             return mixseq.fit_morph(sequence, self.max_error, **targets, progress=progress)
-        return mixseq.fit_skin(sequence, self.bones, self.correctives, **targets, progress=progress)
+        skeleton = bind_pose = None
+        if self.skeleton is not None:
+            skeleton = mixseq.read_skeleton(self.skeleton)
+            bind_pose = _bind_pose(self.skeleton, sequence)
+        return mixseq.fit_skin(
+            sequence,
+            self.bones,
+            self.correctives,
+            **targets,
+            progress=progress,
+            skeleton=skeleton,
+            bind_pose=bind_pose,
+            max_error=self.max_error,
+            kg=self.kg,
+        )
+
+
+def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
+    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence."""
+    try:
+        found = mixseq.read_bind_pose(path)
+    except FormatError:  # a skeleton alone
+        return None
+    return found if found.vertex_count == sequence.vertex_count else None
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:

@@ -96,11 +96,11 @@ def free_bones(
             motions, _ = move(tracks, binding, motions, Joints.loose(len(motions)))
     loose = Joints.loose(len(motions))
     motions, _ = move(tracks, binding, motions, loose)
-    binding, motions, _ = _alternated(tracks, binding, motions, loose, exact, rounds, told)
+    binding, motions, _ = alternated(tracks, binding, motions, loose, exact, rounds, told)
     return _without_idle(binding, motions)
 
 
-def _alternated(
+def alternated(
     tracks: Float,
     binding: Binding,
     motions: Float,
@@ -108,11 +108,13 @@ def _alternated(
     enough: float,
     rounds: int,
     told: Callable[[int], None],
+    held: bool = False,
 ) -> tuple[Binding, Float, Joints]:
     """Fit weights with rest positions, and motions, in turn, until the squared error is small enough or falls no more.
 
     Every round starts from where the last ones lead: rest positions and motions go on by a fraction j / (j + 3) of
-    their last step (Nesterov 1983), j counting the rounds since the error grew; such a round is taken back.
+    their last step (Nesterov 1983), j counting the rounds since the error grew; such a round is taken back. If they are
+    `held`, rest positions and joints stay where they are.
     """
     rest, before = binding.rest, motions
     past, good = [np.inf], 0
@@ -121,14 +123,14 @@ def _alternated(
         on = good / (good + 3.0)
         ahead = replace(binding, rest=binding.rest + on * (binding.rest - rest))
         going = attached(on_rotations(motions + on * (motions - before)), joints)
-        bound = bind(tracks, going, ahead)
+        bound = bind(tracks, going, ahead, free_rest=not held)
         if good and bound.errors.sum() > past[-1]:
             good = 0
             continue
         good += 1
         rest, before = binding.rest, motions
         binding = bound
-        motions, joints = move(tracks, bound, going, joints)
+        motions, joints = move(tracks, bound, going, joints, fit_pivots=not held)
         past.append(binding.errors.sum())
         if past[-1] <= enough or (len(past) > _FEW and past[-1] > (1 - GAIN) ** (2 * _FEW) * past[-1 - _FEW]):
             break
@@ -163,14 +165,14 @@ def _hung(
         count = (fewest + enough) // 2
         sliding = joints.sliding.copy()
         sliding[apart[:count]] = True
-        tried = _alternated(
+        tried = alternated(
             tracks, binding, motions, replace(joints, sliding=sliding), most, rounds // _TRIED, _silent
         )
         if tried[0].errors.sum() <= most:
             found, enough = tried, count
         else:
             fewest = count + 1
-    return _alternated(tracks, *found, _EXACT**2 * tracks.size / 3, rounds // _TRIED, _silent)
+    return alternated(tracks, *found, _EXACT**2 * tracks.size / 3, rounds // _TRIED, _silent)
 
 
 def _coming_apart(binding: Binding, motions: Float, joints: Joints) -> Index:

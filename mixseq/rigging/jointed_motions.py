@@ -41,6 +41,10 @@ SWEEPS = 10
 _HELD = 1e-9
 """How strongly a rotation holds to the one before, relative to what turns it: it decides where points are on a line."""
 
+_STIFFNESS = 1e-6
+"""How strongly a bone of a given skeleton holds to the one above, as so many vertices one diagonal away (our value): it
+decides how bones turn that hardly move anything."""
+
 _JOINT_HELD = 1e-2
 """How strongly a joint stays where it is, against a turn by one radian in all frames (our value)."""
 
@@ -99,18 +103,20 @@ def move(
     binding : Binding
         How vertices follow the bones.
     motions : (B, 4, 3T) float64
-        Transposed motions to start from, of joints that do not slide the rotations only; bones that no vertex follows
-        keep theirs.
+        Transposed motions to start from, of joints that do not slide the rotations only. Bones that move no vertex move
+        as those above them.
     joints : Joints
     fit_pivots : bool
-        Whether joints that do not slide are fitted too.
+        Whether joints that do not slide are fitted too. If not, bones hold a little to those above, as at rest.
 
     Returns
     -------
     motions : (B, 4, 3T) float64
     joints : Joints
     """
-    fit = _Fit(tracks, binding, attached(motions, joints), joints)
+    idle = _idle(binding, joints)
+    stiffness = 0.0 if fit_pivots else _STIFFNESS
+    fit = _Fit(tracks, binding, attached(_following(motions, joints, idle), joints), joints, stiffness)
     for _ in range(SWEEPS):
         for bone in range(len(motions)):
             fit.turn(bone)
@@ -120,19 +126,36 @@ def move(
             for bone in np.flatnonzero(~joints.sliding).tolist():
                 fit.shift_joint(bone)
     fitted = replace(joints, pivots=fit.pivots)
-    return attached(fit.motions, fitted), fitted
+    return attached(_following(fit.motions, joints, idle), fitted), fitted
+
+
+def _idle(binding: Binding, joints: Joints) -> Index:
+    """Return the bones with parents that move no vertex, nor does one below."""
+    used = np.isin(np.arange(len(joints.parents)), binding.influences[binding.weights > 0])
+    return np.flatnonzero(~(joints.below() & used).any(axis=1) & (joints.parents >= 0))
+
+
+def _following(motions: Float, joints: Joints, idle: Index) -> Float:
+    """Return motions of which some are those of the bones above."""
+    result = motions.copy()
+    for bone in idle.tolist():
+        result[bone] = result[joints.parents[bone]]
+    return result
 
 
 class _Fit:
     """What one unknown after the other changes: motions, joints, and E."""
 
-    def __init__(self, tracks: Float, binding: Binding, motions: Float, joints: Joints) -> None:
+    def __init__(
+        self, tracks: Float, binding: Binding, motions: Float, joints: Joints, stiffness: float
+    ) -> None:
         bones = len(motions)
         rows = binding.matrix(bones)
         self.products = np.asarray((rows.T @ rows).todense())
         self.motions, self.pivots = motions.copy(), joints.pivots.copy()
         self.left = np.asarray(rows.T @ tracks) - self.products @ self.motions.reshape(4 * bones, -1)
         self.parents, self.sliding, self.below = joints.parents, joints.sliding, joints.below()
+        self.stiffness = stiffness
 
     def turn(self, bone: int) -> None:
         """Give a bone its best rotations, all below it moving along."""
@@ -151,8 +174,10 @@ class _Fit:
             return
         before = self.motions[bone, :3]
         seen = (lever @ self.left + spread @ before).reshape(3, -1, 3).transpose(1, 2, 0)
-        turns = before.reshape(3, -1, 3).transpose(1, 2, 0)
-        after = aligning_rotations(seen + _HELD * size * turns).transpose(2, 0, 1).reshape(3, -1)
+        above = self.motions[self.parents[bone], :3] if self.parents[bone] >= 0 else before
+        held = _HELD * size * before + self.stiffness * above
+        turns = seen + held.reshape(3, -1, 3).transpose(1, 2, 0)
+        after = aligning_rotations(turns).transpose(2, 0, 1).reshape(3, -1)
         self._move(lever, pulled, after - before)
 
     def slide(self, bone: int) -> None:

@@ -7,22 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Index
 from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
-from mixseq.frame_store import frame_store
 from mixseq.progress import Progress, silent
 from mixseq.public import public
+from mixseq.rigging.bone_counts import MOST_BONES, errors, fewest_bones
 from mixseq.rigging.bones import vertex_labels
+from mixseq.rigging.centred import Centred
 from mixseq.rigging.correctives import fit_correctives, fit_targets
 from mixseq.rigging.decomposition import decompose
-from mixseq.rigging.jointed_motions import Joints
-from mixseq.rigging.rigs import Morph, Skin, without_sign_jumps
+from mixseq.rigging.given_skeletons import fit_to_skeleton
+from mixseq.rigging.rigs import Morph, Skin
 from mixseq.rigging.skeletons import Skeleton
-from mixseq.rigging.weights import Binding
 from mixseq.segmentation import segment
-from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal, check_frames
+from mixseq.sequence import Frames, MeshSequence, check_frames
 from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
@@ -35,11 +34,19 @@ def fit_skin(
     max_targets: int = 32,
     rounds: int = 60,
     progress: Progress = silent,
+    *,
+    skeleton: Skeleton | None = None,
+    bind_pose: MeshSequence | None = None,
+    max_error: float | None = None,
+    kg: float | None = None,
 ) -> Skin:
     """Fit bones, at most four weights a vertex, and corrective targets to a sequence.
 
     Bones hang in a tree and turn about the joints to their parents. Joints that would cost more than a tenth of the
     error slide as well: their translations have keys (see `mixseq.rigging.decomposition`).
+
+    Bones of a skeleton that is given keep their names, parents and places at rest, and the mesh keeps the shape in
+    which it is bound to them; weights and motions are found. Only roots slide, so that bones keep their lengths.
 
     Parameters
     ----------
@@ -57,48 +64,64 @@ def fit_skin(
         At most so many rounds of weights and motions (our value); they end before when they gain little.
     progress : callable
         Told how far the work is.
+    skeleton : Skeleton, optional
+        The bones, from `mixseq.read_skeleton`, instead of those that are found.
+    bind_pose : MeshSequence, optional
+        The mesh as it is bound to the skeleton, from `mixseq.read_bind_pose`, in one frame: vertices are those of the
+        sequence, unit and up axis are converted, and with them those of the skeleton. Without it the skeleton stands
+        in the first frame, in its pose, place and unit.
+    max_error : float, optional
+        Largest distance of a vertex from the sequence, in diagonals, that bones alone shall reach: there are as few as
+        it takes, to within a tenth, and at most 128. It takes the time of about six fits.
+    kg : float, optional
+        The same for the KG error, in percent.
 
     Returns
     -------
     Skin
-        With the rest shape fitted too; it stays near the first frame. Bones that neither a vertex nor a bone with
-        vertices follows are left out.
-        Weights of a vertex decrease; unused ones are zero, of bone zero.
+        The rest shape of bones that are found is fitted too, and stays near the first frame; those that neither a
+        vertex nor a bone with vertices follows are left out. Bones of a given skeleton that move nothing stay to their
+        parents as at rest. Weights of a vertex decrease; unused ones are zero, of bone zero.
 
     Raises
     ------
     InvalidSequenceError
-        If it is no sequence.
+        If it is no sequence, or the bind pose has other vertices.
     SettingsError
-        If `bones` is no whole number between one and the number of triangles, `correctives` is not positive, or
-        `max_targets` or `rounds` is negative.
+        If `bones` is no whole number between one and the number of triangles, an error is not positive, `max_targets`
+        or `rounds` is negative, more than one of `bones`, `skeleton`, `max_error` and `kg` is given, or the skeleton
+        does not stand in its mesh, or that has another size than the sequence.
     SegmentationError
         If there is not one label for every triangle.
 
     Warns
     -----
     MixseqWarning
-        If `max_targets` do not reach `correctives`; the message says what they reach.
+        If 128 bones do not reach `max_error` or `kg`, or `max_targets` do not reach `correctives`; the message says
+        what they reach.
     """
     check_frames(sequence)
     _check_error("correctives", correctives)
     _check_count("max_targets", max_targets)
     _check_count("rounds", rounds)
-    header, points = _points_of(sequence)
-    diagonal = bounding_diagonal(points[0]) or 1.0
+    _check_error("max_error", max_error)
+    _check_error("kg", kg, "percent, such as 0.5")
+    _check_ways({"bones": bones, "skeleton": skeleton, "max_error": max_error, "kg": kg}, bind_pose)
+    centred = Centred.of(sequence)
     with one_blas_thread():
-        centres = points.mean(axis=1)
-        centred = (points - centres[:, None]) / diagonal
-        labels, most = _starting_bones(header, centred, bones)
-        tracks = np.ascontiguousarray(centred.swapaxes(0, 1).reshape(header.vertex_count, -1))
-        faces = header.faces.astype(np.int64)
-        found = decompose(tracks, faces, labels, most, rounds, progress)
-        skin = _skin_of(header, *found, diagonal, centres)
+        if skeleton is not None:
+            skin = fit_to_skeleton(centred, skeleton, bind_pose, rounds, progress)
+        elif max_error is None and kg is None:
+            skin = _decomposed(centred, bones, rounds, progress)
+        else:
+            skin = _reaching(centred, max_error, kg, rounds, progress)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
-        skin, reached = fit_correctives(skin, points, correctives * diagonal, max_targets)
-    _warn_if_missed(reached / diagonal, correctives, len(skin.targets), "correctives", "bones or max_targets")
+        bound = correctives * centred.diagonal
+        skin, reached = fit_correctives(skin, centred.points, bound, max_targets)
+    reached /= centred.diagonal
+    _warn_if_missed(reached, correctives, len(skin.targets), "correctives", "bones or max_targets")
     return skin
 
 
@@ -137,27 +160,65 @@ def fit_morph(
     check_frames(sequence)
     _check_error("max_error", max_error)
     _check_count("max_targets", max_targets)
-    header, points = _points_of(sequence)
-    diagonal = bounding_diagonal(points[0]) or 1.0
+    held = Centred.of(sequence)
     progress(0, 1, "fitting targets")
     with one_blas_thread():
-        base = points.mean(axis=0)
-        bound = None if max_error is None else max_error * diagonal
-        targets = fit_targets(points - base, bound, max_targets, lambda _, left: np.linalg.norm(left, axis=1))
-    _warn_if_missed(targets.error / diagonal, max_error, len(targets.shapes), "max_error", "max_targets")
+        base = held.points.mean(axis=0)
+        bound = None if max_error is None else max_error * held.diagonal
+        off = held.points - base
+        targets = fit_targets(off, bound, max_targets, lambda _, left: np.linalg.norm(left, axis=1))
+    _warn_if_missed(targets.error / held.diagonal, max_error, len(targets.shapes), "max_error", "max_targets")
     progress(1, 1, "fitting targets")
-    return Morph(header, base, targets.shapes, targets.weights)
+    return Morph(held.header, base, targets.shapes, targets.weights)
 
 
-def _points_of(sequence: Frames) -> tuple[SequenceHeader, Float]:
-    held = frame_store(sequence)
-    return held.header, np.asarray(held.points[: held.header.frame_count], dtype=np.float64)
+def _decomposed(sequence: Centred, bones: int | ArrayLike | None, rounds: int, progress: Progress) -> Skin:
+    """Find bones, and leave out those that move nothing."""
+    labels, most = _starting_bones(sequence, bones)
+    faces = sequence.header.faces.astype(np.int64)
+    binding, motions, joints = decompose(sequence.tracks, faces, labels, most, rounds, progress)
+    used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
+    kept = (joints.below() & used).any(axis=1)
+    place = np.cumsum(kept) - 1
+    parents = joints.parents[kept]
+    skeleton = replace(
+        Skeleton.flat(sequence.diagonal * joints.pivots[kept] + sequence.centres[0]),
+        parents=np.where(parents < 0, -1, place[parents]),
+    )
+    binding = replace(binding, influences=place[binding.influences])
+    return sequence.skin(binding, motions[kept], skeleton, sequence.centres[0])
 
 
-def _starting_bones(
-    header: SequenceHeader, points: Float, bones: int | ArrayLike | None
-) -> tuple[Index, int]:
+def _reaching(
+    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, progress: Progress
+) -> Skin:
+    """Find as few bones as an error asks for."""
+
+    def error(skin: Skin) -> float:
+        return errors(skin, sequence)[0 if kg is None else 1]
+
+    wanted = max_error if kg is None else kg
+    assert wanted is not None, "one of them is given"
+    skin = fewest_bones(
+        lambda count: _decomposed(sequence, count, rounds, progress),
+        lambda skin: error(skin) <= wanted,
+        min(MOST_BONES, len(sequence.header.faces)),
+    )
+    reached = error(skin)
+    if reached > wanted:
+        unit = "diagonals" if kg is None else "% (KG)"
+        warnings.warn(
+            f"{skin.bone_count} bones reach an error of {reached:.3g} {unit}, not {wanted:g}; correctives take it "
+            "further, and a morph is for what has no limbs",
+            MixseqWarning,
+            stacklevel=4,
+        )
+    return skin
+
+
+def _starting_bones(sequence: Centred, bones: int | ArrayLike | None) -> tuple[Index, int]:
     """Return the bone ``(V,)`` that every vertex starts with, and how many there may be."""
+    header = sequence.header
     faces = header.faces.astype(np.int64)
     if bones is None or isinstance(bones, int | np.integer):
         if bones is not None and not 1 <= bones <= len(faces):
@@ -165,7 +226,7 @@ def _starting_bones(
                 f"{bones} bones are asked for; a number from 1 to {len(faces)}, that of the triangles, is expected"
             )
         count = None if bones is None else int(bones)
-        labels = segment(points, Topology(faces, header.vertex_count), parts=count)
+        labels = segment(sequence.frames, Topology(faces, header.vertex_count), parts=count)
     else:
         labels, count = np.asarray(bones), None
         if labels.shape != (len(faces),) or not np.issubdtype(labels.dtype, np.integer):
@@ -177,37 +238,18 @@ def _starting_bones(
     return vertex_labels(faces, labels, header.vertex_count), count or int(labels.max()) + 1
 
 
-def _skin_of(
-    header: SequenceHeader, binding: Binding, motions: Float, joints: Joints, diagonal: float, centres: Float
-) -> Skin:
-    """Bring a decomposition of centred frames, in diagonals, to the units of the file; leave out idle bones."""
-    order = np.argsort(-binding.weights, axis=1, kind="stable")
-    weights = np.take_along_axis(binding.weights, order, axis=1)
-    influences = np.take_along_axis(binding.influences, order, axis=1)
-    used = np.isin(np.arange(len(motions)), influences[weights > 0])
-    kept = (joints.below() & used).any(axis=1)
-    place = np.cumsum(kept) - 1
-    parents, pivots = joints.parents[kept], joints.pivots[kept]
-    m = motions[kept].reshape(kept.sum(), 4, -1, 3).transpose(2, 0, 3, 1)  # (T, B, 3, 4)
-    places = np.einsum("tbij,bj->tbi", m[..., :3], pivots) + m[..., 3]
-    quaternions = Rotation.from_matrix(m[..., :3].reshape(-1, 3, 3)).as_quat().reshape(*m.shape[:2], 4)
-    skeleton = Skeleton.flat(diagonal * pivots + centres[0])
-    return Skin(
-        header=header,
-        rest=diagonal * binding.rest + centres[0],
-        skeleton=replace(skeleton, parents=np.where(parents < 0, -1, place[parents])),
-        rotations=without_sign_jumps(quaternions),
-        translations=diagonal * places + centres[:, None],
-        influences=np.where(weights > 0, place[influences], 0),
-        weights=weights,
-        targets=np.zeros((0, len(weights), 3)),
-        target_weights=np.zeros((len(m), 0)),
-    )
+def _check_ways(ways: dict[str, object], bind_pose: MeshSequence | None) -> None:
+    """Refuse several settings that each tell the bones, and a mesh without its skeleton."""
+    given = [name for name, value in ways.items() if value is not None]
+    if len(given) > 1:
+        raise SettingsError(f"{given[0]} and {given[1]} both tell which bones there are; give one of them")
+    if bind_pose is not None and given != ["skeleton"]:
+        raise SettingsError("bind_pose is the mesh that is bound to a skeleton; give that, too")
 
 
-def _check_error(name: str, value: float | None) -> None:
+def _check_error(name: str, value: float | None, expected: str = "diagonals, such as 1e-3") -> None:
     if value is not None and not (np.isfinite(value) and value > 0):
-        raise SettingsError(f"{name} is {value}; a positive number of diagonals is expected, such as 1e-3")
+        raise SettingsError(f"{name} is {value}; a positive number of {expected}, is expected")
 
 
 def _check_count(name: str, value: int | None) -> None:

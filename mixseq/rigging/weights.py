@@ -42,13 +42,16 @@ class Binding:
     weights : (V, 4) float64
         Their weights.
     errors : (V,) float64
-        Squared errors, summed over the frames.
+        Squared errors, summed over the frames, and what the weights cost.
+    costs : (V, B) float64 or None
+        What a whole weight of a bone costs, next to the squared errors; None where all bones are as good.
     """
 
     rest: Float
     influences: Index
     weights: Float
     errors: Float
+    costs: Float | None = None
 
     def matrix(self, bones: int) -> sparse.csr_array:
         r"""Return the rows :math:`w_{vb} \tilde r_v` of all vertices as a matrix ``(V, 4 B)``."""
@@ -71,7 +74,7 @@ def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) 
     start : Binding
         Rest positions, and weights to improve on; weights of zero are none.
     free_rest : bool
-        Whether rest positions are fitted too.
+        Whether rest positions are fitted too; where weights have costs they are not.
     """
     from mixseq.rigging.weight_kernels import fit_vertices
 
@@ -88,11 +91,14 @@ def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) 
     size = max(1, _AT_ONCE // len(flat))
     for first in range(0, len(tracks), size):
         some = slice(first, first + size)
+        seen = (tracks[some] @ flat.T).reshape(-1, bones, 4)
+        if start.costs is not None:
+            seen[..., 3] -= start.costs[some] / 2  # h is c_b / 2 + c_c / 2 more, and w^T h w is w^T c more
         fit_vertices(
             bound.rest[some],
             np.einsum("vi,vi->v", tracks[some], tracks[some]),
             products,
-            (tracks[some] @ flat.T).reshape(-1, bones, 4),
+            seen,
             frames,
             free_rest,
             bound.influences[some],

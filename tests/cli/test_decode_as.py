@@ -54,6 +54,36 @@ def test_correctives_bring_a_skin_under_an_error(run: Run, bent_bar: MeshSequenc
     assert mixseq.compare(bent_bar, mixseq.read("bar.glb")).max_error <= 0.002001
 
 
+@pytest.mark.parametrize("option", [("--max-error", "0.002"), ("--kg", "0.5")])
+def test_an_error_tells_how_many_bones(run: Run, bent_bar: MeshSequence, option: tuple[str, str]) -> None:
+    table = rows(succeed(run("decode", "model.h5", "bar.glb", "--as", "skin", *option)))
+    found = mixseq.compare(bent_bar, mixseq.read("bar.glb"))
+    assert (found.max_error if option[0] == "--max-error" else found.kg_percent) <= float(option[1]) * 1.001
+    assert number(table["morph targets"]) == 0
+
+
+def test_a_skin_has_the_skeleton_of_a_file(run: Run, bent_bar: MeshSequence) -> None:
+    succeed(run("decode", "bar.npz", "rig.glb", "--as", "skin", "--bones", "3"))
+    table = rows(succeed(run("decode", "model.h5", "again.glb", "--as", "skin", "--skeleton", "rig.glb")))
+    given, found = mixseq.read_skeleton("rig.glb"), mixseq.read_skeleton("again.glb")
+    assert found.names == given.names
+    np.testing.assert_allclose(found.pivots, given.pivots, atol=1e-4)  # as the root stands in the first frame
+    assert number(table["bones"]) == given.bone_count
+    assert mixseq.compare(bent_bar, mixseq.read("again.glb")).max_error < 0.05
+
+
+def test_a_skeleton_alone_stands_in_the_first_frame(run: Run, bent_bar: MeshSequence) -> None:
+    succeed(run("decode", "bar.npz", "rig.gltf", "--as", "skin", "--bones", "3"))
+    file = json.loads(Path("rig.gltf").read_text())
+    for node in file["nodes"]:
+        node.pop("mesh", None)
+        node.pop("skin", None)
+    Path("bones.gltf").write_text(json.dumps(file))
+    succeed(run("decode", "model.h5", "again.glb", "--as", "skin", "--skeleton", "bones.gltf"))
+    assert mixseq.read_skeleton("again.glb").names == mixseq.read_skeleton("rig.gltf").names
+    assert mixseq.compare(bent_bar, mixseq.read("again.glb")).max_error < 0.05
+
+
 @pytest.mark.parametrize("kind", ["skin", "morph"])
 @pytest.mark.parametrize("source", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
 def test_a_sequence_is_fitted_as_it_is(run: Run, source: str, kind: str, bent_bar: MeshSequence) -> None:
@@ -82,9 +112,15 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
     [
         (("out.glb", "--bones", "3"), "--bones is for --as skin; leave it out, or give both"),
         (("out.glb", "--correctives", "0.1"), "--correctives is for --as skin"),
-        (("out.glb", "--max-error", "0.1"), "--max-error is for --as morph"),
+        (("out.glb", "--kg", "0.1"), "--kg is for --as skin"),
+        (("out.glb", "--skeleton", "bar.glb"), "--skeleton is for --as skin"),
+        (("out.glb", "--max-error", "0.1"), "--max-error is for --as skin or morph"),
         (("out.glb", "--max-targets", "3"), "--max-targets is for --as skin or morph"),
-        (("out.glb", "--as", "skin", "--max-error", "0.1"), "--max-error is for --as morph"),
+        (
+            ("out.glb", "--as", "skin", "--max-error", "0.1", "--bones", "3"),
+            "bones and max_error both tell which bones there are; give one of them",
+        ),
+        (("out.glb", "--as", "skin", "--skeleton", "none.glb"), "none.glb does not exist"),
         (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),
         (("out.glb", "--as", "morph", "--correctives", "0.1"), "--correctives is for --as skin"),
         (

@@ -222,6 +222,70 @@ def test_what_usd_is_refused(tmp_path: Path) -> None:
         mixseq.read_skeleton(tmp_path / "man.usda")
 
 
+# Meshes ---------------------------------------------------------------------------------------------------
+
+
+@ENGINES
+def test_meshes_are_read_as_they_were_bound(tmp_path: Path, suffix: str) -> None:
+    skin = hinge(targets=1, up_axis="Y", metres_per_unit=1.0)
+    skin = replace(skin, rotations=skin.rotations[::-1])  # it is bent in the first frame
+    file = tmp_path / f"hinge{suffix}"
+    with lossy():
+        mixseq.write_rig(file, skin)
+    found = mixseq.read_bind_pose(file)
+    assert found.frame_count == 1
+    np.testing.assert_array_equal(found.faces, mixseq.read(file).faces)
+    # glTF has weights of targets in the first frame; USD none, where the least of each is in the rest shape.
+    gltf = suffix.startswith(".gl")
+    mixed = skin.target_weights[0] if gltf else skin.target_weights.min(axis=0)
+    shape = skin.rest + np.einsum("m,mvi->vi", mixed, skin.targets)
+    np.testing.assert_allclose(found.points[0], shape, atol=1e-6)
+
+
+def test_meshes_of_gltf_stand_where_the_first_joint_does(tmp_path: Path) -> None:
+    maker = arm()
+    maker.json["nodes"][1]["translation"] = [0, 5, 0]
+    found = mixseq.read_bind_pose(maker.glb(tmp_path / "arm.glb"))
+    np.testing.assert_allclose(found.points[0], [[2, 5, 0], [2, 6, 0], [0, 6, 0]], atol=1e-7)
+    assert (found.metres_per_unit, found.up_axis) == (1.0, "Y")
+
+
+def test_what_hangs_on_a_joint_of_gltf_is_bound_there(tmp_path: Path) -> None:
+    maker = arm()
+    second = maker.json["nodes"][0]  # bound at x = 1; it stands elsewhere, turned
+    second.update(translation=[9, 9, 9], rotation=[0, 0, HALF, HALF], scale=[2, 2, 2])
+    second["children"] = [
+        maker.node("ring", mesh=maker.mesh([[0, 0, 0], [0, 0, 1], [0, 1, 0]]), translation=[0, 0, 3])
+    ]
+    maker.node("floor", mesh=maker.mesh([[0, 0, 0], [0, 0, 1], [0, 1, 0]]))
+    found = mixseq.read_bind_pose(maker.glb(tmp_path / "arm.glb"))
+    assert [each.name for each in found.objects] == ["ring", "body"]
+    np.testing.assert_allclose(found.points[0, :3], [[1, 0, 3], [1, 0, 4], [1, 1, 3]], atol=1e-6)
+
+
+def test_without_matrices_meshes_of_gltf_are_bound_where_joints_stand(tmp_path: Path) -> None:
+    maker = arm()
+    del maker.json["skins"][0]["inverseBindMatrices"]
+    maker.json["animations"] = []
+    path = maker.glb(tmp_path / "arm.glb")
+    np.testing.assert_array_equal(mixseq.read_bind_pose(path).points, mixseq.read(path).points)
+
+
+def test_skeletons_without_a_mesh_have_no_bind_pose(tmp_path: Path) -> None:
+    maker = arm()
+    del maker.json["nodes"][2]["skin"]
+    with pytest.raises(FormatError, match=r"arm\.glb has no mesh on its skeleton; export the character with"):
+        mixseq.read_bind_pose(maker.glb(tmp_path / "arm.glb"))
+    stage, _ = bones(tmp_path / "man.usda")
+    UsdGeom.Mesh.Define(stage, "/man/floor").CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    stage.Save()
+    with pytest.raises(FormatError, match=r"man\.usda has no mesh on /man/bones; export the character with"):
+        mixseq.read_bind_pose(tmp_path / "man.usda")
+    with pytest.raises(FormatError, match=r"arm\.abc: skeletons are read from glTF and USD"):
+        (tmp_path / "arm.abc").write_bytes(b"")
+        mixseq.read_bind_pose(tmp_path / "arm.abc")
+
+
 # Files of others ------------------------------------------------------------------------------------------
 
 
@@ -236,6 +300,14 @@ def test_the_same_man_has_the_same_joints(data: Path) -> None:
     assert sorted(match) == list(range(19))
     assert distances.min(axis=1).max() < 1e-6
     np.testing.assert_array_equal(usd.parents[match][1:], match[gltf.parents[1:]])
+
+
+@pytest.mark.realdata
+def test_the_same_man_was_bound_in_the_same_pose(data: Path) -> None:
+    gltf = mixseq.read_bind_pose(data / "gltf" / "CesiumMan.glb")
+    usd = mixseq.read_bind_pose(data / "usd" / "CesiumMan.usdz")
+    np.testing.assert_array_equal(gltf.faces, usd.faces)
+    np.testing.assert_allclose(gltf.points[..., [2, 1, 0]] * [-1, 1, 1], usd.points, atol=1e-6)
 
 
 @pytest.mark.realdata

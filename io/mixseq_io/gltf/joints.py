@@ -1,4 +1,4 @@
-r"""The joints of a glTF skin, as they were when the mesh was bound to them.
+r"""The joints of a glTF skin, and its meshes, as they were when the meshes were bound to the joints.
 
 The inverse bind matrix :math:`I_j` of a joint takes the mesh to the joint's axes, so that the joint lies at
 :math:`I_j^{-1}` in the space of the mesh. What takes that space to the world moves with the joints; it is taken where
@@ -11,18 +11,22 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#skins
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from mixseq.arrays import Float
+from mixseq.errors import FormatError
 from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.json_fields import Fields
+from mixseq_io.gltf.node_meshes import chosen_nodes
 from mixseq_io.gltf.node_tree import Scene, read_scene
-from mixseq_io.gltf.world_points import inverse_binds_of, joints_of
+from mixseq_io.gltf.world_points import Shape, Skin, inverse_binds_of, joints_of
 from mixseq_io.skeleton_files import choose_skeleton, skeleton_of
 
 if TYPE_CHECKING:
@@ -33,6 +37,60 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skin; see `mixseq_io.read_skeleton`."""
     document = plain(load_document(path))
     scene = read_scene(document)
+    skin = _chosen(document, name)
+    joints = joints_of(document, skin)
+    parents = _parents(scene, joints)
+    labels = [scene.nodes[joint].text("name") for joint in joints]
+    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+
+
+def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
+    """Return the nodes whose meshes follow a skeleton: those of its skins, and what hangs on its joints.
+
+    Raises
+    ------
+    FormatError
+        If there are none.
+    """
+    wanted = set(joints_of(document, _chosen(document, name)))
+    nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
+    if not nodes:
+        raise FormatError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
+    return nodes
+
+
+def bound(document: Document, shape: Shape, name: str | None) -> Shape:
+    """Return a shape on a single joint, the first without a parent, that takes it to where it was bound.
+
+    From the space of its skin that is :math:`I_r`; what hangs on a joint j at a node n, of matrix :math:`W_n`, gets
+    there by :math:`I_r I_j^{-1} W_j^{-1} W_n`.
+    """
+    scene, skin, fields = shape.scene, shape.skin, _chosen(document, name)
+    joints = joints_of(document, fields)
+    if "inverseBindMatrices" not in fields:
+        return shape  # bound where the joints stand
+    inverse_binds = inverse_binds_of(document, fields, len(joints))
+    root = _parents(scene, joints).index(-1)
+    if skin is None:
+        above = next(node for node in scene.above(shape.node) if node in joints)
+        world = scene.world([above, shape.node], {})
+        here = np.linalg.pinv(world[above][0]) @ world[shape.node][0]
+        onto = inverse_binds[root] @ np.linalg.pinv(inverse_binds[joints.index(above)]) @ here
+    else:
+        onto = skin.inverse_binds[list(skin.joints).index(joints[root])]
+    alone = csr_array(np.ones((len(shape.rest), 1)))
+    return replace(shape, skin=Skin([joints[root]], onto[None], alone))
+
+
+def _follows(document: Document, scene: Scene, node: int, joints: Set[int]) -> bool:
+    skin = scene.nodes[node].index("skin")
+    if skin is None:
+        return not joints.isdisjoint(scene.above(node))
+    return joints == set(joints_of(document, document.item("skins", skin)))
+
+
+def _chosen(document: Document, name: str | None) -> Fields:
+    """Return the first skin of the skeleton that is meant; skins of the same joints are one skeleton."""
     different: dict[frozenset[int], int] = {}
     for number, skin in enumerate(document.items("skins")):
         different.setdefault(frozenset(joints_of(document, skin)), number)
@@ -42,11 +100,7 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
         (own if own and told.count(own) == 1 else f"skin {number}", own)
         for number, own in zip(skins, told, strict=True)
     ]
-    skin = document.item("skins", skins[choose_skeleton(path, names, name)])
-    joints = joints_of(document, skin)
-    parents = _parents(scene, joints)
-    labels = [scene.nodes[joint].text("name") for joint in joints]
-    return skeleton_of(labels, parents, _bind_pose(document, scene, skin, parents))
+    return document.item("skins", skins[choose_skeleton(document.path, names, name)])
 
 
 def _parents(scene: Scene, joints: Sequence[int]) -> list[int]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from mixseq.arrays import Float, FloatArray
 from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import SequenceHeader
+from mixseq.sequence_header import DEFAULT_FPS
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import common_name
@@ -30,6 +31,7 @@ from mixseq_io.gltf.animation import Channel, choose_animation, pose_at, read_ch
 from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.frame_times import key_times, played_rate, played_times, rate_of, sampled_times
+from mixseq_io.gltf.joints import bound, nodes_on
 from mixseq_io.gltf.node_meshes import chosen_nodes, moving_nodes, scene_mesh_of, skinning_of
 from mixseq_io.gltf.node_tree import Pose, Scene, read_scene
 from mixseq_io.gltf.primitives import primitives_of
@@ -87,12 +89,19 @@ def open_gltf(
             influencing = _influencing(document, scene, nodes)
             channels = [channel for channel in channels if channel.node in influencing]
         shapes = _shapes(document, scene, nodes, channels)
-        name = common_name([scene.objects[shape.node] for shape in shapes]) or path.stem
         times, rate = _frames(path, channels, fps, told_by(chosen, "fps", 0.0))
-        world = _world(scene, shapes, pose_at(channels, times[:1]))
-        mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
         start = told_by(chosen, "start") or 0.0
-        return _GltfReader(document, name, shapes, mirrored, channels, times, rate, start)
+        return _GltfReader(document, shapes, channels, times, rate, start)
+
+
+def open_gltf_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
+    """Open the meshes of a skeleton as they were bound to it; see `mixseq_io.read_bind_pose`."""
+    with naming(path), np.errstate(all="ignore"):
+        document = plain(load_document(path))
+        scene = read_scene(document)
+        shapes = _shapes(document, scene, nodes_on(document, scene, skeleton), ())
+        shapes = [bound(document, shape, skeleton) for shape in shapes]
+        return _GltfReader(document, shapes, (), np.zeros(1), DEFAULT_FPS, 0.0)
 
 
 def _frames_of_model(path: Path, options: Mapping[str, object]) -> SequenceReader:
@@ -182,14 +191,15 @@ class _GltfReader(SequenceReader):
     def __init__(
         self,
         document: Document,
-        name: str,
         shapes: Sequence[Shape],
-        mirrored: Sequence[bool],
         channels: Sequence[Channel],
         times: NDArray[np.float64],
         rate: float,
         start: float,
     ) -> None:
+        scene = shapes[0].scene
+        world = _world(scene, shapes, pose_at(channels, times[:1]))
+        mirrored = [bool(shape.handedness(world)[0] < 0) for shape in shapes]
         ends = np.cumsum([0, *(shape.weld.count for shape in shapes)]).tolist()
         scene_meshes = [
             scene_mesh_of(document, shape, first, flip)
@@ -202,7 +212,7 @@ class _GltfReader(SequenceReader):
             vertex_count=ends[-1],
             times=on_grid(times + start, rate),
             fps=rate,
-            name=name,
+            name=common_name([scene.objects[shape.node] for shape in shapes]) or path.stem,
             surface=surface,
         )
         super().__init__(path, header)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pxr import Sdf, UsdSkel
+from pxr import Sdf, Usd, UsdSkel
 
 from mixseq.errors import FormatError
 from mixseq_io.skeleton_files import choose_skeleton, skeleton_of
@@ -28,9 +28,7 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
     """Read the joints of a skeleton; see `mixseq_io.read_skeleton`."""
     with quiet(), reading_usd(path):
         stage = open_stage(path)
-        prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
-        names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
-        prim = prims[choose_skeleton(path, names, name)]
+        prim = skeleton_prim(path, stage, name)
         skeleton = UsdSkel.Skeleton(prim)
         joints = skeleton.GetJointsAttr().Get() or []
         binds = skeleton.GetBindTransformsAttr().Get() or []
@@ -47,6 +45,13 @@ def read_skel_joints(path: Path, name: str | None) -> Skeleton:
         to_world = np.array(Placement(prim).to_world(stage.GetStartTimeCode()))
         bind = (np.array(binds, dtype=np.float64).reshape(-1, 4, 4) @ to_world).swapaxes(1, 2)
         return skeleton_of(_names(skeleton, list(joints)), parents, bind)
+
+
+def skeleton_prim(path: Path, stage: Usd.Stage, name: str | None) -> Usd.Prim:
+    """Return the skeleton that is meant; see `mixseq_io.skeleton_files.choose_skeleton`."""
+    prims = [prim for prim in prims_of(path, stage) if UsdSkel.Skeleton(prim)]
+    names = [(str(prim.GetPath()), prim.GetName(), prim.GetDisplayName()) for prim in prims]
+    return prims[choose_skeleton(path, names, name)]
 
 
 def _names(skeleton: UsdSkel.Skeleton, joints: list[str]) -> list[str]:

@@ -33,11 +33,12 @@ from mixseq_io.labels.markings import Markings
 from mixseq_io.reader import SequenceReader, naming
 from mixseq_io.scene_meshes import join
 from mixseq_io.usd.diagnostics import quiet, reading_usd
+from mixseq_io.usd.joints import skeleton_prim
 from mixseq_io.usd.mesh_motion import AnimatedMesh, Mover
 from mixseq_io.usd.mesh_surface import scene_mesh_of
 from mixseq_io.usd.part_labels import markings_of
 from mixseq_io.usd.prims import Notes, absolute, open_stage
-from mixseq_io.usd.skeletons import skins_of
+from mixseq_io.usd.skeletons import Pose, Skeleton, bound, skins_of
 from mixseq_io.usd.stage_meshes import meshes_of, places_of
 from mixseq_io.usd.transforms import is_spline
 
@@ -82,6 +83,23 @@ def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
     return _UsdReader(path, header, shot, all(speeds))
 
 
+def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
+    """Open the meshes of a skeleton as they were bound to it; see `mixseq_io.read_bind_pose`."""
+    notes = Notes(path)
+    with quiet(), reading_usd(path), naming(path):
+        stage = open_stage(path)
+        wanted = skeleton_prim(path, stage, skeleton)
+        meshes = meshes_of(path, stage, None, notes)
+        skins = skins_of(meshes, notes)
+        movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
+        movers = [each for each in movers if each.skin and each.skin.skeleton.prim == wanted]
+        if not movers:
+            raise FormatError(f"{path} has no mesh on {wanted.GetPath()}; export the character with its mesh")
+        codes = np.array([stage.GetStartTimeCode()])
+        shot = _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes, bound)
+        return _UsdReader(path, _header(path, shot, notes), shot, moving=False)
+
+
 @dataclass(frozen=True)
 class _Shot:
     """Where the frames come from.
@@ -94,16 +112,19 @@ class _Shot:
         The meshes, in the order of their vertices.
     codes : (T,) float64
         Time codes of the frames.
+    posed : callable
+        The pose of a skeleton at a time code.
     """
 
     stage: Usd.Stage
     meshes: Sequence[AnimatedMesh]
     codes: NDArray[np.float64]
+    posed: Callable[[Skeleton, float], Pose] = Skeleton.pose
 
     def points(self, code: float) -> Iterator[FloatArray]:
         """Yield the points of all meshes at a time code; every skeleton is posed once."""
         skeletons = {mesh.mover.skin.skeleton for mesh in self.meshes if mesh.mover.skin}
-        poses = {skeleton: skeleton.pose(code) for skeleton in skeletons}
+        poses = {skeleton: self.posed(skeleton, code) for skeleton in skeletons}
         for mesh in self.meshes:
             skin = mesh.mover.skin
             yield mesh.points(code, poses[skin.skeleton] if skin else None)

@@ -70,6 +70,14 @@ class Skeleton:
         return Pose(self.query.ComputeSkinningTransforms(Usd.TimeCode(code)), Vt.FloatArray(weights))
 
 
+def bound(skeleton: Skeleton, _: float) -> Pose:
+    """Return the pose in which meshes were bound: joints stay there, and no blend shape is mixed in."""
+    joints = len(skeleton.query.GetJointOrder())
+    query = skeleton.query.GetAnimQuery()
+    shapes = len(query.GetBlendShapeOrder()) if query else 0
+    return Pose(Vt.Matrix4dArray([Gf.Matrix4d(1)] * joints), Vt.FloatArray([0.0] * shapes))
+
+
 @dataclass(frozen=True, eq=False)
 class Skin:
     """How a skeleton moves a mesh.

@@ -1,0 +1,186 @@
+r"""Bones of a skeleton that is given: its joints stay where they are at rest, and so does the mesh that is bound to it.
+
+A vertex starts with the bone nearest to it in the bind pose. Bone b is the segments from its joint to those of its
+children; one without children goes on as the one above it did. Bones start with the best rigid motions of their
+vertices, those without vertices move as the bone above; then joints hold them together, and weights and motions are
+fitted in turn (`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight
+:math:`w_{vb}` costs as much as :math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`.
+Bones that move nothing stay to the one above as at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mixseq.arrays import Float, Index
+from mixseq.errors import InvalidSequenceError, SettingsError
+from mixseq.progress import Progress
+from mixseq.rigging.bones import motion_of
+from mixseq.rigging.centred import Centred
+from mixseq.rigging.decomposition import alternated
+from mixseq.rigging.jointed_motions import Joints, attached, move
+from mixseq.rigging.rigs import INFLUENCES, Skin
+from mixseq.rigging.skeletons import Skeleton
+from mixseq.rigging.weights import Binding
+from mixseq.sequence import MeshSequence, bounding_diagonal
+from mixseq.unit_conversion import UnitConversion
+
+_OTHER_LENGTH = 1.5  # of half of the edges: another unit, or another mesh; values here are ours
+_AROUND = 0.1  # of the mesh's largest extent: joints may be so far out of its box
+_OUTSIDE = 0.1  # of the joints: controls, which move nothing, may stand anywhere
+_FAR = 0.15  # diagonals, on the mean over the vertices, to the nearest bone
+_RIGID = 4  # vertices that tell a motion
+_NEARER = 1e-3  # of a distance, that it counts beside an error
+_BEFORE = 10  # rounds of motions before the first weights
+
+
+def fit_to_skeleton(
+    sequence: Centred,
+    skeleton: Skeleton,
+    bind_pose: MeshSequence | None,
+    rounds: int,
+    progress: Progress,
+) -> Skin:
+    """Fit weights and motions of a skeleton to a sequence.
+
+    Parameters
+    ----------
+    sequence : Centred
+        The animation.
+    skeleton : Skeleton
+        The joints at rest.
+    bind_pose : MeshSequence or None
+        The mesh around them, in a single frame; None for the first frame of the animation.
+    rounds : int
+        At most so many rounds of weights and motions.
+    progress : callable
+        Told how far the work is.
+
+    Raises
+    ------
+    InvalidSequenceError
+        If the bind pose is of another mesh.
+    SettingsError
+        If the skeleton does not stand in its mesh, or the bind pose has another size than the animation.
+    """
+    if bind_pose is None:
+        shape = sequence.points[0]
+        _check_inside(skeleton, shape)
+    else:
+        skeleton, shape = _converted(sequence, skeleton, bind_pose)
+    _check_near(skeleton, shape)
+    origin = shape.mean(axis=0)
+    rest = (shape - origin) / sequence.diagonal
+    pivots = (skeleton.pivots - origin) / sequence.diagonal
+    joints = Joints(skeleton.parents, pivots, skeleton.parents < 0)
+    tracks = sequence.tracks
+    binding, motions = _start(tracks, rest, joints)
+
+    def told(done: int) -> None:
+        progress(done, rounds + 1, "fitting weights and bones")
+
+    binding, motions, _ = alternated(tracks, binding, motions, joints, 0.0, rounds, told, held=True)
+    return sequence.skin(binding, motions, skeleton, origin)
+
+
+def bone_distances(points: Float, pivots: Float, parents: Index) -> Float:
+    """Return how far points ``(V, 3)`` are from bones: ``(V, B)``.
+
+    Examples
+    --------
+    >>> shoulder_and_elbow = np.array([[0.0, 0, 0], [1, 0, 0]])
+    >>> bone_distances(np.array([[0.5, 2, 0], [3, 0, 0]]), shoulder_and_elbow, np.array([-1, 0])).round(2).tolist()
+    [[2.0, 2.06], [2.0, 1.0]]
+    """
+    found = np.linalg.norm(points[:, None] - pivots, axis=2)
+    for bone, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            along = pivots[bone] - pivots[parent]
+            found[:, parent] = np.minimum(found[:, parent], _segment_distances(points, pivots[parent], along))
+            if bone not in parents:
+                found[:, bone] = _segment_distances(points, pivots[bone], along)
+    return np.asarray(found)
+
+
+def _segment_distances(points: Float, start: Float, along: Float) -> Float:
+    share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0, 1)
+    return np.asarray(np.linalg.norm(points - start - share[:, None] * along, axis=1))
+
+
+def _converted(sequence: Centred, skeleton: Skeleton, bind_pose: MeshSequence) -> tuple[Skeleton, Float]:
+    """Return a skeleton and the mesh ``(V, 3)`` around it in the unit and with the up axis of the sequence."""
+    header = sequence.header
+    if bind_pose.vertex_count != header.vertex_count:
+        raise InvalidSequenceError(
+            f"the bind pose has {bind_pose.vertex_count} vertices, the sequence has {header.vertex_count}; the same "
+            "mesh is expected, or none, if the skeleton stands in the first frame"
+        )
+    conversion = UnitConversion.of(bind_pose.header, header.up_axis, header.metres_per_unit)
+    shape = np.asarray(conversion.values(bind_pose.points[0].astype(np.float64)), dtype=np.float64)
+    _check_size(shape, sequence)
+    turn = Rotation.from_matrix(conversion.turn)
+    axes = (turn * Rotation.from_quat(skeleton.axes)).as_quat()
+    pivots = np.asarray(conversion.values(skeleton.pivots), dtype=np.float64)
+    return replace(skeleton, pivots=pivots, axes=axes), shape
+
+
+def _check_size(shape: Float, sequence: Centred) -> None:
+    """Refuse a bind pose whose edges are not about as long as those of the first frame."""
+    ends = np.roll(sequence.header.faces, 1, axis=1).reshape(-1), sequence.header.faces.reshape(-1)
+    lengths = [
+        np.linalg.norm(points[ends[0]] - points[ends[1]], axis=1) for points in (shape, sequence.points[0])
+    ]
+    known = (lengths[0] > 0) & (lengths[1] > 0)
+    ratios = np.log(lengths[0][known] / lengths[1][known])
+    if known.any() and np.median(np.abs(ratios)) > np.log(_OTHER_LENGTH):
+        raise SettingsError(
+            f"edges of the bind pose are {np.exp(np.median(ratios)):.3g} times as long as those of the first frame; "
+            "the same mesh with its vertices in the same order is expected, and that both tell their unit of length "
+            "(metres_per_unit)"
+        )
+
+
+def _check_inside(skeleton: Skeleton, shape: Float) -> None:
+    """Refuse a skeleton in another pose than its mesh, as far as joints are outside of the box around it."""
+    margin = _AROUND * np.ptp(shape, axis=0).max()
+    low, high = shape.min(axis=0) - margin, shape.max(axis=0) + margin
+    outside = int(((skeleton.pivots < low) | (skeleton.pivots > high)).any(axis=1).sum())
+    if outside > _OUTSIDE * skeleton.bone_count:
+        raise SettingsError(
+            f"{outside} of {skeleton.bone_count} joints are outside of the mesh in the first frame; give the mesh "
+            "as it is bound to the skeleton (bind_pose), or a skeleton in the pose, place and unit of the first frame"
+        )
+
+
+def _check_near(skeleton: Skeleton, shape: Float) -> None:
+    """Refuse a skeleton of another size than its mesh."""
+    nearest = bone_distances(shape, skeleton.pivots, skeleton.parents).min(axis=1)
+    away = float(nearest.mean()) / (bounding_diagonal(shape) or 1.0)
+    if away > _FAR:
+        raise SettingsError(
+            f"vertices are {away:.2g} diagonals away from the nearest bone on the mean, so the skeleton is not the "
+            "one of this mesh, or in another unit or place; export both together"
+        )
+
+
+def _start(tracks: Float, rest: Float, joints: Joints) -> tuple[Binding, Float]:
+    """Return every vertex on the nearest bone, and motions that joints hold together."""
+    distances = bone_distances(rest, joints.pivots, joints.parents)
+    nearest = distances.argmin(axis=1)
+    influences, weights = np.zeros((2, len(rest), INFLUENCES))
+    influences[:, 0], weights[:, 0] = nearest, 1.0
+    costs = tracks.shape[1] / 3 * (_NEARER * distances) ** 2
+    binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)), costs)
+    whole = motion_of(tracks, rest, np.arange(len(rest)))
+    motions: list[Float] = []
+    for bone, parent in enumerate(joints.parents.tolist()):
+        own = np.flatnonzero(nearest == bone)
+        above = motions[parent] if parent >= 0 else whole
+        motions.append(motion_of(tracks, rest, own) if len(own) >= _RIGID else above)
+    held = attached(np.stack(motions), joints)
+    for _ in range(_BEFORE):
+        held, _ = move(tracks, binding, held, joints, fit_pivots=False)
+    return binding, held

@@ -1,0 +1,183 @@
+"""Characters baked and fitted to their own skeletons, beside skins of as many bones that are found.
+
+Errors of joints, axes and weights are those against the file's own; its weights are not given to the fit.
+
+Usage: scripts/bench skeletons [FILE[:ANIMATION] ...]   (in $MIXSEQ_DATA; eight of four characters by default)
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import mixseq
+from mixseq.arrays import Float
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.rigging import Skin
+from mixseq.rigging.rigs import rotation_matrices
+from mixseq_io.skeleton_files import parents_first
+
+FILES = (
+    "gltf/CesiumMan.glb",
+    "usd/CesiumMan.usdz",
+    "gltf/KhronosFox.glb:Survey",
+    "gltf/KhronosFox.glb:Run",
+    "gltf/RiggedFigure.glb",
+    "usd/RiggedFigure.usdz",
+    "gltf/RiggedSimple.glb",
+    "usd/RiggedSimple.usdz",
+)
+
+COLUMNS = (
+    "character",
+    "bones",
+    "KG %",
+    "max error",
+    "joints",
+    "axes (degrees)",
+    "weights",
+    "seconds (processor)",
+    "found bones, KG %",
+)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a file tells of its character, bones in the order of its skeleton.
+
+    Attributes
+    ----------
+    weights : (V, B) float64
+        How much vertices follow the bones.
+    joints : (T, B, 4, 4) float64
+        From the joints to the world, in every frame.
+    """
+
+    weights: Float
+    joints: Float
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", nargs="*", default=FILES)
+    _compile()
+    print("| " + " | ".join(COLUMNS) + " |\n|" + len(COLUMNS) * "---|")
+    for file in parser.parse_args().files:
+        name, _, animation = file.partition(":")
+        print(_line(file, Path(os.environ.get("MIXSEQ_DATA", "")) / name, animation or None), flush=True)
+    return 0
+
+
+def _line(label: str, path: Path, animation: str | None) -> str:
+    options: dict[str, Any] = {"animation": animation} if animation else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what else is in a file
+        sequence = mixseq.read(path, **options)
+        skeleton, bind_pose = mixseq.read_skeleton(path), mixseq.read_bind_pose(path)
+        rig = _rig(path, options, sequence.times)
+    skin, seconds = _timed(lambda: mixseq.fit_skin(sequence, skeleton=skeleton, bind_pose=bind_pose))
+    fitted = mixseq.compare(sequence, skin)
+    found = mixseq.compare(sequence, mixseq.fit_skin(sequence, skin.bone_count))
+    used = rig.weights.max(axis=0) > 0  # where joints are that move nothing cannot be seen
+    away = np.linalg.norm(skin.translations - rig.joints[..., :3, 3], axis=2)[:, used] / sequence.diagonal
+    cells = [
+        f"{used.sum()} of {skin.bone_count}",
+        f"{fitted.kg_percent:.2g}",
+        f"{fitted.max_error:.2g}",
+        f"{away.mean():.2g}",
+        f"{_turned(skin, rig)[:, used].mean():.2g}",
+        f"{np.abs(_weights(skin) - rig.weights).sum(axis=1).mean():.2g}",
+        f"{seconds:.1f}",
+        f"{found.kg_percent:.2g}",
+    ]
+    return f"| {label} | " + " | ".join(cells) + " |"
+
+
+def _weights(skin: Skin) -> Float:
+    found = np.zeros((len(skin.weights), skin.bone_count))
+    np.add.at(found, (np.arange(len(found))[:, None], skin.influences), skin.weights)
+    return found
+
+
+def _turned(skin: Skin, rig: Rig) -> Float:
+    """Return the angles ``(T, B)`` between the axes of joints that were fitted and those of the file, in degrees."""
+    own = nearest_rotations(rig.joints[..., :3, :3])
+    fitted = rotation_matrices(skin.rotations) @ rotation_matrices(skin.skeleton.axes)
+    between = Rotation.from_matrix((np.swapaxes(own, 2, 3) @ fitted).reshape(-1, 3, 3))
+    return np.degrees(between.magnitude()).reshape(own.shape[:2])
+
+
+def _rig(path: Path, options: dict[str, Any], times: Float) -> Rig:
+    with mixseq.open_sequence(path, **options) as reader:
+        skinning = reader.markings().skinning
+    assert skinning is not None, "it is a character"
+    parents = [skinning.joints.index(parent) if parent else -1 for parent in skinning.parents]
+    order = parents_first(parents)
+    usd = path.suffix.startswith(".usd")
+    joints = _usd_joints(path, times) if usd else _gltf_joints(path, options, times)
+    return Rig(
+        np.asarray(skinning.weights.todense())[:, order],
+        np.stack([joints[skinning.joints[number]] for number in order], axis=1),
+    )
+
+
+def _gltf_joints(path: Path, options: dict[str, Any], times: Float) -> dict[str, Float]:
+    """Return the matrices ``(T, 4, 4)`` of all nodes by path."""
+    from mixseq_io.gltf.animation import choose_animation, pose_at, read_channels
+    from mixseq_io.gltf.compression import plain
+    from mixseq_io.gltf.document import load_document
+    from mixseq_io.gltf.node_tree import read_scene
+
+    document = plain(load_document(path))
+    scene = read_scene(document)
+    nodes = set(scene.paths)
+    channels = read_channels(document, choose_animation(document, options.get("animation")), nodes)
+    world = scene.world(nodes, pose_at(channels, times))
+    shape = (len(times), 4, 4)
+    return {path: np.broadcast_to(world[node], shape) for node, path in scene.paths.items()}
+
+
+def _usd_joints(path: Path, times: Float) -> dict[str, Float]:
+    """Return the matrices ``(T, 4, 4)`` of the joints of the only skeleton by path, as USD computes them."""
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.Open(str(path))
+    skeleton = next(UsdSkel.Skeleton(prim) for prim in stage.Traverse() if UsdSkel.Skeleton(prim))
+    root = next(UsdSkel.Root(prim) for prim in stage.Traverse() if UsdSkel.Root(prim))
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(skeleton)
+    found = []
+    for time_code in times * stage.GetTimeCodesPerSecond():
+        at = UsdGeom.XformCache(time_code)
+        found.append(np.array(query.ComputeJointWorldTransforms(at)).swapaxes(1, 2))
+    paths = [f"{skeleton.GetPath()}/{joint}" for joint in query.GetJointOrder()]
+    return {path: np.stack(found)[:, number] for number, path in enumerate(paths)}
+
+
+def _timed(fit: Callable[[], Skin]) -> tuple[Skin, float]:
+    start = time.process_time()
+    return fit(), time.process_time() - start
+
+
+def _compile() -> None:
+    """Fit something small, so that no row has the time of the compiler in it."""
+    from mixseq.creature import walk_cycle
+
+    mixseq.fit_skin(walk_cycle(frames=3), 4, rounds=2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
