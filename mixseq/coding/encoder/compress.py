@@ -38,7 +38,9 @@ def compress(
     order: OrderName = "keep",
     chunk: int = CHUNK,
 ) -> CompressedSequence:
-    """Compress a sequence, on two threads if `mixseq.mapping.thread_count` allows it; bytes do not depend on that.
+    """Compress a sequence.
+
+    It takes two threads if `mixseq.mapping.thread_count` allows it; bytes do not depend on that.
 
     Parameters
     ----------
