@@ -73,18 +73,19 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
         ours = data.removeprefix(b"C").startswith(b"OFF\n" + _COMMENT + b"float32")
         vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
         faces = np.asarray(mesh["faces"]).reshape(-1, 3)
+        numbers = _colours(of_vertices) if lines[0].startswith(b"C") and like is None else None
     with naming(file):
         polygons = Polygons.from_triangles(faces.astype(np.int64))
-        colours = _colours(of_vertices, polygons) if lines[0].startswith(b"C") and like is None else None
+        colours = None if numbers is None else CornerValues(numbers, polygons.indices)
         return MeshFile(points=vertices, polygons=polygons, source=None, surface=Surface(colours=colours))
 
 
-def _colours(lines: list[bytes], polygons: Polygons) -> CornerValues | None:
-    """Return the colours of vertices, if all have three or all have four numbers."""
+def _colours(lines: list[bytes]) -> FloatArray | None:
+    """Return the colours ``(V, 4)`` of vertices, if all have three or all have four numbers."""
     rows = [line.split()[3:] for line in lines]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
-    return CornerValues(with_alpha(from_text(np.array(rows, dtype=np.float64))), polygons.indices)
+    return with_alpha(from_text(np.array(rows, dtype=np.float64)))
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:

@@ -148,7 +148,9 @@ def _colours(elements: dict[str, Columns], polygons: Polygons) -> CornerValues |
         values = _side_by_side(columns, *_COLOUR[:3]) if values is None else values
         if values is not None and len(values):
             kind = columns[_COLOUR[0]].values.dtype
-            return CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows)
+            return CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows).welded(
+                polygons.indices
+            )
     return None
 
 

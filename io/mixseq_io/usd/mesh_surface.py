@@ -173,6 +173,8 @@ def _values(
     if not within(rows, len(values)):
         notes.add(prim, f"{what} {primvar.GetPrimvarName()!r} do not fit the faces and are left out")
         return None
+    if not len(values):  # of a mesh without faces
+        return None
     width = 1 if values.ndim == 1 else values.shape[1]
     return CornerValues(values.reshape(-1, width), rows)
 

@@ -50,14 +50,13 @@ export class ResidualLayer {
     const place = this.chunks.findIndex(({ first, count }) => frame < first + count), chunk = this.chunks[place];
     if (this.taken[place]) return this.taken[place][frame - chunk.first];
     const number = Math.floor((frame - chunk.first) / RUN), key = chunk.first + number * RUN;
-    return guarded(`the residuals of frames ${key} and on`, () => {
-      let run = this.runs.get(key);
-      if (!run) {
-        this.runs.set(key, (run = runOf(chunk, number, this.graphOf)));
-        if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
-      }
-      return run.frame(frame - key);
-    });
+    let run = this.runs.get(key);
+    if (!run) {
+      run = guarded(`the residuals of frames ${key} and on`, () => readResiduals(chunk, number, this.graphOf()));
+      this.runs.set(key, run);
+      if (this.runs.size > KEPT) this.runs.delete(this.runs.keys().next().value);
+    }
+    return run[frame - key];
   }
 }
 
@@ -68,11 +67,11 @@ function placeOf(times, time) {
   return { frame: after - 1, share: share < NEAR ? 0 : share };
 }
 
-/** A run of frames, which has nothing where there are no bytes. */
-function runOf({ count, residuals }, run, graphOf) {
-  const frames = Math.min(RUN, count - run * RUN), runs = Math.ceil(count / RUN);
+/** The residuals of a run of frames. */
+function readResiduals({ count, residuals }, run, graph) {
+  const frames = Math.min(RUN, count - run * RUN), runs = Math.ceil(count / RUN), nothing = { vertices: [], numbers: [] };
   let start = 4 * runs, from = 0, to = 0;
-  if (!residuals.length) return EMPTY;
+  if (!residuals.length) return new Array(frames).fill(nothing);
   const view = new DataView(residuals.buffer, residuals.byteOffset, residuals.length);
   for (let k = 0; k < runs && start <= residuals.length; k++) {
     from = k === run ? start : from;
@@ -80,29 +79,19 @@ function runOf({ count, residuals }, run, graphOf) {
     to = k === run ? start : to;
   }
   if (start !== residuals.length) throw new MixseqError("a residual layer has another length than it says; it is damaged");
-  return from === to ? EMPTY : new Run(residuals.subarray(from, to), frames, graphOf());
+  return from === to ? new Array(frames).fill(nothing) : readRun(residuals.subarray(from, to), frames, graph);
 }
 
-const NOTHING = { vertices: [], numbers: [] }, EMPTY = { frame: () => NOTHING };
-
-/** The residuals of frames that follow each other, decoded up to those that are asked for: the first one is shown at once. */
-class Run {
-  constructor(stream, count, graph) {
-    Object.assign(this, { count, graph, reader: new Reader(stream), models: residualModels(), last: emptyFrame(graph.order.length), frames: [] });
+function readRun(stream, count, graph) {
+  const reader = new Reader(stream), models = residualModels(), frames = [];
+  let last = emptyFrame(graph.order.length);
+  for (let frame = 0; frame < count; frame++) {
+    last = readFrame(reader.bits(), models, graph, last);
+    reader.checked(last.numbers);
+    frames.push(residualsOf(last, graph.order));
   }
-
-  frame(number) {
-    while (this.frames.length <= number) this.readNext();
-    return this.frames[number];
-  }
-
-  readNext() {
-    const { reader, graph, frames } = this;
-    this.last = readFrame(reader.bits(), this.models, graph, this.last);
-    reader.checked(this.last.numbers);
-    if (frames.length + 1 === this.count) reader.finish();
-    frames.push(residualsOf(this.last, graph.order));
-  }
+  reader.finish();
+  return frames;
 }
 
 function residualsOf({ numbers, displaced }, order) {
