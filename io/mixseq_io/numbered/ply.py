@@ -138,19 +138,19 @@ def _colours(elements: dict[str, Columns], polygons: Polygons) -> CornerValues |
     vertices, faces = elements["vertex"], elements["face"]
     lists = faces.get("color")
     if lists is not None and lists.counts is not None and lists.counts.any():
-        colours = replace(lists, values=_from_zero_to_one(lists.values))
+        shares = replace(lists, values=_from_zero_to_one(lists.values))
         for width in (3, 4):
             if not lists.counts[lists.counts != width * polygons.counts].any():
-                return CornerValues.of_corners(with_alpha(_of_lists(colours, polygons, WHITE[:width])))
+                return CornerValues.of_corners(with_alpha(_of_lists(shares, polygons, WHITE[:width])))
     of_face = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
     for columns, rows in ((vertices, polygons.indices), (faces, of_face)):
         values = _side_by_side(columns, *_COLOUR)
         values = _side_by_side(columns, *_COLOUR[:3]) if values is None else values
         if values is not None and len(values):
             kind = columns[_COLOUR[0]].values.dtype
-            return CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows).welded(
-                polygons.indices
-            )
+            colours = CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows)
+            # Faces may name vertices that are not there, which is for the header to tell.
+            return colours.welded(polygons.indices) if rows is of_face else colours
     return None
 
 
