@@ -10,8 +10,8 @@ from mixseq.arrays import Float
 from mixseq.coding.bitstream import spatial_basis
 from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.coding.bitstream.spatial_basis import BasisKind, SpatialBasis
-from mixseq.coding.encoder import trial
 from mixseq.coding.encoder.principal_components import PrincipalComponents, shapes, trajectories
+from mixseq.coding.encoder.rounding import code_basis, round_basis
 from mixseq.coding.encoder.trial import Candidate, in_order
 from mixseq.frame_store import FrameStore
 
@@ -32,8 +32,9 @@ def candidate_of(components: PrincipalComponents, graph: SignalGraph) -> Candida
 def write_basis(
     components: PrincipalComponents, step: float, graph: SignalGraph
 ) -> tuple[Float, tuple[bytes, ...]]:
-    [vectors], streams = trial.write_basis(candidate_of(components, graph), step)
-    return vectors, streams
+    candidate = candidate_of(components, graph)
+    rounded = round_basis(candidate.parts, step)
+    return rounded[0].vectors, code_basis(rounded, candidate.labels, graph)
 
 
 def read_basis(

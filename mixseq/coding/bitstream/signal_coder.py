@@ -20,6 +20,7 @@ Frozen: changing this breaks old files (golden: ``tests/coding/golden/*.npz``); 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,36 +46,51 @@ _ROOM = 16
 _MANY = 512
 """Fewer numbers are coded at once: to hand them over takes as long. Free: a matter of time."""
 
-Contexts = tuple[BitModels, int, Small, Small, Index, Index, Index]
+Contexts = tuple[int, Small, Small, Index, Index, Index]
+
+
+class Signal(NamedTuple):
+    """A signal that is rounded, and not yet coded. Nothing of it is changed later.
+
+    Attributes
+    ----------
+    contexts
+        What `signal_kernels.code_numbers` needs besides models and numbers.
+    numbers : (N,) int64
+        Its numbers in nodes' order.
+    values : (N,) int64
+        The values that it has for a decoder, in steps / `UNIT`.
+    """
+
+    contexts: Contexts
+    numbers: Index
+    values: Index
+
+
+class NumberModels:
+    """What is known of the bits of numbers; signals of several graphs can share it."""
+
+    def __init__(self) -> None:
+        self.bits: BitModels = bit_models(kernels.INPUTS, kernels.CONTEXTS, kernels.POSITIONS)
 
 
 class Writer:
-    """Collects bits; `finish` makes bytes of them.
-
-    Numbers are coded in the order in which they are given, on a thread of their own: whoever gives them goes on, and
-    predicts the next ones.
-    """
+    """Collects bits; `finish` makes bytes of them."""
 
     def __init__(self) -> None:
         self._coded = arithmetic.to_write(1 << 12)
         self._check = 0
-        self._turns = InTurn()
 
     def room(self, numbers: int) -> arithmetic.Coded:
         """Return where to write so many numbers."""
-        self._turns.wait()
-        return self._with_room(numbers)
-
-    def code(self, contexts: Contexts, numbers: Index) -> None:
-        """Write numbers ``(N,)`` in their contexts, as `signal_kernels.code_numbers` takes them."""
-        count = len(numbers)
-        self._turns.take(
-            lambda: kernels.code_numbers(self._with_room(count), *contexts, numbers), count >= _MANY
-        )
-
-    def _with_room(self, numbers: int) -> arithmetic.Coded:
         self._coded = arithmetic.with_room(self._coded, _ROOM * (numbers + 1))
         return self._coded
+
+    def write(self, signal: Signal, models: NumberModels) -> None:
+        """Write a signal; models learn from it."""
+        room = self.room(len(signal.numbers))
+        kernels.code_numbers(room, models.bits, *signal.contexts, signal.numbers)
+        self.checked(signal.values)
 
     def checked(self, values: Index) -> None:
         """Add values to what a decoder has to find."""
@@ -82,7 +98,6 @@ class Writer:
 
     def finish(self) -> bytes:
         """Return everything that was written."""
-        self._turns.wait()
         return with_check(arithmetic.written(self._coded), self._check)
 
 
@@ -139,15 +154,8 @@ class Reader:
         refuse_others(self._check, self._expected)
 
 
-class NumberModels:
-    """What is known of the bits of numbers; coders of several graphs can share it."""
-
-    def __init__(self) -> None:
-        self.bits: BitModels = bit_models(kernels.INPUTS, kernels.CONTEXTS, kernels.POSITIONS)
-
-
 class SignalCoder:
-    """Code signals over one graph, one after another, to one or more streams.
+    """Round signals over one graph, one after another, to be coded; or read them.
 
     Parameters
     ----------
@@ -156,7 +164,7 @@ class SignalCoder:
     coordinates : int
         Number of signals that belong together: coordinates of a basis vector, or of a coefficient.
     models : NumberModels, optional
-        Models that are shared with other coders, which write to the same streams.
+        Of a stream that is read. Models are shared with other coders of the same streams.
     """
 
     def __init__(self, graph: SignalGraph, coordinates: int = 1, models: NumberModels | None = None) -> None:
@@ -167,8 +175,16 @@ class SignalCoder:
         self._activity, self._around = np.zeros_like(self._numbers), np.zeros_like(self._numbers)
         self._known = 0
 
-    def write(self, writer: Writer, targets: Float) -> Float:
-        """Code a signal ``(N,)`` in steps; return the values ``(N,)`` in steps that a decoder will have."""
+    def round(self, targets: Float) -> tuple[Float, Signal]:
+        """Round a signal ``(N,)`` in steps.
+
+        Returns
+        -------
+        values : (N,) float64
+            The values in steps that a decoder will have.
+        signal : Signal
+            What is to be written.
+        """
         predictor, numbers = self._predictor, np.empty_like(self._numbers)
         kernels.round_off(
             UNIT * np.asarray(targets, dtype=np.float64)[self._graph.order],
@@ -182,11 +198,11 @@ class SignalCoder:
             numbers,
             predictor.values,
         )
-        writer.code(self._contexts(), numbers)
+        signal = Signal(self._contexts(), numbers, predictor.values.copy())
         self._count(numbers)
         values = np.empty(self._graph.size)
-        self._learn(writer, values)
-        return values
+        self._learn(values)
+        return values, signal
 
     def read(self, reader: Reader) -> Float:
         """Return the values ``(N,)`` in steps of the next signal.
@@ -209,7 +225,7 @@ class SignalCoder:
             If the stream ends early.
         """
         predictor, numbers, values = self._predictor, np.zeros_like(self._numbers), np.empty(self._graph.size)
-        kernels.code_numbers(reader.bits(), *self._contexts(), numbers)
+        kernels.code_numbers(reader.bits(), self._models.bits, *self._contexts(), numbers)
         self._count(numbers)
 
         def learn() -> None:
@@ -221,7 +237,8 @@ class SignalCoder:
                 predictor.steps,
                 predictor.values,
             )
-            self._learn(reader, values)
+            reader.checked(predictor.values)
+            self._learn(values)
 
         reader.take(learn, len(numbers))
         if self._known == predictor.searched:  # numbers to come have other neighbours
@@ -229,10 +246,10 @@ class SignalCoder:
         return values
 
     def _contexts(self) -> Contexts:
-        """What `signal_kernels.code_numbers` needs. Nothing of it is changed later but the models."""
+        """What is known before the next signal. Others take the place of these arrays later; none is changed."""
         predictor = self._predictor
         sizes = self._activity, self._around, self._numbers
-        return self._models.bits, self._known, predictor.neighbours, predictor.counts, *sizes
+        return self._known, predictor.neighbours, predictor.counts, *sizes
 
     def _count(self, numbers: Index) -> None:
         """Note which numbers the newest signal has."""
@@ -243,8 +260,7 @@ class SignalCoder:
         )
         self._known += 1
 
-    def _learn(self, stream: Writer | Reader, values: Float) -> None:
-        """Write the values ``(N,)`` of the newest signal, and learn from them."""
+    def _learn(self, values: Float) -> None:
+        """Write the values ``(N,)`` of the newest signal in steps, and learn from them."""
         values[self._graph.order] = self._predictor.values / UNIT
-        stream.checked(self._predictor.values)
         self._predictor.finish()

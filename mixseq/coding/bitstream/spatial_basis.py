@@ -35,7 +35,6 @@ from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream import part_labels, signal_coder
 from mixseq.coding.bitstream.revision_1 import labels as older_labels
 from mixseq.coding.bitstream.revision_1 import signals as older_signals
-from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
 from mixseq.mapping import on_threads
@@ -263,9 +262,3 @@ def read_coefficients(
     if complete:
         reader.finish()
     return coefficients
-
-
-def coefficient_coders(basis: SpatialBasis, count: int) -> list[SignalCoder]:
-    """Return the coders of all parts' coefficients in a chunk of so many frames; they share their models."""
-    models, dim = NumberModels(), 3 if basis.kind == "trajectories" else 1
-    return [SignalCoder(path_graph(count), dim, models) for _ in basis.blocks]

@@ -14,8 +14,8 @@ from mixseq.coding.bitstream.compressed_sequence import CodingParameters, Compre
 from mixseq.coding.bitstream.signal_graph import mesh_graph
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.coding.encoder.residuals import width
+from mixseq.coding.encoder.rounding import CHUNK, FEWEST
 from mixseq.coding.encoder.search import ROUNDS, Search
-from mixseq.coding.encoder.trial import CHUNK, FEWEST
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR, with_quantised_uvs
 from mixseq.errors import ReconstructionError, SettingsError
 from mixseq.frame_store import FrameStore, blocks_of, digits_end, farthest, frame_store, largest_coordinate
@@ -170,7 +170,7 @@ def _found(
         ranks=best.ranks if len(best.ranks) > 1 else (),
         revision=2,
     )
-    return CompressedSequence(frames.header, parameters, best.basis_streams, best.chunks)
+    return CompressedSequence(frames.header, parameters, best.coding.streams.basis, best.chunks)
 
 
 def _checked(

@@ -49,11 +49,5 @@ def with_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
         apart = np.asarray(sequence.points[one] - trial.basis.frames(trial.coefficients[one]))
         return np.asarray(needed(apart, bound)[0])
 
-    layers = (
-        write_residuals(map(numbers, range(chunk.first, chunk.first + chunk.count)), trial.candidate.graph)
-        for chunk in trial.chunks
-    )
-    chunks = tuple(
-        replace(chunk, residuals=residuals) for chunk, residuals in zip(trial.chunks, layers, strict=True)
-    )
-    return replace(trial, chunks=chunks, bound=bound)
+    layers = (write_residuals(map(numbers, frames), trial.candidate.graph) for frames in trial.spans)
+    return replace(trial, residuals=tuple(layers), bound=bound)

@@ -6,35 +6,32 @@ has it*, which makes good for some of the error of rounding; then they are round
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.bitstream.compressed_sequence import Chunk
-from mixseq.coding.bitstream.part_labels import write_labels
-from mixseq.coding.bitstream.signal_coder import NumberModels, SignalCoder, Writer
+from mixseq.coding.bitstream.signal_coder import Signal
 from mixseq.coding.bitstream.signal_graph import SignalGraph
-from mixseq.coding.bitstream.spatial_basis import (
-    Part,
-    SpatialBasis,
-    assemble_basis,
-    coefficient_coders,
-    groups_of_parts,
-    parts_of,
-    whole,
-)
+from mixseq.coding.bitstream.spatial_basis import Part, SpatialBasis, assemble_basis, parts_of, whole
 from mixseq.coding.encoder.part_components import PartComponents
 from mixseq.coding.encoder.principal_components import PrincipalComponents
+from mixseq.coding.encoder.rounding import (
+    CHUNK,
+    RoundedPart,
+    chunks,
+    code_basis,
+    code_coefficients,
+    round_basis,
+    round_coefficients,
+)
 from mixseq.frame_store import FrameStore, block_size, blocks_of
 from mixseq.mapping import on_threads
-
-CHUNK, FEWEST = 512, 16
-"""A chunk has about so many frames by default, and as few at least."""
 
 FINER = 0.35
 """Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
@@ -88,28 +85,58 @@ def _components_of(known: tuple[PrincipalComponents, float], part: Part) -> Part
     return PartComponents(components, part, least)
 
 
+class Streams(NamedTuple):
+    """Bytes of the groups of a basis, and of the coefficients in every chunk."""
+
+    basis: tuple[bytes, ...]
+    coefficients: tuple[bytes, ...]
+
+
+class Coding:
+    """The streams of what is rounded, which are made when they are first asked for."""
+
+    def __init__(self, candidate: Candidate, basis: list[RoundedPart], chunks: list[list[Signal]]) -> None:
+        self._work: list[Callable[[], Any]] = [
+            partial(code_basis, basis, candidate.labels, candidate.graph),
+            *(partial(code_coefficients, signals) for signals in chunks),
+        ]
+
+    @cached_property
+    def streams(self) -> Streams:
+        """The streams; one is made beside another."""
+        basis, *coefficients = on_threads()(_result_of, None, self._work)
+        self._work = []  # nothing of a trial takes as much memory as signals
+        return Streams(basis, tuple(coefficients))
+
+
+def _result_of(_: None, work: Callable[[], Any]) -> Any:
+    return work()
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A sequence, coded with one step.
+    """A sequence, rounded with one step.
 
     Attributes
     ----------
     candidate : Candidate
-        How it was coded.
+        How it is coded.
     step : float
         The step, in the units of the sequence.
     ranks : tuple of int
-        Number of basis vectors of every part that were coded; those that are zero are not in the basis.
+        Number of basis vectors of every part that are coded; those that are zero are not in the basis.
     basis : SpatialBasis
         The basis as a decoder has it.
     coefficients : (T, K, d) float64
         Its coefficients as a decoder has them.
-    basis_streams : tuple of bytes
-        Streams of its groups.
-    chunks : tuple of Chunk
-        Streams of the coefficients and, if there is a bound, of the residual layer.
+    spans : tuple of range
+        Frames of every chunk.
+    coding : Coding
+        Streams of both.
     error : float
         Root of the sum of all squared distances, without the residual layer.
+    residuals : tuple of bytes
+        The residual layer of every chunk, if there is a bound.
     bound : float, optional
         What the residual layer is for.
     """
@@ -119,30 +146,42 @@ class Trial:
     ranks: tuple[int, ...]
     basis: SpatialBasis
     coefficients: Float
-    basis_streams: tuple[bytes, ...]
-    chunks: tuple[Chunk, ...]
+    spans: tuple[range, ...]
+    coding: Coding
     error: float
+    residuals: tuple[bytes, ...] = ()
     bound: float | None = None
+
+    @property
+    def chunks(self) -> tuple[Chunk, ...]:
+        """Streams of the chunks."""
+        residuals = self.residuals or (b"",) * len(self.spans)
+        return tuple(
+            Chunk(frames.start, len(frames), stream, rest)
+            for frames, stream, rest in zip(
+                self.spans, self.coding.streams.coefficients, residuals, strict=True
+            )
+        )
 
     @property
     def signals(self) -> int:
         """Number of bytes without the residual layer."""
-        return self.size - sum(len(chunk.residuals) for chunk in self.chunks)
+        return self.basis_size + sum(map(len, self.coding.streams.coefficients))
 
     @property
     def basis_size(self) -> int:
         """Number of bytes of the basis; if the vertices are a share of a larger mesh, about those of that."""
         finer = FINER * (1 / self.candidate.share - 1)
-        return round((1 + finer) * sum(map(len, self.basis_streams)))
+        return round((1 + finer) * sum(map(len, self.coding.streams.basis)))
 
-    @cached_property
+    @property
     def size(self) -> int:
         """Number of bytes; if the vertices are a share of a larger mesh, about those of that."""
-        return self.basis_size + sum(len(chunk.coefficients) + len(chunk.residuals) for chunk in self.chunks)
+        return self.signals + sum(map(len, self.residuals))
 
 
 def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int = CHUNK) -> Trial:
-    """Code a sequence.
+    """Round a sequence with one step.
 
     Parameters
     ----------
@@ -155,72 +194,26 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
     chunk : int
         A chunk has about so many frames.
     """
-    vectors, basis_streams = write_basis(candidate, step)
+    rounded = round_basis(candidate.parts, step)
+    vectors = [part.vectors for part in rounded]
     parts = [one.part.vertices for one in candidate.parts]
     basis = assemble_basis(candidate.components.kind, vectors, parts, len(sequence.points))
     fits = [part.fitted(block) for part, block in zip(candidate.parts, basis.blocks, strict=True)]
-    scales, owners = _varying(basis)
+    scales, owners = basis.norms[basis.varying], basis.parts[basis.varying]
     # Vectors over the larger mesh would be longer: their coefficients are as accurate as they would be then.
     longer = candidate.share**-0.5
     nearest = in_order(basis, [fit.coefficients for fit in fits])
-    decoded, streams = write_coefficients(basis, nearest * (longer / scales[:, None]), step, chunk)
+    decoded, signals = round_coefficients(basis, nearest * (longer / scales[:, None]), step, chunk)
     moved = decoded * (scales[:, None] / longer)
     squares = candidate.components.left_out
     for place, fit in enumerate(fits):
         squares += fit.squares_of(moved[:, owners == place].transpose(1, 0, 2)) / candidate.share
     if squares <= DIGITS * np.square(candidate.components.norms).sum() and candidate.share == 1:
         squares = squared_error(sequence, basis, decoded)
-    done = tuple(
-        Chunk(frames.start, len(frames), stream)
-        for frames, stream in zip(chunks(len(decoded), chunk), streams, strict=True)
-    )
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    return Trial(candidate, step, ranks, basis, decoded, basis_streams, done, error)
-
-
-def chunks(frame_count: int, size: int = CHUNK) -> list[range]:
-    """Return the frames of every chunk, about so many."""
-    number = max(1, round(frame_count / size))
-    ends = [frame_count * place // number for place in range(number + 1)]
-    return [range(a, b) for a, b in pairwise(ends)]
-
-
-def write_basis(candidate: Candidate, step: float) -> tuple[list[Float], tuple[bytes, ...]]:
-    """Code the components of every part until they are zero, as `read_basis` reads them.
-
-    Returns
-    -------
-    vectors : list of (K, c, n) float64
-        Basis vectors of every part as a decoder has them, without the constant one of trajectories.
-    streams : tuple of bytes
-        Streams of the groups.
-    """
-    parts, models, streams = candidate.parts, NumberModels(), []
-    ranks, coders = [one.rank(step) for one in parts], dict[int, SignalCoder]()
-    vectors: list[list[Float]] = [[] for _ in parts]
-    for number, of_parts in enumerate(groups_of_parts(ranks)):
-        writer = Writer()
-        if number == 0 and len(parts) > 1:
-            write_labels(writer, candidate.labels, candidate.graph)
-        for place, group in of_parts:
-            one = parts[place]
-            coder = coders.pop(place, None) or SignalCoder(one.part.graph, one.coordinates, models)
-            for row in range(group.start, group.stop):
-                numbers = one.vector(row) / step
-                vectors[place].append(np.stack([coder.write(writer, each) for each in numbers]))
-            if (
-                group.stop < ranks[place]
-            ):  # a coder takes more than a kilobyte a vertex: none is kept that is done
-                coders[place] = coder
-            del coder
-        streams.append(writer.finish())
-    return [step * np.array(some) for some in vectors], tuple(streams)
-
-
-def _varying(basis: SpatialBasis) -> tuple[Float, Index]:
-    """Return norms ``(K,)`` and parts ``(K,)`` of the vectors whose coefficients are coded."""
-    return basis.norms[basis.varying], basis.parts[basis.varying]
+    spans = tuple(chunks(len(decoded), chunk))
+    return Trial(candidate, step, ranks, basis, decoded, spans, Coding(candidate, rounded, signals), error)
 
 
 def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
@@ -230,24 +223,6 @@ def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
     for place, some in enumerate(coefficients):
         ordered[owners == place] = some
     return ordered.transpose(1, 0, 2)
-
-
-def write_coefficients(
-    basis: SpatialBasis, coefficients: Float, step: float, size: int = CHUNK
-) -> tuple[Float, list[bytes]]:
-    """Code coefficients ``(T, K, d)``; return them as decoders have them, and a stream for every chunk."""
-    scales, owners = _varying(basis)
-    scales = scales / step
-    decoded = np.empty_like(coefficients)
-    streams = []
-    for chunk in chunks(len(coefficients), size):
-        writer, coders = Writer(), coefficient_coders(basis, len(chunk))
-        frames = slice(chunk.start, chunk.stop)
-        for place, coordinate in np.ndindex(coefficients.shape[1:]):
-            numbers = coefficients[frames, place, coordinate] * scales[place]
-            decoded[frames, place, coordinate] = coders[owners[place]].write(writer, numbers) / scales[place]
-        streams.append(writer.finish())
-    return decoded, streams
 
 
 def squared_error(sequence: FrameStore, basis: SpatialBasis, coefficients: Float) -> float:

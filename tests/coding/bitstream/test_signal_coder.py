@@ -28,10 +28,16 @@ GRAPHS: dict[str, Callable[[], SignalGraph]] = {
 }
 
 
+def written(coder: SignalCoder, writer: Writer, targets: Float, models: NumberModels) -> Float:
+    values, signal = coder.round(targets)
+    writer.write(signal, models)
+    return values
+
+
 def there_and_back(graph: SignalGraph, signals: list[Float]) -> bytes:
     """Code signals, and check that they come back, and what rounding does to them."""
-    coder, writer = SignalCoder(graph), Writer()
-    kept = [coder.write(writer, signal) for signal in signals]
+    coder, writer, models = SignalCoder(graph), Writer(), NumberModels()
+    kept = [written(coder, writer, signal, models) for signal in signals]
     data = writer.finish()
     decoder, reader = SignalCoder(graph), Reader(data)
     for signal, known in zip(signals, kept, strict=True):
@@ -83,10 +89,10 @@ def test_signals_in_two_streams() -> None:
     """The coder goes on where it was: a later stream needs the one before, not the other way round."""
     graph, rng = GRAPHS["grid"](), np.random.default_rng(1)
     signals = rng.normal(scale=20, size=(6, graph.size))
-    coder, streams, kept = SignalCoder(graph), [], []
+    coder, models, streams, kept = SignalCoder(graph), NumberModels(), list[bytes](), list[Float]()
     for part in (signals[:2], signals[2:]):
         writer = Writer()
-        kept += [coder.write(writer, signal) for signal in part]
+        kept += [written(coder, writer, signal, models) for signal in part]
         streams.append(writer.finish())
     decoder, found = SignalCoder(graph), []
     for stream, count in zip(streams, (2, 4), strict=True):
@@ -107,7 +113,7 @@ def test_bytes_and_values_are_the_same_on_any_number_of_threads(
         monkeypatch.setenv("MIXSEQ_THREADS", threads)
         models, writer = NumberModels(), Writer()
         coders = [SignalCoder(graph, 1, models) for _ in range(2)]
-        kept = [coder.write(writer, signal) for coder in coders for signal in signals]
+        kept = [written(coder, writer, signal, models) for coder in coders for signal in signals]
         data, models = writer.finish(), NumberModels()
         reader, coders = Reader(data), [SignalCoder(graph, 1, models) for _ in range(2)]
         read = [coder.read_ahead(reader) for coder in coders for _ in signals]
@@ -141,8 +147,8 @@ def test_damaged_streams_are_refused() -> None:
 def test_other_weights_are_refused_or_no_harm(size: float) -> None:
     """As of a machine that adds otherwise."""
     graph, rng = GRAPHS["torus"](), np.random.default_rng(2)
-    coder, writer = SignalCoder(graph), Writer()
-    kept = [coder.write(writer, 100 * np.sin(TORUS[0] @ rng.normal(size=3))) for _ in range(12)]
+    coder, writer, models = SignalCoder(graph), Writer(), NumberModels()
+    kept = [written(coder, writer, 100 * np.sin(TORUS[0] @ rng.normal(size=3)), models) for _ in range(12)]
     reader, decoder = Reader(writer.finish()), SignalCoder(graph)
     found = []
     for _ in kept:
@@ -167,7 +173,10 @@ def test_models_may_be_shared() -> None:
     signals = [[rng.normal(scale=5, size=graph.size) for graph in graphs] for _ in range(5)]
     models, writer = NumberModels(), Writer()
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
-    kept = [[coder.write(writer, one) for coder, one in zip(coders, some, strict=True)] for some in signals]
+    kept = [
+        [written(coder, writer, one, models) for coder, one in zip(coders, some, strict=True)]
+        for some in signals
+    ]
     models, reader = NumberModels(), Reader(writer.finish())
     coders = [SignalCoder(graph, 1, models) for graph in graphs]
     for some in kept:
