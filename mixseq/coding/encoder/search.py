@@ -62,6 +62,9 @@ sequences those above had the fewest bytes with one part, the others, below 0.61
 GUESS = 0.9
 """Error of the first step, relative to what is expected of it."""
 
+UNSEEN = 1e-5
+"""Errors that are so near to what is asked for are measured of frames: algebra does not see more."""
+
 TINY = 1e-9
 """Errors below this share of what is asked for are as good as none."""
 
@@ -130,10 +133,12 @@ class Search:
             )
             if found is not None and (best is None or found.size < best.size):
                 best = found
-        for _ in range(ROUNDS if best is not None else 0):
-            if best is None or squared_error(self._sequence, best.basis, best.coefficients) <= error**2:
+        for _ in range(ROUNDS):
+            if best is None or best.error < (1 - UNSEEN) * error:
                 break
-            best = self._try(best.candidate, (1 - CLOSE / 3) * best.step)  # what algebra does not see
+            if squared_error(self._sequence, best.basis, best.coefficients) <= error**2:
+                break
+            best = self._try(best.candidate, (1 - CLOSE / 3) * best.step)
         if best is None:  # frames were left out of the components: the residual layer makes good for them
             return self.within(error / self._count**0.5)
         return best
