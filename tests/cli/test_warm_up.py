@@ -16,7 +16,8 @@ import gc, json
 from numba.core.dispatcher import Dispatcher
 
 ours = [each for each in gc.get_objects() if isinstance(each, Dispatcher) and "mixseq" in each.py_func.__module__]
-print(json.dumps({f"{each.py_func.__module__}.{each.py_func.__name__}": list(map(str, each.overloads)) for each in ours}))
+names = [f"{each.py_func.__module__}.{each.py_func.__name__}" for each in ours]
+print(json.dumps({name: list(map(str, each.overloads)) for name, each in zip(names, ours)}))
 """
 """Tells what was called, and with which types; whether it was compiled or kept from an earlier run."""
 
