@@ -11,10 +11,9 @@ Frozen: changing this breaks old files (golden: ``tests/coding/golden/bounded.np
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import InitVar, dataclass
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from mixseq.coding.bitstream.revision_1 import residuals as older_residuals
 from mixseq.coding.bitstream.signal_coder import Reader, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.errors import FormatError
+from mixseq.mapping import on_threads
 from mixseq.pickling import PickledWithoutCaches
 
 Residuals = tuple[Index, Index]
@@ -142,13 +142,23 @@ class CodedResidualLayer(PickledWithoutCaches):
         return threading.Lock()
 
 
-def write_residuals(frames: Iterable[Index], graph: SignalGraph) -> bytes:
+def write_residuals(residuals: Callable[[int], Index], frames: range, graph: SignalGraph) -> bytes:
     """Code the residuals of consecutive frames, ``(V, 3)`` each; nothing at all if there are none.
 
-    Runs of `RUN` frames are coded by themselves, so that one frame can be decoded without many others: first the
-    lengths of all runs in bytes, four bytes each, then the runs.
+    Runs of `RUN` frames are coded by themselves, each on a thread of its own, so that one frame can be decoded without
+    many others: first the lengths of all runs in bytes, four bytes each, then the runs.
+
+    Parameters
+    ----------
+    residuals : callable
+        Returns those of a frame.
+    frames : range
+        The frames.
+    graph : SignalGraph
+        Of the mesh.
     """
-    runs = [_write_run(run, graph) for run in _runs(frames)]
+    parts = (frames[start : start + RUN] for start in range(0, len(frames), RUN))
+    runs = list(on_threads()(_write_run, (residuals, graph), parts))
     if not any(runs):
         return b""
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)
@@ -198,16 +208,11 @@ def read_residuals(
     return read_run(data, frames, graph)
 
 
-def _runs(frames: Iterable[Index]) -> Iterator[list[Index]]:
-    rest = iter(frames)
-    while run := list(islice(rest, RUN)):
-        yield run
-
-
-def _write_run(frames: Iterable[Index], graph: SignalGraph) -> bytes:
+def _write_run(known: tuple[Callable[[int], Index], SignalGraph], frames: range) -> bytes:
+    residuals, graph = known
     writer, coder, something = Writer(), _FrameCoder(graph), False
-    for vertices in frames:
-        numbers = vertices[graph.order]
+    for frame in frames:
+        numbers = residuals(frame)[graph.order]
         something |= bool(numbers.any())
         coder.code(writer.room(3 * graph.size), numbers)
         writer.checked(numbers)

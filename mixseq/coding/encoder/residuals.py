@@ -49,5 +49,5 @@ def with_residuals(sequence: FrameStore, trial: Trial, bound: float) -> Trial:
         apart = np.asarray(sequence.points[one] - trial.basis.frames(trial.coefficients[one]))
         return np.asarray(needed(apart, bound)[0])
 
-    layers = (write_residuals(map(numbers, frames), trial.candidate.graph) for frames in trial.spans)
+    layers = (write_residuals(numbers, frames, trial.candidate.graph) for frames in trial.spans)
     return replace(trial, residuals=tuple(layers), bound=bound)

@@ -27,6 +27,10 @@ def decoded(stream: bytes, count: int) -> Index:
     return frames
 
 
+def written(numbers: Index | list[Index]) -> bytes:
+    return write_residuals(lambda frame: np.asarray(numbers[frame]), range(len(numbers)), GRAPH)
+
+
 def errors(count: int, seed: int = 0, share: float = 0.2, size: float = 2.0) -> Float:
     """Errors of which about a share is above 1."""
     rng = np.random.default_rng(seed)
@@ -58,7 +62,7 @@ def test_only_what_is_above_the_bound_is_corrected() -> None:
 @pytest.mark.parametrize("share", [0.01, 0.3, 1.0])
 def test_residuals_come_back(count: int, share: float) -> None:
     numbers = needed(errors(count, count, share), 1.0)
-    np.testing.assert_array_equal(decoded(write_residuals(iter(numbers), GRAPH), count), numbers)
+    np.testing.assert_array_equal(decoded(written(numbers), count), numbers)
 
 
 @settings(max_examples=30, deadline=None)
@@ -68,19 +72,19 @@ def test_residuals_of_any_size_come_back(seed: int, power: int) -> None:
     numbers = rng.integers(-(1 << power), (1 << power) + 1, (3, VERTICES, 3)) * rng.integers(
         0, 2, (3, VERTICES, 1)
     )
-    np.testing.assert_array_equal(decoded(write_residuals(iter(numbers), GRAPH), 3), numbers)
+    np.testing.assert_array_equal(decoded(written(numbers), 3), numbers)
 
 
 def test_nothing_to_correct_is_nothing() -> None:
     none = np.zeros((2 * RUN, VERTICES, 3), dtype=np.int64)
-    assert write_residuals(iter(none), GRAPH) == b""
+    assert written(none) == b""
     assert not decoded(b"", 2 * RUN + 1).any()
 
 
 def test_runs_without_residuals_have_no_bytes() -> None:
     numbers = np.zeros((3 * RUN, VERTICES, 3), dtype=np.int64)
     numbers[RUN + 3, 5] = 1, -2, 0
-    stream = write_residuals(iter(numbers), GRAPH)
+    stream = written(numbers)
     lengths = np.frombuffer(stream[:12], dtype="<u4")
     assert lengths[[0, 2]].tolist() == [0, 0]
     assert 12 + lengths[1] == len(stream) <= 32
@@ -90,7 +94,7 @@ def test_runs_without_residuals_have_no_bytes() -> None:
 def test_runs_are_decoded_by_themselves() -> None:
     """Bytes of other runs are not looked at."""
     numbers = needed(errors(3 * RUN), 1.0)
-    stream = write_residuals(iter(numbers), GRAPH)
+    stream = written(numbers)
     lengths = np.frombuffer(stream[:12], dtype="<u4")
     start = 12 + int(lengths[0])
     other = (
@@ -109,8 +113,8 @@ def test_runs_are_decoded_by_themselves() -> None:
 def test_residuals_that_last_are_cheap() -> None:
     """The frame before tells where they are."""
     one = needed(errors(1, share=0.2), 1.0)[0]
-    lasting = write_residuals(iter([one] * RUN), GRAPH)
-    changing = write_residuals(iter(needed(errors(RUN, share=0.2), 1.0)), GRAPH)
+    lasting = written([one] * RUN)
+    changing = written(needed(errors(RUN, share=0.2), 1.0))
     assert len(lasting) < 0.7 * len(changing)
 
 
@@ -119,14 +123,14 @@ def test_residuals_that_last_are_cheap() -> None:
 
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 7, 8, 11, 12, 20])
 def test_cut_streams_are_refused(length: int) -> None:
-    stream = write_residuals(iter(needed(errors(3 * RUN), 1.0)), GRAPH)
+    stream = written(needed(errors(3 * RUN), 1.0))
     with pytest.raises(FormatError, match="another length"):
         read_residuals(stream[:length], 3 * RUN, 0, GRAPH)
 
 
 def test_flipped_bits_give_other_residuals_or_an_error() -> None:
     count = RUN + 2
-    stream = write_residuals(iter(needed(errors(count, share=0.1), 1.0)), GRAPH)
+    stream = written(needed(errors(count, share=0.1), 1.0))
     for place in range(0, len(stream), 7):
         damaged = bytearray(stream)
         damaged[place] ^= 1 << place % 8

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ FACES, COUNT = SEQUENCE.header.faces, SEQUENCE.header.vertex_count
 
 
 def trial() -> Trial:
-    """Two parts, three chunks."""
+    """Two parts, several chunks."""
     components, labels = trajectories(SEQUENCE, 1e-6), (np.arange(COUNT) >= COUNT // 2).astype(np.int64)
     return try_step(
         SEQUENCE, Candidate.of(components, labels, FACES, mesh_graph(FACES, COUNT)), 1e-3, chunk=16
@@ -28,11 +29,13 @@ def trial() -> Trial:
 
 
 def test_nothing_is_coded_before_bytes_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    coded: list[int] = []
-    code_numbers = signal_kernels.code_numbers
-    monkeypatch.setattr(
-        signal_kernels, "code_numbers", lambda *given: coded.append(1) or code_numbers(*given)
-    )
+    coded, code_numbers = list[int](), signal_kernels.code_numbers
+
+    def counted(*given: Any) -> None:
+        coded.append(1)
+        code_numbers(*given)
+
+    monkeypatch.setattr(signal_kernels, "code_numbers", counted)
     one = trial()
     assert one.error > 0
     assert not coded
@@ -53,5 +56,5 @@ def test_streams_are_the_same_on_any_number_of_threads(monkeypatch: pytest.Monke
         monkeypatch.setenv("MIXSEQ_THREADS", threads)
         one = trial()
         found.append((one.coding.streams, one.error, one.coefficients.tobytes()))
-    assert len(found[0][0].coefficients) == 2 or len(found[0][0].coefficients) == 3
+    assert len(found[0][0].coefficients) > 1
     assert found[1:] == found[:1] * 2
