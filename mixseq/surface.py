@@ -51,7 +51,8 @@ class CornerValues:
     indices: IntArray
 
     def __post_init__(self) -> None:
-        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        with np.errstate(over="ignore"):
+            values = np.ascontiguousarray(self.values, dtype=np.float32)
         object.__setattr__(self, "values", frozen(values))
         object.__setattr__(self, "indices", _flat(self.indices, "values of corners"))
         if values.ndim != 2:
@@ -95,10 +96,10 @@ class CornerValues:
         return values
 
     def one_per_vertex(self, vertices: IntArray) -> bool:
-        """Whether all corners of a vertex have the same value; `vertices` has that of every corner."""
+        """Whether all corners of a vertex have the same value, nan or not; `vertices` has that of every corner."""
         default = np.zeros(self.values.shape[1])
         own = self.at_vertices(vertices, int(vertices.max(initial=-1)) + 1, default.tolist())
-        return np.array_equal(own[vertices], self.at_corners)
+        return np.array_equal(own[vertices], self.at_corners, equal_nan=True)
 
     def welded(self, vertices: IntArray) -> CornerValues:
         """Return the same values at all corners, where what is equal at a vertex is one row.

@@ -24,14 +24,15 @@ def with_alpha(colours: FloatArray) -> FloatArray:
 
 
 def from_text(numbers: FloatArray) -> FloatArray:
-    """Return the colours that texts tell: numbers from 0 to 1, unless one is larger, then from 0 to 255.
+    """Return the colours that texts tell: numbers from 0 to 255 if all are whole and one is above 1, else as they are.
 
     Examples
     --------
-    >>> from_text(np.array([[0.0, 51.0, 255.0]])).tolist(), from_text(np.array([[0.0, 0.2, 1.0]])).tolist()
-    ([[0.0, 0.2, 1.0]], [[0.0, 0.2, 1.0]])
+    >>> from_text(np.array([[0.0, 51.0, 255.0]])).tolist(), from_text(np.array([[0.0, 0.2, 1.5]])).tolist()
+    ([[0.0, 0.2, 1.0]], [[0.0, 0.2, 1.5]])
     """
-    return numbers / (_LARGEST if numbers.max(initial=0) > 1 else 1)
+    known = numbers[np.isfinite(numbers)]
+    return numbers / (_LARGEST if known.max(initial=0) > 1 and (known == np.rint(known)).all() else 1)
 
 
 def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mixseq.frame_numbers import NEAR
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
-from mixseq.surface import Surface
+from mixseq.surface import CornerValues, Surface
 from mixseq_io.blocks import warn
 from mixseq_io.colours import within_one
 
@@ -59,14 +59,19 @@ def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = 
     colours = header.surface.colours
     if colours is None:
         return []
+    values = colours.values[np.unique(colours.indices)]
+    kept = values[:, : 4 if alpha else 3]
+    written = CornerValues(within_one(colours.values[:, : kept.shape[1]]), colours.indices)
+    below, above = bool((kept < 0).any()), bool((kept > 1).any())
     lost = {
-        "colours below 0 and above 1 (0 and 1 are written)": not np.array_equal(
-            colours.values, within_one(colours.values)
-        ),
+        "colours below 0 and above 1 (0 and 1 are written)": below and above,
+        "colours below 0 (0 is written)": below and not above,
+        "colours above 1 (1 is written)": above and not below,
+        "colours that are no numbers (0 is written)": np.isnan(kept).any(),
         "several colours at a vertex (that of its first corner is written)": not (
-            corners or colours.one_per_vertex(header.polygons.indices)
+            corners or written.one_per_vertex(header.polygons.indices)
         ),
-        "the alpha of colours": not (alpha or (colours.values[:, 3] == 1).all()),
+        "the alpha of colours": not (alpha or (values[:, 3] == 1).all()),
     }
     return [words for words, is_lost in lost.items() if is_lost]
 

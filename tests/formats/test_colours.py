@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,14 @@ def test_alpha_and_texts() -> None:
     assert with_alpha(np.array([[0.1, 0.2, 0.3, 0.4]])).tolist() == [[0.1, 0.2, 0.3, 0.4]]
     assert from_text(np.array([[0, 255, 51]])).tolist() == [[0, 1, 0.2]]
     assert from_text(np.zeros((0, 3))).shape == (0, 3)
+    assert from_text(np.array([[np.nan, 255, 51]]))[0, 1:].tolist() == [1, 0.2]
+
+
+@pytest.mark.parametrize("largest", [1.00001, 1.5, 254.5])
+def test_only_whole_numbers_are_bytes(largest: float) -> None:
+    numbers = np.array([[0.5, 1.0, largest]])
+    np.testing.assert_array_equal(from_text(numbers), numbers)
+    assert from_text(np.array([[0, 1, 1.00001]])).tolist() == [[0, 1, 1.00001]]
 
 
 def test_bytes_stay_bytes_in_arrays() -> None:
@@ -90,6 +99,68 @@ def test_colours_beyond_white_are_cut_with_a_warning(name: str, tmp_path: Path) 
     ):
         write(tmp_path / name, square(BEYOND))
     np.testing.assert_allclose(colours(read(tmp_path / name)), colours(square(within_one(BEYOND))), atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
+@pytest.mark.parametrize(
+    ("odd", "told"),
+    [
+        (np.nan, "colours that are no numbers (0 is written)"),
+        (-0.5, "colours below 0 (0 is written)"),
+        (np.inf, "colours above 1 (1 is written)"),
+    ],
+)
+def test_warnings_say_what_is_lost_and_no_more(name: str, odd: float, told: str, tmp_path: Path) -> None:
+    values = np.full((4, 4), 0.3)
+    values[:, 3] = 1
+    values[2, 1] = odd
+    with pytest.warns(MixseqWarning, match=rf"cannot hold {re.escape(told)}; USD"):
+        write(tmp_path / name, square(values))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "v 0 0 0 1e300 0 0.5\nv 1 0 0 0 0 0\nv 0 1 0 0 0 0\nf 1 2 3\n"),
+        ("a.off", "COFF\n3 1 0\n0 0 0 1e300 0 0.5\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n"),
+    ],
+)
+def test_colours_beyond_single_precision_are_very_bright(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    assert colours(read(tmp_path / name))[0].tolist() == [np.inf, 0, 0.5, 1]
+
+
+def test_what_is_not_written_is_not_lost(tmp_path: Path) -> None:
+    """Corners that differ in what is cut off or in alpha only have one colour; rows of no corner have none."""
+    values = np.array([[0.3, 1.5, 0, 1], [0.3, 2.5, 0, 0.5], [-1, -1, -1, 0]])
+    with pytest.warns(
+        MixseqWarning, match=r"cannot hold colours above 1 \(1 is written\), the alpha of colours; USD"
+    ):
+        write(tmp_path / "a.obj", square(values, np.array([0, 0, 0, 1, 1, 1])))
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply"])
+def test_colours_that_change_over_frames_are_told_once(suffix: str, tmp_path: Path) -> None:
+    ramp = np.array([[n / 8, 0, 0, 1] for n in range(4)])
+    for frame, values in enumerate((ramp, ramp, ramp[::-1], ramp[[1, 1, 1, 1]])):
+        write(tmp_path / f"a_{frame}.{suffix}", square(values))
+    with pytest.warns(MixseqWarning) as caught:
+        got = read(tmp_path / f"a_#.{suffix}")
+    (told,) = (str(each.message) for each in caught)
+    assert "colours that change over time stay as they are in the first frame" in told
+    assert f"a_2.{suffix} (frame 2) has others" in told
+    np.testing.assert_array_equal(colours(got), ramp[square(ramp).polygons.indices].astype(np.float32))
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply"])
+def test_colours_that_come_or_go_are_told(suffix: str, tmp_path: Path) -> None:
+    painted_square = square(np.where(np.arange(4) == 3, 1, np.eye(4)))
+    plain = replace(painted_square, surface=Surface())
+    for first, second in ((painted_square, plain), (plain, painted_square)):
+        write(tmp_path / f"a_0.{suffix}", first)
+        write(tmp_path / f"a_1.{suffix}", second)
+        with pytest.warns(MixseqWarning, match="colours that change over time"):
+            read(tmp_path / f"a_#.{suffix}")
 
 
 @pytest.mark.parametrize("name", ["a.usda", "a.npz", "a.h5", "a.abc"])

@@ -106,3 +106,11 @@ def test_colours(tmp_path: Path, colour: str, expected: list[float] | None) -> N
         np.testing.assert_allclose(colours.at_corners, np.array([expected] * 3), atol=1e-7)
     (tmp_path / "a.off").write_text(text.replace(f" {colour}\n1", "\n1"))  # the first vertex has none
     assert read(tmp_path / "a.off").surface.colours is None
+
+
+@pytest.mark.parametrize("colour", ["a b c", "1 1 red", "0.5 0.5 0.5 full"])
+def test_colours_that_are_no_numbers(tmp_path: Path, colour: str) -> None:
+    white = " ".join("1" for _ in colour.split())
+    (tmp_path / "bad.off").write_text(f"COFF\n3 1 0\n0 0 0 {white}\n1 0 0 {colour}\n0 1 0 {white}\n3 0 1 2\n")
+    with pytest.raises(FormatError, match=rf"bad.off, vertex 1: '1 0 0 {colour}' has no colour of numbers"):
+        read(tmp_path / "bad.off")

@@ -293,10 +293,34 @@ WEDGES = ("12 " + "1 0 0.2 " * 4, "9 " + "0 0 1 " * 3)
             painted(face="property list uchar float color", of_faces=(WEDGES[0], "0")),
             [[1, 0, 0.2, 1]] * 4 + [[1, 1, 1, 1]] * 3,
         ),
-        (painted(face="property list uchar float color", of_faces=("3 1 0 0", "3 1 0 0")), None),
+        (painted(channels("uchar", "red", "green", "blue"), "1 0 1"), [[1 / 255, 0, 1 / 255, 1]] * 7),
+        (
+            painted(channels("uchar", "red", "green", "blue") + "\nproperty float alpha", "255 51 1 0.5"),
+            [[1, 0.2, 1 / 255, 0.5]] * 7,
+        ),
+        (
+            painted(channels("float", "red", "green", "blue") + "\nproperty uchar alpha", "1 0.5 0.25 51"),
+            [[1, 0.5, 0.25, 0.2]] * 7,
+        ),
+        (
+            painted(face="property list uchar uchar color", of_faces=("12" + 12 * " 1", "9" + 9 * " 0")),
+            [[1 / 255, 1 / 255, 1 / 255, 1]] * 4 + [[0, 0, 0, 1]] * 3,
+        ),
         (painted(channels("uchar", "red", "green"), "255 0"), None),
     ],
-    ids=["bytes", "alpha", "floats", "faces", "corners", "some corners", "other lists", "two channels"],
+    ids=[
+        "bytes",
+        "alpha",
+        "floats",
+        "faces",
+        "corners",
+        "some corners",
+        "ones",
+        "float alpha",
+        "byte alpha",
+        "ones of corners",
+        "two channels",
+    ],
 )
 def test_colours(tmp_path: Path, content: bytes, expected: list[list[float]] | None) -> None:
     (tmp_path / "a.ply").write_bytes(content)
@@ -304,6 +328,58 @@ def test_colours(tmp_path: Path, content: bytes, expected: list[list[float]] | N
     assert (colours is None) == (expected is None)
     if colours is not None:
         np.testing.assert_allclose(colours.at_corners, np.array(expected), atol=1e-7)
+
+
+def test_bytes_beside_a_float_alpha_in_binary_files(tmp_path: Path) -> None:
+    colour = channels("uchar", "red", "green", "blue") + "\nproperty float alpha"
+    head = painted(colour).partition(b"end_header\n")[0].replace(b"ascii", b"binary_little_endian")
+    rows = [struct.pack("<3f3Bf", *point, 255, 51, 1, 0.5) for point in POINTS]
+    rows += [struct.pack(f"<B{len(face)}i", len(face), *face) for face in FACES]
+    (tmp_path / "a.ply").write_bytes(head + b"end_header\n" + b"".join(rows))
+    colours = read(tmp_path / "a.ply").surface.colours
+    assert colours is not None
+    np.testing.assert_allclose(colours.at_corners, [[1, 0.2, 1 / 255, 0.5]] * 7, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("of_faces", "told"),
+    [
+        (("3 1 0 0", "3 1 0 0"), r"face 0 has 3 numbers of colours for 4 corners, not 3 for each"),
+        (
+            ("16" + 16 * " 1", "9" + 9 * " 1"),
+            r"face 1 has 9 numbers of colours for 3 corners, not 4 for each",
+        ),
+    ],
+)
+@pytest.mark.parametrize("also_vertices", [False, True])
+def test_lists_of_colours_of_another_length(
+    tmp_path: Path, of_faces: tuple[str, str], told: str, also_vertices: bool
+) -> None:
+    vertex = (channels("uchar", "red", "green", "blue"), "255 0 0") if also_vertices else ("", "")
+    content = painted(*vertex, face="property list uchar float color", of_faces=of_faces)
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.warns(MixseqWarning, match=rf"a.ply, {told}; the colours of corners are left out"):
+        colours = read(tmp_path / "a.ply").surface.colours
+    if also_vertices:
+        assert colours is not None
+        assert colours.at_corners.tolist() == [[1, 0, 0, 1]] * 7
+    else:
+        assert colours is None
+
+
+def test_colours_of_corners_that_change_over_frames(tmp_path: Path) -> None:
+    for frame, last in enumerate(("0 0 1 ", "0 1 1 ")):
+        of_faces = (WEDGES[0], "9 " + last * 3)
+        content = painted(
+            channels("uchar", "red", "green", "blue"), "9 9 9", "property list uchar float color", of_faces
+        )
+        (tmp_path / f"a_{frame}.ply").write_bytes(content)
+    with pytest.warns(MixseqWarning, match=r"colours that change over time .*a_1.ply \(frame 1\) has others"):
+        read(tmp_path / "a_#.ply")
+    # Those of vertices are hidden by them.
+    other = (tmp_path / "a_0.ply").read_bytes().replace(b"9 9 9", b"8 8 8")
+    (tmp_path / "a_1.ply").write_bytes(other)
+    assert read(tmp_path / "a_#.ply").frame_count == 2
 
 
 @pytest.mark.parametrize(

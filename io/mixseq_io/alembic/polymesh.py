@@ -109,16 +109,23 @@ def stored_polygons(source: Source) -> tuple[Polygons, Index]:
 
 def _constant(source: Source, array: Any) -> NDArray[np.int32]:
     """Return an array that must not change; some exporters repeat it at every sample."""
-    if not array.isConstant():
-        first = array.getKey(selector(array, 0))
-        for sample, time in enumerate(sample_times(array)):
-            if array.getKey(selector(array, sample)) != first:
-                index = int(np.searchsorted(source.frames, time))
-                raise InvalidSequenceError(
-                    f"the faces of {source.mesh.path} change at {time:g} s (index {index}); every frame needs the same "
-                    "faces: export without remeshing, or the part of the time line before it"
-                )
+    time = _change(array)
+    if time is not None:
+        index = int(np.searchsorted(source.frames, time))
+        raise InvalidSequenceError(
+            f"the faces of {source.mesh.path} change at {time:g} s (index {index}); every frame needs the same "
+            "faces: export without remeshing, or the part of the time line before it"
+        )
     return values(array, 0, source.room)
+
+
+def _change(array: Any) -> float | None:
+    """Return the time of the first sample of an array that differs from the one before all, None if none does."""
+    if array.isConstant():
+        return None
+    first = array.getKey(selector(array, 0))
+    times = enumerate(sample_times(array))
+    return next((time for sample, time in times if array.getKey(selector(array, sample)) != first), None)
 
 
 def _texture_coordinates(source: Source, polygons: Polygons) -> CornerValues | None:
@@ -129,6 +136,7 @@ def _texture_coordinates(source: Source, polygons: Polygons) -> CornerValues | N
     if more:
         kept = "the standard ones are kept" if parameter.valid() else "they are left out"
         warn(f"{source.path}: {source.mesh.path} has more texture coordinates, {', '.join(more)}; {kept}")
+    _warn_of_changes(source, parameter, "texture coordinates")
     return _corner_values(source, parameter, polygons, "texture coordinates")
 
 
@@ -146,8 +154,23 @@ def _colours(source: Source, polygons: Polygons) -> CornerValues | None:
     name = COLOURS if COLOURS in kinds else next(iter(kinds))
     if len(kinds) > 1:
         warn(f"{source.path}: {source.mesh.path} has several sets of colours; {name} is kept")
-    found = _corner_values(source, kinds[name](others, name), polygons, "colours")
+    parameter = kinds[name](others, name)
+    _warn_of_changes(source, parameter, "colours")
+    found = _corner_values(source, parameter, polygons, "colours")
     return found and CornerValues(with_alpha(found.values), found.indices)
+
+
+def _warn_of_changes(source: Source, parameter: Any, what: str) -> None:
+    if not parameter.valid():
+        return
+    arrays = [
+        parameter.getValueProperty(),
+        *([parameter.getIndexProperty()] if parameter.isIndexed() else []),
+    ]
+    if any(_change(array) is not None for array in arrays):
+        warn(
+            f"{source.path}: {what} of {source.mesh.path} that change over time stay as they are in the first frame"
+        )
 
 
 def _corner_values(source: Source, parameter: Any, polygons: Polygons, what: str) -> CornerValues | None:

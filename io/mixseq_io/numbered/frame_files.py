@@ -17,7 +17,7 @@ from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
 from mixseq.frame_numbers import number_at
 from mixseq.sequence import Polygons, SequenceHeader
-from mixseq.surface import Surface
+from mixseq.surface import CornerValues, Surface
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import checked, warn
 from mixseq_io.losses import lost_scale, lost_times, warn_of_losses
@@ -40,7 +40,7 @@ class MeshFile:
     name : str
         Name of the mesh, "" if the file has none.
     surface : Surface
-        What else is on the mesh, in the first frame.
+        What else is on the mesh; in later frames only the colours.
     """
 
     points: FloatArray
@@ -106,6 +106,7 @@ class _FilesReader(SequenceReader):
         self._files = files
         self._first = first
         self._parse = parse
+        self._told = False
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
@@ -127,7 +128,18 @@ class _FilesReader(SequenceReader):
                 f"{where} has other faces than {first}; every frame needs the same faces in "
                 "the same order (export with the vertex order kept)"
             )
+        if not self._told and not _alike(mesh.surface.colours, self.header.surface.colours):
+            self._told = True
+            warn(
+                f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others"
+            )
         return mesh.points
+
+
+def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
+    if colours is None or first is None:
+        return colours is first
+    return np.array_equal(colours.at_corners, first.at_corners, equal_nan=True)
 
 
 def write_files(

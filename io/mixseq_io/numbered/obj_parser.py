@@ -47,7 +47,7 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
         The file.
     like : MeshFile, optional
         The first frame: a file with the same lines of faces need not have them parsed again. What else is on the
-        mesh is only read without it.
+        mesh, but its colours, is only read without it.
 
     Raises
     ------
@@ -59,15 +59,19 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
     lines = _read_lines(file, whole=like is None)
     faces = (lines.faces, lines.vertices_before)
     if like is not None and len(lines.points) == len(like.points) and faces == like.source:
-        return MeshFile(points=lines.points, polygons=like.polygons, source=faces)
+        surface = Surface(colours=_colours(like.polygons, lines.colours, len(lines.points)))
+        return MeshFile(points=lines.points, polygons=like.polygons, source=faces, surface=surface)
     counts, corners = _parse_faces(file, lines)
     polygons = Polygons(counts, corners[:, 0])
+    colours = _colours(polygons, lines.colours, len(lines.points))
     if like is not None:
-        return MeshFile(points=lines.points, polygons=polygons, source=faces)
+        return MeshFile(
+            points=lines.points, polygons=polygons, source=faces, surface=Surface(colours=colours)
+        )
     name, face_sets, objects = grouped(lines.statements, polygons, len(lines.points))
     surface = Surface(
         uvs=_uvs(file, polygons, lines.uvs, corners[:, 1]),
-        colours=_colours(polygons, lines.colours, len(lines.points)),
+        colours=colours,
         hard_edges=_hard_edges(file, polygons, lines.normals, corners[:, 2]),
         face_sets=face_sets,
         objects=objects,
@@ -106,7 +110,7 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
                 numbers = rest.split()
                 x, y, z = numbers[:3]
                 coordinates += (float(x), float(y), float(z))
-                if whole and len(numbers) == _WITH_COLOUR:
+                if len(numbers) == _WITH_COLOUR:
                     red, green, blue = map(float, numbers[3:])
                     found.colours[len(coordinates) // 3 - 1] = (red, green, blue)
             elif kind in _FACES:

@@ -73,19 +73,28 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
         ours = data.removeprefix(b"C").startswith(b"OFF\n" + _COMMENT + b"float32")
         vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
         faces = np.asarray(mesh["faces"]).reshape(-1, 3)
-        numbers = _colours(of_vertices) if lines[0].startswith(b"C") and like is None else None
+        numbers = _colours(file, of_vertices) if lines[0].startswith(b"C") else None
     with naming(file):
         polygons = Polygons.from_triangles(faces.astype(np.int64))
         colours = None if numbers is None else CornerValues(numbers, polygons.indices)
         return MeshFile(points=vertices, polygons=polygons, source=None, surface=Surface(colours=colours))
 
 
-def _colours(lines: list[bytes]) -> FloatArray | None:
+def _colours(file: Path, lines: list[bytes]) -> FloatArray | None:
     """Return the colours ``(V, 4)`` of vertices, if all have three or all have four numbers."""
     rows = [line.split()[3:] for line in lines]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
-    return with_alpha(from_text(np.array(rows, dtype=np.float64)))
+    numbers = np.empty((len(rows), len(rows[0])))
+    for vertex, row in enumerate(rows):
+        try:
+            numbers[vertex] = [float(word) for word in row]
+        except ValueError:
+            raise FormatError(
+                f"{file}, vertex {vertex}: {excerpt(lines[vertex])} has no colour of numbers; three or four of them "
+                "are expected after the coordinates"
+            ) from None
+    return with_alpha(from_text(numbers))
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:

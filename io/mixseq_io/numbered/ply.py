@@ -32,6 +32,7 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import NO_UV, WHITE, CornerValues, Surface
+from mixseq_io.blocks import warn
 from mixseq_io.colours import as_bytes, from_text, with_alpha, within_one
 from mixseq_io.losses import lost_colours, lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
@@ -76,7 +77,12 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         if points is None:
             raise FormatError(f"{file} cannot be read as a PLY file: it has no vertices with x, y and z")
         if like is not None and "face" not in elements:
-            return MeshFile(points=points, polygons=like.polygons, source=source)
+            colours = _colours_of_vertices(elements["vertex"], like.polygons)
+            names = {each.name for each in like.source.element.properties}
+            if "color" in names or (colours is None and _COLOUR[0] in names):  # those of the faces
+                colours = like.surface.colours
+            surface = Surface(colours=colours)
+            return MeshFile(points=points, polygons=like.polygons, source=source, surface=surface)
         faces = elements.get("face", {})
         if "tristrips" in elements:
             raise FormatError(f"{file} has triangle strips, which are not read; export its faces one by one")
@@ -89,7 +95,7 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
         points=points,
         polygons=polygons,
         source=source,
-        surface=Surface(uvs=_uvs(file, elements, polygons), colours=_colours(elements, polygons)),
+        surface=Surface(uvs=_uvs(file, elements, polygons), colours=_colours(file, elements, polygons, like)),
     )
 
 
@@ -133,32 +139,56 @@ def _uvs(file: Path, elements: dict[str, Columns], polygons: Polygons) -> Corner
     return None
 
 
-def _colours(elements: dict[str, Columns], polygons: Polygons) -> CornerValues | None:
+def _colours(
+    file: Path, elements: dict[str, Columns], polygons: Polygons, like: MeshFile | None
+) -> CornerValues | None:
     """Return the colours: those of corners, or else of vertices, or else of faces."""
-    vertices, faces = elements["vertex"], elements["face"]
+    faces = elements["face"]
     lists = faces.get("color")
     if lists is not None and lists.counts is not None and lists.counts.any():
-        shares = replace(lists, values=_from_zero_to_one(lists.values))
-        for width in (3, 4):
-            if not lists.counts[lists.counts != width * polygons.counts].any():
-                return CornerValues.of_corners(with_alpha(_of_lists(shares, polygons, WHITE[:width])))
-    of_face = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
-    for columns, rows in ((vertices, polygons.indices), (faces, of_face)):
-        values = _side_by_side(columns, *_COLOUR)
-        values = _side_by_side(columns, *_COLOUR[:3]) if values is None else values
-        if values is not None and len(values):
-            kind = columns[_COLOUR[0]].values.dtype
-            colours = CornerValues(with_alpha(_from_zero_to_one(values.astype(kind))), rows)
-            # Faces may name vertices that are not there, which is for the header to tell.
-            return colours.welded(polygons.indices) if rows is of_face else colours
+        first = int(np.argmax(lists.counts > 0))
+        width = 4 if lists.counts[first] == 4 * polygons.counts[first] else 3
+        wrong = (lists.counts != 0) & (lists.counts != width * polygons.counts)
+        if not wrong.any():
+            shares = replace(lists, values=_from_zero_to_one([lists])[0])
+            return CornerValues.of_corners(with_alpha(_of_lists(shares, polygons, WHITE[:width])))
+        face = int(np.argmax(wrong))
+        if like is None:
+            warn(
+                f"{file}, face {face} has {lists.counts[face]} numbers of colours for {polygons.counts[face]} "
+                f"corners, not {width} for each; the colours of corners are left out"
+            )
+    of_vertices = _colours_of_vertices(elements["vertex"], polygons)
+    if of_vertices is not None:
+        return of_vertices
+    values = _colour_rows(faces)
+    rows = np.repeat(np.arange(len(polygons.counts)), polygons.counts)
+    return None if values is None else CornerValues(values, rows).welded(polygons.indices)
+
+
+def _colours_of_vertices(vertices: Columns, polygons: Polygons) -> CornerValues | None:
+    """Return the colours of vertices; faces may name some that are not there, which is for the header to tell."""
+    values = _colour_rows(vertices)
+    return None if values is None else CornerValues(values, polygons.indices)
+
+
+def _colour_rows(columns: Columns) -> FloatArray | None:
+    """Return colours (n, 4) of vertices or faces, if there are some."""
+    for names in (_COLOUR, _COLOUR[:3]):
+        found = [columns[name] for name in names if name in columns and columns[name].counts is None]
+        if len(found) == len(names) and len(found[0].values):
+            return with_alpha(np.stack(_from_zero_to_one(found), axis=1))
     return None
 
 
-def _from_zero_to_one(numbers: NDArray[Any]) -> FloatArray:
-    """Return numbers of colours, which text files give as floats if they are integers, too, from 0 to 1."""
-    if numbers.dtype.kind == "f":
-        return from_text(numbers)
-    return numbers / np.float64(np.iinfo(numbers.dtype).max)
+def _from_zero_to_one(columns: Sequence[Column]) -> list[FloatArray]:
+    """Return numbers of colours from 0 to 1: integers by the largest of their type, floats by all of them."""
+    floats = [each.values for each in columns if each.type.kind == "f"]
+    shares = iter(from_text(np.stack(floats)) if floats else ())
+    return [
+        next(shares) if each.type.kind == "f" else each.values / np.float64(np.iinfo(each.type).max)
+        for each in columns
+    ]
 
 
 def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> NDArray[np.float32]:

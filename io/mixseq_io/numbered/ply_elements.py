@@ -19,9 +19,13 @@ from mixseq_io.numbered.ply_header import Element, Property, read_header
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The values of a property in all rows; of a list one row after the other, with their `counts`."""
+    """The values of a property in all rows; of a list one row after the other, with their `counts`.
+
+    Those of text are float64 where `type`, that of the header, is an integer.
+    """
 
     values: NDArray[Any]
+    type: np.dtype[Any]
     counts: NDArray[np.int64] | None = None
 
 
@@ -92,13 +96,13 @@ def _as_doubles(element: Element) -> Element:
 
 def _of_types(columns: Columns, element: Element) -> Columns:
     """Return columns in the types of the header and the machine's byte order; indices in text stay float64."""
-    typed = dict(columns)
+    typed: dict[str, Column] = {}
     for each in element.properties:
-        column = columns[each.name]
-        kind = each.type.newbyteorder("=")
-        if kind.kind == "f" or column.values.dtype.kind != "f":
+        column = replace(columns[each.name], type=each.type.newbyteorder("="))
+        if column.type.kind == "f" or column.values.dtype.kind != "f":
             with np.errstate(over="ignore"):
-                typed[each.name] = replace(column, values=column.values.astype(kind))
+                column = replace(column, values=column.values.astype(column.type))
+        typed[each.name] = column
     return typed
 
 
@@ -145,6 +149,7 @@ def _equal_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int
     columns = {
         each.name: Column(
             rows[each.name].reshape(-1),
+            each.type,
             None if each.count is None else np.full(element.count, lengths.get(each.name, 0), dtype=np.int64),
         )
         for each in element.properties
@@ -185,6 +190,7 @@ def _any_rows(data: bytes, start: int, element: Element) -> tuple[Columns, int]:
     columns = {
         each.name: Column(
             np.frombuffer(b"".join(parts[each.name]), each.type),
+            each.type,
             None if each.count is None else np.array(counts[each.name], dtype=np.int64),
         )
         for each in element.properties

@@ -25,6 +25,7 @@ from tests.formats.alembic.alembic_maker import (  # noqa: E402
     load,
     positions,
     rising,
+    sampled,
 )
 
 
@@ -184,20 +185,60 @@ def test_colours(path: Path, scope: Any, places: ArrayLike, indexed: bool, chann
         np.testing.assert_array_equal(colours.at_corners[:, 3], 1)
 
 
-def add_colours(mesh: Any, name: str, rows: ArrayLike, scope: Any, indexed: bool = False) -> None:
-    """Add colours as a parameter; indexed ones are stored the other way round."""
+def add_colours(
+    mesh: Any, name: str, rows: ArrayLike, scope: Any, indexed: bool = False, later: ArrayLike = ()
+) -> None:
+    """Add colours as a parameter, maybe others `later`; indexed ones are stored the other way round."""
     content = np.asarray(rows)
     parameter, sample, kind = (
         (AbcGeom.OC3fGeomParam, AbcGeom.OC3fGeomParamSample, imath.C3fArray)
         if content.shape[1] == 3
         else (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArray)
     )
-    values = kind(len(content))
-    for channel, column in zip("rgba", content.T, strict=False):
-        np.asarray(getattr(values, channel))[...] = column
-    made = parameter(mesh.getSchema().getArbGeomParams(), name, indexed, scope, 1)
+    sampling = sampled(mesh, None)
+    made = parameter(mesh.getSchema().getArbGeomParams(), name, indexed, scope, 1, sampling)
     backwards = filled(imath.UnsignedIntArray, np.arange(len(content))[::-1])
-    made.set(sample(values, backwards, scope) if indexed else sample(values, scope))
+    for colours in (content, *np.asarray(later)):
+        values = kind(len(content))
+        for channel, column in zip("rgba", colours.T, strict=False):
+            np.asarray(getattr(values, channel))[...] = column
+        made.set(sample(values, backwards, scope) if indexed else sample(values, scope))
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+def test_colours_that_change_over_time(path: Path, indexed: bool) -> None:
+    reds = np.array([[n / 8, 0, 0] for n in range(4)])
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    add_colours(mesh, "Cd", reds, Scope.kVertexScope, indexed, later=[reds, reds / 2])
+    del archive, mesh
+    told = "colours of /square that change over time stay as they are in the first frame"
+    with pytest.warns(MixseqWarning, match=told):
+        colours = load(path).surface.colours
+    assert colours is not None
+    expected = (reds[::-1] if indexed else reds)[CLOCKWISE[[2, 1, 0, 5, 4, 3]]]
+    np.testing.assert_array_equal(colours.at_corners[:, :3], expected)
+
+
+def test_colours_that_are_repeated_do_not_change(path: Path) -> None:
+    reds = np.array([[n / 8, 0, 0] for n in range(4)])
+    archive = Abc.OArchive(str(path))
+    mesh = add_mesh(archive.getTop(), "square", rising())
+    add_colours(mesh, "Cd", reds, Scope.kVertexScope, later=[reds, reds])
+    del archive, mesh
+    assert load(path).surface.colours is not None
+
+
+def test_texture_coordinates_that_change_over_time(path: Path) -> None:
+    def dress(sample: Any, frame: int) -> None:
+        rows = np.full((4, 2), frame, np.float32)
+        sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, rows), Scope.kVertexScope))
+
+    archive = Abc.OArchive(str(path))
+    add_mesh(archive.getTop(), "square", rising(), dress=dress)
+    del archive
+    with pytest.warns(MixseqWarning, match="texture coordinates of /square that change over time stay"):
+        assert load(path).surface.uvs is not None
 
 
 def test_of_several_sets_of_colours_that_of_houdini_is_kept(path: Path) -> None:
