@@ -49,6 +49,11 @@ def test_a_polygon_takes_the_colour_of_most_of_its_corners() -> None:
     assert told(labels_of_colours(colours + 0.001, FACES)) == told(labels_of_colours(colours, FACES))
 
 
+def test_colours_that_differ_in_alpha_are_two_labels() -> None:
+    colours = np.array([(1.0, 0.0, 0.0, 1.0)] * 4 + [(1.0, 0.0, 0.0, 0.5)] * 3)
+    assert told(labels_of_colours(colours, FACES)) == ["#ff0000", "#ff0000", "#ff000080"]
+
+
 def test_more_than_256_colours_are_no_segmentation() -> None:
     triangles = Polygons.from_triangles(np.arange(300).reshape(-1, 3))
     colours = np.zeros((300, 3))

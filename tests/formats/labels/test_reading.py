@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pxr import UsdGeom
 
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
@@ -57,6 +58,19 @@ def test_usd_colours(interpolation: str, count: int, tmp_path: Path) -> None:
         values = [(0.0, 0, 0), (1.0, 1, 1), (0.0, 0, 0), (0.0, 0, 0), (1.0, 1, 1)]
     path = display_colours(tmp_path / "a.usda", values, interpolation)
     assert told(read_labels(path, read(path))) == ["#000000", "#000000", "#ffffff"]
+
+
+def test_meshes_without_colours_beside_others_are_white(tmp_path: Path) -> None:
+    asset = subsets(tmp_path / "a.usda")
+    asset.mesh.CreateDisplayColorPrimvar("constant").Set([(1, 0, 0)])
+    asset.mesh.CreateDisplayOpacityPrimvar("constant").Set([0.5])
+    plain = UsdGeom.Mesh.Define(asset.stage, "/plain")
+    plain.CreatePointsAttr([(0, 0, 1), (1, 0, 1), (0, 1, 1)])
+    plain.CreateFaceVertexCountsAttr([3])
+    plain.CreateFaceVertexIndicesAttr([0, 1, 2])
+    asset.stage.Save()
+    both = read(asset.path, prim="/")  # the second one stands still
+    assert told(read_labels(asset.path, both, "colours", prim="/")) == ["#ff000080"] * 3 + ["#ffffff"]
 
 
 def test_one_colour_for_all_is_no_source_but_where_it_is_asked_for(tmp_path: Path) -> None:
