@@ -117,6 +117,22 @@ class TestSurface:
             colours = saved(stage).surface.colours
         assert colours is not None and colours.at_corners[0].tolist() == [1, 0, 0, 1]
 
+    @pytest.mark.parametrize("interpolation", ["vertex", "faceVarying", "uniform", "constant"])
+    def test_what_is_on_a_mesh_without_faces(self, stage: Usd.Stage, make: Make, interpolation: str) -> None:
+        """As exporters write a mesh from which all faces were taken: primvars, and no corner that has one."""
+        body, empty = make("/body"), make("/empty")
+        body.CreateDisplayColorPrimvar("constant").Set([(1, 0, 0.5)])
+        empty.GetFaceVertexCountsAttr().Set([])
+        empty.GetFaceVertexIndicesAttr().Set([])
+        empty.CreateDisplayColorPrimvar(interpolation).Set([])
+        empty.CreateDisplayOpacityPrimvar(interpolation).Set([])
+        give_uvs(empty, UVS[:0], interpolation)
+        both = saved(stage)
+        assert (both.vertex_count, len(both.polygons.counts)) == (10, 2)
+        assert both.surface.uvs is None
+        assert both.surface.colours is not None
+        assert both.surface.colours.at_corners.tolist() == [[1, 0, 0.5, 1]] * 7
+
     def test_the_first_set_of_texture_coordinates(self, stage: Usd.Stage, make: Make) -> None:
         mesh = make("/mesh")
         give_uvs(mesh, UVS[:5], "vertex", "UVMap")
