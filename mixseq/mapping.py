@@ -84,6 +84,15 @@ def on_threads(count: int | None = None) -> Executor:
     return work
 
 
+def on_two_threads() -> Executor:
+    """Return an executor that works on two threads, or on one if `thread_count` is 1.
+
+    For work of which each piece takes memory in proportion to all of the data, not to the piece: on as many threads as
+    there are cores it would take more memory on larger machines.
+    """
+    return on_threads(min(2, thread_count()))
+
+
 class InTurn:
     """One thread, on which one piece of work after the other is done; the caller's if `thread_count` is 1.
 

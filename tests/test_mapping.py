@@ -12,7 +12,7 @@ import pytest
 from mixseq import threads
 from mixseq.creature import walk_cycle
 from mixseq.errors import SettingsError
-from mixseq.mapping import InTurn, on_threads, serially, thread_count
+from mixseq.mapping import InTurn, on_threads, on_two_threads, serially, thread_count
 from mixseq.signals import fit
 from mixseq.threads import one_blas_thread
 from tests.forking import in_a_fork
@@ -93,6 +93,27 @@ def test_thread_count_is_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
             thread_count()
     monkeypatch.setenv("MIXSEQ_THREADS", "1")
     assert on_threads() is serially
+
+
+@pytest.mark.parametrize("threads", [1, 2, 9])
+def test_what_takes_much_memory_is_done_twice_at_once_at_most(
+    threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MIXSEQ_THREADS", str(threads))
+    under_way, most, lock = 0, 0, threading.Lock()
+
+    def work(shared: int, item: int) -> int:
+        nonlocal under_way, most
+        with lock:
+            under_way += 1
+            most = max(most, under_way)
+        time.sleep(0.01)
+        with lock:
+            under_way -= 1
+        return shared + item
+
+    assert list(on_two_threads()(work, 1, range(9))) == list(range(1, 10))
+    assert most == min(threads, 2)
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "3"])

@@ -37,7 +37,7 @@ from mixseq.coding.bitstream.revision_1 import labels as older_labels
 from mixseq.coding.bitstream.revision_1 import signals as older_signals
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
 from mixseq.errors import FormatError
-from mixseq.mapping import on_threads
+from mixseq.mapping import on_two_threads
 
 BasisKind = Literal["trajectories", "shapes"]
 
@@ -62,7 +62,7 @@ def whole(graph: SignalGraph) -> tuple[Part, ...]:
 
 def parts_of(labels: Index, faces: NDArray[np.integer]) -> tuple[Part, ...]:
     """Return the parts of labels ``(V,)`` 0 ... P - 1, each with the triangles ``(F, 3)`` that lie inside it."""
-    return tuple(on_threads()(_part, (labels, faces), enumerate(vertices_of(labels))))
+    return tuple(on_two_threads()(_part, (labels, faces), enumerate(vertices_of(labels))))
 
 
 def _part(mesh: tuple[Index, NDArray[np.integer]], part: tuple[int, Index]) -> Part:

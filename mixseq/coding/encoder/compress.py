@@ -40,7 +40,7 @@ def compress(
 ) -> CompressedSequence:
     """Compress a sequence.
 
-    It takes two threads if `mixseq.mapping.thread_count` allows it; bytes do not depend on that.
+    It works on as many threads as `mixseq.mapping.thread_count` tells; bytes do not depend on that.
 
     Parameters
     ----------

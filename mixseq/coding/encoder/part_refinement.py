@@ -22,7 +22,7 @@ from scipy import linalg, sparse
 
 from mixseq.arrays import Float, Index
 from mixseq.coding.encoder.principal_components import PrincipalComponents
-from mixseq.mapping import on_threads
+from mixseq.mapping import on_two_threads
 
 ROUNDS = 5
 """Vertices change their parts so often at most."""
@@ -57,7 +57,7 @@ def refined(components: PrincipalComponents, labels: Index, faces: NDArray[np.in
     mean_of_neighbours = _mean_of_neighbours(faces, vertices)
     squares = np.einsum("rv,rv->v", motion, motion)
     for _ in range(ROUNDS):
-        found = on_threads()(_lengths, _Motion(motion, squares, labels, step), range(number))
+        found = on_two_threads()(_lengths, _Motion(motion, squares, labels, step), range(number))
         lengths = np.stack(list(found), axis=1)
         lengths = (lengths + mean_of_neighbours @ lengths) / 2
         changed = lengths.argmin(axis=1)

@@ -31,7 +31,7 @@ from mixseq.coding.encoder.rounding import (
     round_coefficients,
 )
 from mixseq.frame_store import FrameStore, block_size, blocks_of
-from mixseq.mapping import on_threads
+from mixseq.mapping import on_threads, on_two_threads
 
 FINER = 0.35
 """Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
@@ -76,7 +76,7 @@ class Candidate:
     ) -> Candidate:
         """Make one with parts by labels ``(V,)``; components of parts with a norm below `least` left out."""
         parts = parts_of(labels, faces) if labels.any() else whole(graph)
-        found = tuple(on_threads()(_components_of, (components, least), parts))
+        found = tuple(on_two_threads()(_components_of, (components, least), parts))
         return cls(components, found, graph, labels, share)
 
 

@@ -6,9 +6,13 @@ import hashlib
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +21,9 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.arrays import Float, FloatArray
-from mixseq.coding.bitstream import signal_coder
+from mixseq.coding.bitstream import signal_coder, spatial_basis
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence, to_model
+from mixseq.coding.encoder import part_refinement, trial
 from mixseq.coding.encoder.compress import compress
 from mixseq.coding.encoder.search import CLOSE
 from mixseq.errors import SettingsError
@@ -291,6 +296,33 @@ def test_bytes_are_the_same_however_much_is_done_at_once(
     monkeypatch.setenv("MIXSEQ_THREADS", threads)
     monkeypatch.setattr(signal_coder, "_MANY", 1)
     assert digest(sequence) == expected
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [(part_refinement, "_lengths"), (trial, "_components_of"), (spatial_basis, "_part")]
+)
+def test_more_than_two_cores_take_no_more_memory(
+    module: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts are worked on two at a time: on each thread arrays are as long as the whole mesh."""
+    original, lock, under_way, most = getattr(module, name), threading.Lock(), 0, 0
+
+    def counted(shared: Any, item: Any) -> Any:
+        nonlocal under_way, most
+        with lock:
+            under_way += 1
+            most = max(most, under_way)
+        time.sleep(0.005)
+        try:
+            return original(shared, item)
+        finally:
+            with lock:
+                under_way -= 1
+
+    monkeypatch.setenv("MIXSEQ_THREADS", "16")
+    monkeypatch.setattr(module, name, counted)
+    compress(bar(sides=14, rings=25, frames=9), max_error=1e-3)
+    assert most == 2
 
 
 @dataclass(frozen=True)
