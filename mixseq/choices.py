@@ -46,6 +46,6 @@ PictureKind = Literal[
 PICTURES: tuple[PictureKind, ...] = get_args(PictureKind)
 """Pictures of a model."""
 
-Colour = Literal["clay", "parts", "error", "strain", "curvature"]
+Colour = Literal["clay", "own", "parts", "error", "strain", "curvature"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
 """What colours of meshes mean in films."""

@@ -23,6 +23,8 @@ class MeshParts:
         Vertex of every corner, the first of the mesh's own being 0.
     uvs : (sum of counts, 2) float32, optional
         Texture coordinates of every corner.
+    colours : (sum of counts, 4) float32, optional
+        Linear red, green, blue and alpha of every corner.
     groups : (sum of counts,) int32, optional
         Corners of a vertex with the same number share a normal.
     materials : tuple of str
@@ -34,6 +36,7 @@ class MeshParts:
     counts: IntArray
     corners: IntArray
     uvs: FloatArray | None
+    colours: FloatArray | None
     groups: IntArray | None
     materials: tuple[str, ...]
     material_of_polygon: IntArray
@@ -51,6 +54,7 @@ class MeshParts:
             header.polygons.counts[polygons],
             header.polygons.indices[corners] - vertices.start,
             None if surface.uvs is None else surface.uvs.at_corners[corners],
+            None if surface.colours is None else surface.colours.at_corners[corners],
             None if surface.hard_edges is None else surface.hard_edges[corners],
             tuple(materials[number] for number in used),
             slots.astype(np.int32).reshape(-1),

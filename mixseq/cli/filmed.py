@@ -93,7 +93,8 @@ def film_options(command: Command) -> Command:
     @click.option(
         "--colour",
         type=click.Choice(COLOURS),
-        help="What colours show in the film; parts need a model, error needs --against.  [default: clay]",
+        help="What colours show in the film; own are those of the file, parts need a model, error needs --against.  "
+        "[default: clay]",
     )
     @setting(
         "--scale",

@@ -1,6 +1,7 @@
 """Colours of a mesh in a scene: an entry of a palette at every vertex, which may change as it moves.
 
 - **clay**: the same everywhere.
+- **own**: those that the mesh brings along, see `mixseq.scene.own_colours`.
 - **parts**: rigid parts, in the colours of the pictures on paper, and joints in red. A vertex is a joint's if any of
   its faces is, else of the part of most of its faces.
 - **error**, **strain** and **curvature**: numbers from 0 to `top` in viridis; what they are tells
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.arrays import Float, FloatArray, Index, IntArray
 from mixseq.choices import COLOURS, Colour
 from mixseq.errors import SettingsError
+from mixseq.scene.own_colours import own_colours
 from mixseq.scene.palettes import CLAY, JOINT_RED, part_colours, segmentation_colours, viridis
 from mixseq.scene.vertex_measures import MEASURES, SHARE, distances, two_digits
 from mixseq.segmentation.joints import Decomposition
@@ -56,8 +58,8 @@ class Colouring:
     ----------
     name : str
         What it is called.
-    palette : (256, 3) uint8
-        Colours, sRGB.
+    palette : (n, 3) uint8
+        Colours, sRGB, 256 at most, and so many where numbers are measured.
     fixed : (V,) uint8, optional
         Entries of the palette that never change; without them `measure` tells.
     measure : function, optional
@@ -127,7 +129,7 @@ class Colouring:
     def legend(self) -> str:
         """Return a caption in words, such as "strain 0 to 12 %"."""
         if self.constant:
-            return "parts, joints red" if self.name == "parts" else self.name
+            return {"parts": "parts, joints red", "own": "colours of its own"}.get(self.name, self.name)
         return f"{self.name} 0 to {two_digits(self.top)} {self.unit}"
 
 
@@ -162,14 +164,18 @@ def colourings_of(
     Returns
     -------
     dict
-        ``clay``, ``parts``, ``error``, ``strain``, ``curvature``, in this order; those that there are.
+        ``clay``, ``own``, ``parts``, ``error``, ``strain``, ``curvature``, in this order; those that there are.
 
     Raises
     ------
     SettingsError
         If the pose at rest, the parts or the original are of another mesh.
     """
-    there: dict[Colour, bool] = {"parts": decomposition is not None, "error": original is not None}
+    there: dict[Colour, bool] = {
+        "own": header.surface.colours is not None,
+        "parts": decomposition is not None,
+        "error": original is not None,
+    }
     found: dict[str, Colouring] = {
         name: colouring_of(name, header, rest, decomposition, original)
         for name in COLOURS
@@ -199,6 +205,10 @@ def colouring_of(
     _check("the pose at rest", rest, count)
     if name == "clay":
         return clay(count)
+    if name == "own":
+        palette, places = own_colours(header)
+        of_faces = palette[places[faces]].mean(axis=1) / 255
+        return Colouring("own", palette, _fixed(places), of_faces=of_faces)
     if name == "parts":
         assert decomposition is not None
         entries = _fixed(_part_entries(faces, count, decomposition))

@@ -39,6 +39,7 @@ class SceneColours:
     def names(self) -> tuple[str, ...]:
         """What colours may show, of one mesh at least."""
         there = {
+            "own": any(item.header.surface.colours is not None for item in self.scene.items),
             "parts": any(item.decomposition is not None for item in self.scene.items),
             "error": any(self._original_of(item) is not None for item in self.scene.items),
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixseq.arrays import Float, IntArray
+from mixseq.arrays import Float, FloatArray, IntArray
 
 CLAY = (0.80, 0.77, 0.72)
 JOINT_RED = (0.85, 0.20, 0.13)
@@ -84,5 +84,9 @@ def _oklch(lightness: Float, chroma: float, hue: Float) -> Float:
     """Convert OKLCH (Ottosson 2020; hue in degrees) to sRGB ``(N, 3)``."""
     a, b = chroma * np.cos(np.radians(hue)), chroma * np.sin(np.radians(hue))
     lms = (np.stack([lightness, a, b], axis=-1) @ OKLAB_TO_LMS.T) ** 3
-    linear = np.clip(lms @ LMS_TO_RGB.T, 0, 1)
+    return srgb(np.clip(lms @ LMS_TO_RGB.T, 0, 1))
+
+
+def srgb(linear: FloatArray) -> Float:
+    """Return linear numbers from 0 to 1 in sRGB (IEC 61966-2-1)."""
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055))

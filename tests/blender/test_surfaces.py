@@ -53,6 +53,19 @@ def test_without_hard_edges_all_are_smooth() -> None:
     assert MeshParts.of(roof(), "").sharp(EDGES).tolist() == 7 * [False]
 
 
+def test_colours_of_corners_of_one_mesh_of_two() -> None:
+    values = np.random.default_rng(0).random((16, 4)).astype(np.float32)
+    header = roof(
+        2,
+        colours=CornerValues(values, np.arange(16)),
+        objects=(MeshObject("a", "/a", 6, 2), MeshObject("b", "/b", 6, 2)),
+    )
+    colours = MeshParts.of(header, "/b").colours
+    assert colours is not None
+    np.testing.assert_array_equal(colours, values[8:])
+    assert MeshParts.of(roof(), "").colours is None
+
+
 def test_polygons_begin_where_the_last_ended() -> None:
     parts = MeshParts.of(roof(), "")
     assert parts.starts.tolist() == [0, 4]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,9 +14,11 @@ from mixseq.scene.colours import SceneColours, check_original
 from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals import Model
+from mixseq.surface import CornerValues, Surface
 from tests.meshes import bar, tetrahedron
 
 ALL = ("clay", "parts", "error", "strain", "curvature")
+"""Colours of meshes that bring none along."""
 
 
 def item_of(sequence: MeshSequence, name: str = "sequence") -> SceneItem:
@@ -57,6 +61,15 @@ def test_names_promise_what_there_is(bent_bar: MeshSequence, bar_model: Model) -
     for items in ([item_of(bent_bar)], [SceneItem("model", bar_model)], [item_of(grown(2))]):
         colours = SceneColours(Scene(tuple(items)), original_of(bent_bar))
         assert colours.names == tuple(colours.each(0))
+
+
+def test_own_colours_where_there_are_some(bent_bar: MeshSequence) -> None:
+    values = np.tile([1.0, 0, 0, 1], (bent_bar.vertex_count, 1))
+    surface = Surface(colours=CornerValues(values, bent_bar.polygons.indices))
+    colours = SceneColours(Scene((item_of(bent_bar), item_of(replace(bent_bar, surface=surface)))))
+    assert colours.names == ("clay", "own", "strain", "curvature")
+    assert [each.name for each in colours.shared("own")] == ["clay", "own"]
+    assert "own" not in colours.each(0)
 
 
 def test_clay_where_a_mesh_has_no_such_colours(bent_bar: MeshSequence, bar_model: Model) -> None:

@@ -30,11 +30,14 @@ from mixseq.mapping import Executor
 from mixseq.scene import SceneItem
 from mixseq.scene.camera import View, shared_limits, three_quarter_view, y_up
 from mixseq.scene.colouring import Colouring, colourings_of
+from mixseq.scene.colours import SceneColours
+from mixseq.scene.items import Scene
 from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.signals import Model
+from mixseq.surface import CornerValues, Surface
 from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
-from mixseq.viewing.gathering import PageItem, extent_of
+from mixseq.viewing.gathering import PageItem, extent_of, page_items
 from mixseq.viewing.packing import ENCODING, as_text, deflated_rows
 from mixseq_io.compressed_files import read_compressed
 from tests.meshes import SEQUENCES, bar
@@ -207,6 +210,21 @@ def test_parts_and_errors_are_stored(tmp_path: Path, bent_bar: MeshSequence, bar
     for row, time in zip(item.colours["error"], item.times, strict=True):
         expected = given.colourings["error"].indices(bar_model(time), time)
         assert np.array_equal(row, expected[vertices])
+
+
+def test_own_colours_are_stored(tmp_path: Path, bent_bar: MeshSequence) -> None:
+    """Those that differ are in the page's palette, which has no others, and are where vertices are."""
+    values = np.ones((bent_bar.vertex_count, 4), np.float32)
+    values[:, :3] = np.arange(bent_bar.vertex_count)[:, None] % [2, 3, 5] == 0
+    surface = Surface(colours=CornerValues(values, bent_bar.polygons.indices))
+    given = page_items(SceneColours(Scene((SceneItem("bar", replace(bent_bar, surface=surface)).stored(),))))
+    export_page(tmp_path / "a.html", given)
+    item = Opened(tmp_path / "a.html").items[0]
+    described = {each["name"]: each for each in item.description["colourings"]}
+    assert list(described) == ["clay", "own", "strain", "curvature"]
+    palette = np.array(described["own"]["palette"])
+    assert len(palette) == 8
+    np.testing.assert_array_equal(palette[item.colours["own"][0]], 255 * values[vertices_of(given[0]), :3])
 
 
 def test_the_up_axis_becomes_y(tmp_path: Path) -> None:

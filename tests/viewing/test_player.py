@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from mixseq.scene.colouring import colourings_of
 from mixseq.scene.vertex_measures import MEASURES
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model, fit
+from mixseq.surface import CornerValues, Surface
 from mixseq.viewing.chart_data import signals_of
 from mixseq.viewing.export import ExportSettings, export_page
 from mixseq.viewing.gathering import PageItem
@@ -337,6 +339,25 @@ def test_colours_can_be_chosen(two: Player) -> None:
         page.select_option("#colour", name)
         assert changed(clay, two.picture()) > 0.01
         assert words in page.locator("#legend").inner_text()
+
+
+def test_own_colours_are_drawn(new_page: NewPage, tmp_path: Path) -> None:
+    """A bar that is green: what is drawn of it is, once that is chosen."""
+    sequence = bar(frames=1)
+    green = np.tile([0.0, 1, 0, 1], (sequence.vertex_count, 1))
+    surface = Surface(colours=CornerValues(green, sequence.polygons.indices))
+    export_page(tmp_path / "green.html", [exported("green", replace(sequence, surface=surface))])
+    player = Player(new_page(), tmp_path / "green.html")
+    assert not greens(player.picture()).any()
+    player.page.select_option("#colour", "own")
+    assert player.page.locator("#legend").inner_text() == "Its own colours"
+    assert greens(player.picture()).mean() > 0.01
+
+
+def greens(picture: Pixels) -> NDArray[np.bool_]:
+    """Which pixels are green, as light falls on it."""
+    red, green, blue = picture.astype(int).transpose(2, 0, 1)
+    return np.asarray((green > 80) & (red < green / 3) & (blue < green / 3))
 
 
 def test_dragging_turns_and_a_double_click_undoes_it(one: Player) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -10,6 +11,7 @@ from mixseq.arrays import Float
 from mixseq.scene.colours import SceneColours
 from mixseq.scene.items import Scene, SceneItem
 from mixseq.sequence import MeshSequence
+from mixseq.surface import CornerValues, Surface
 from mixseq.viewing.live.stage import CELL, LiveStage
 from mixseq.viewing.playback import Moment
 from tests.meshes import tube
@@ -32,6 +34,21 @@ def shown(following: bool) -> tuple[Float, Float]:
         middles.append(stage._meshes[0].vertices.mean(axis=0))
         grounds.append(stage._ground.position)
     return np.array(middles, dtype=np.float64), np.array(grounds)
+
+
+def test_own_colours_are_sent_once_as_the_file_has_them() -> None:
+    """The page takes linear colours, as those of the mesh are."""
+    points, faces = tube(8, 5)
+    linear = np.linspace(0, 1, len(points))[:, None] * [1.0, 0.5, 0, 0] + [0, 0, 0, 1.0]
+    still = MeshSequence.from_arrays(points[None], faces)
+    surface = Surface(colours=CornerValues(linear, still.polygons.indices))
+    scene = Scene((SceneItem("tube", replace(still, surface=surface)).stored(),))
+    stage = LiveStage(MagicMock(), SceneColours(scene, None), "standard", False, MagicMock())
+    stage.colour("own")
+    stage.show(Moment(scene, 0, (scene.items[0].pose(0.0),)))
+    sent = np.asarray(stage._clouds[0].colors)
+    scale = 255 if sent.dtype == np.uint8 else 1
+    np.testing.assert_allclose(sent / scale, linear[:, :3], atol=0.006)
 
 
 def test_a_body_that_is_followed_stays_and_the_ground_moves() -> None:

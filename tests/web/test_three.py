@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from base64 import b64decode
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -290,6 +291,31 @@ def test_other_meshes_are_loaded_as_ever(page: Page, tmp_path: Path) -> None:
     page.goto(f"{ADDRESS}index.html")
     page.evaluate(LOAD)
     assert page.evaluate("() => [shots.length, gltf.scene.children[0].isMesh]") == [0, True]
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_the_page_without_three_draws_colours(page: Page, coloured: bool, tmp_path: Path, keep: Keep) -> None:
+    """A bar that is half red: linear 0.5 is 188 in sRGB, times the light. Without colours it is clay."""
+    image = pytest.importorskip("PIL.Image")
+    sequence = bar(8, 25, 2)
+    if coloured:
+        red = np.tile([0.5, 0, 0, 1], (sequence.vertex_count, 1))
+        surface = Surface(colours=CornerValues(red, sequence.polygons.indices))
+        sequence = replace(sequence, surface=surface)
+    mixseq.save(tmp_path / "shot.glb", mixseq.compress(sequence, max_error=1e-3), still="none")
+    serve(page, {"shot.glb": (tmp_path / "shot.glb").read_bytes()})
+    page.goto(f"{ADDRESS}player.html")
+    page.wait_for_function("globalThis.shown > 0")
+    keep(page, "player-colours")
+    seen = np.asarray(image.open(BytesIO(page.locator("canvas").screenshot())).convert("RGB")).astype(int)
+    drawn = seen[seen[..., 2] < 150]  # neither the background nor white
+    if not coloured:
+        drawn = drawn[np.ptp(drawn, axis=1) > 8]
+        assert np.abs(drawn / drawn[:, :1] - [1, 0.68 / 0.75, 0.6 / 0.75]).mean() < 0.02
+        return
+    reds = drawn[(drawn[:, 0] > 60) & (drawn[:, 1:] < 8).all(axis=1)]
+    assert len(reds) > 500
+    assert 150 < reds[:, 0].max() <= 189
 
 
 @pytest.mark.parametrize("name", ["player.html", "example.html"])

@@ -1,4 +1,4 @@
-"""Meshes made from models: polygons, texture coordinates, materials, hard edges."""
+"""Meshes made from models: polygons, texture coordinates, colours, materials, hard edges."""
 
 from __future__ import annotations
 
@@ -27,6 +27,9 @@ def new_mesh(header: SequenceHeader, part: str) -> bpy.types.Mesh:
     mesh.update(calc_edges=True)
     if parts.uvs is not None:
         mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ravel(parts.uvs).astype(np.float32))
+    if parts.colours is not None:  # Blender's floats are linear, too
+        painted = mesh.color_attributes.new(name="Color", type="FLOAT_COLOR", domain="CORNER")
+        painted.data.foreach_set("color", np.ravel(parts.colours).astype(np.float32))
     _harden(mesh, parts)
     mesh.validate(clean_customdata=False)  # Blender cannot have polygons that meet a vertex twice
     return mesh

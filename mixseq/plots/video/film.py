@@ -193,6 +193,9 @@ def _colourings(
 ) -> list[Colouring]:
     """Return what colours show of each mesh, against its first frame in the film or against the original."""
     parts = _parts(items) if colour == "parts" else [None] * len(items)
+    for item in items:
+        if colour == "own" and item.header.surface.colours is None:
+            raise SettingsError(f"{item} has no colours of its own; choose another colour")
     before = None
     if original is not None:
         before = original.exact_pose

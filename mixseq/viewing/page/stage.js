@@ -9,6 +9,8 @@ var mixseqStage = function (stage, names, legendElement) {
   const NAME_HEIGHT = 34, LEGEND_HEIGHT = 52, MARGIN = 0.05;
   const TINTS = [[1, 1, 1], [0.72, 0.92, 1.16], [0.8, 1.1, 0.8], [1.08, 0.86, 1.12], [1.12, 1.02, 0.7]];
 
+  const MEANINGS = { parts: "Each colour is a rigid part, red are joints", own: "Its own colours" };
+
   /** Factors of the clay of overlaid meshes, by which they can be told apart. */
   const tint = (number, overlaid) => (overlaid ? TINTS[number % TINTS.length] : TINTS[0]);
 
@@ -100,7 +102,7 @@ var mixseqStage = function (stage, names, legendElement) {
     legendElement.hidden = !colouring || colouring.name === "clay";
     if (legendElement.hidden) return;
     scale.hidden = !colouring.top;
-    name.textContent = colouring.top ? label(colouring) : colouring.name === "parts" ? "Each colour is a rigid part, red are joints" : colouring.name;
+    name.textContent = colouring.top ? label(colouring) : MEANINGS[colouring.name] ?? colouring.name;
     if (!colouring.top) return;
     bar.style.background = `linear-gradient(90deg, ${colouring.palette.map((rgb) => "rgb(" + rgb.join(",") + ")").join(",")})`;
     [0, colouring.top / 2, colouring.top].forEach((value, k) => (numbers.children[k].textContent = `${+value.toPrecision(3)}`));

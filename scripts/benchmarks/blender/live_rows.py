@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mixseq.blender.motion import Motion, Placing
 from mixseq.creature import walk_cycle
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Model
+from mixseq.surface import CornerValues, Surface
 from scripts.benchmarks.blender.environment import python
 
 FPS = 24
@@ -106,11 +107,13 @@ def _models(folder: Path, data: Path | None) -> dict[str, Model]:
 
 
 def _slide() -> MeshSequence:
-    """A square of half a unit that slides along x, faster and faster, and turns as a whole in its plane."""
+    """A square of half a unit that slides along x, faster and faster, with colours of corners, some beyond white."""
     corners = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
     time = np.arange(20) / 19
     moved = corners + (2 * time**2 - 1)[:, None, None] * [1.0, 0, 0]
-    return MeshSequence.from_arrays(moved, [[0, 1, 2], [0, 2, 3]], fps=FPS, up_axis="Z")
+    slide = MeshSequence.from_arrays(moved, [[0, 1, 2], [0, 2, 3]], fps=FPS, up_axis="Z")
+    colours = CornerValues(np.linspace(0, 2, 24, dtype=np.float32).reshape(6, 4), np.arange(6))
+    return replace(slide, surface=Surface(colours=colours))
 
 
 def _off(model: Model, frames: Any, seen: Any) -> float:
@@ -144,7 +147,9 @@ def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
 
 def _rendered(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     slide, found = models["slide"], seen("rendered")
-    frames = found["step_frames"]
+    frames, colours = found["step_frames"], slide.header.surface.colours
+    assert colours is not None
+    yield LiveRow("colours of corners", float(np.abs(found["colours"] - colours.at_corners).max()), 0, "of 1")
     yield LiveRow("moments of an open shutter", len(np.unique(frames)), 5, "moments", at_least=True)
     yield LiveRow("vertices at them", _off(slide, frames, found["steps"]), SINGLE)
     yield LiveRow("vertices after the render", _off(slide, [SHUTTER], found["after"]), SINGLE)

@@ -106,7 +106,8 @@ def rendered(folder: Path) -> Seen:
     scene.render.resolution_x = scene.render.resolution_y = 64
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
     thing.cycles.motion_steps = 2
-    found: Seen = {"steps": [], "step_frames": []}
+    colours = [list(corner.color) for corner in thing.data.color_attributes["Color"].data]
+    found: Seen = {"steps": [], "step_frames": [], "colours": colours}
 
     def look(scene: Any, depsgraph: Any) -> None:
         if depsgraph.mode == "RENDER":
