@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mixseq
+from mixseq.arrays import Float
 from mixseq.correspondence.markers import Markers
 from mixseq_io.correspondence.markers import write_markers
 from tests.correspondence.foxes import seen_from_left, short, tall
@@ -185,13 +186,22 @@ def test_no_mesh_hides_the_other(new_page: NewPage, running: MarkingViewer) -> N
     ]
     assert max(ends[0]) < min(ends[1])
 
-    def looked_at() -> int:
+    def away() -> Float:
+        """How far meshes are from where the camera looks, as shares of the way between them."""
         (client,) = running._server.get_clients().values()
-        return int(np.linalg.norm(stage.arrangement.middles - client.camera.look_at, axis=1).argmin())
+        middles = stage.arrangement.middles
+        far = np.linalg.norm(middles - client.camera.look_at, axis=1) / np.linalg.norm(
+            middles[1] - middles[0]
+        )
+        return np.asarray(far)
+
+    def looked_at() -> int:
+        return int(away().argmin())
 
     first = looked_at()
     hand.button("Other mesh")
     eventually(lambda: looked_at() != first)
+    assert away().min() < 0.45, "it looks past the mesh"
     hand.button("Other mesh")
     eventually(lambda: looked_at() == first)
 

@@ -31,6 +31,9 @@ from mixseq.viewing.playback import Playback
 TURNED = 2.0
 """Degrees by which the camera turns before the meshes follow."""
 
+BETWEEN = 0.25
+"""A camera that looks so far beside a mesh looks at neither, as a share of the way from one to the other."""
+
 STEEP = 0.05
 """From so near to straight above or below it is not told from which side they are seen."""
 
@@ -191,9 +194,11 @@ class MarkingViewer:
             for side in (here, 1 - here)
         ]
         nearest = int(np.linalg.norm(ends[0] - camera.look_at, axis=1).argmin())
-        camera.position = (
-            camera.position + ends[1][nearest] - ends[0][nearest]
-        )  # takes along what it looks at
+        beside = camera.look_at - ends[0][nearest]
+        if np.linalg.norm(beside) > BETWEEN * np.linalg.norm(middles[1] - middles[0]):
+            beside = np.zeros(3)  # it looks at neither
+        # it takes along what it looks at
+        camera.position = camera.position + ends[1][nearest] + beside - camera.look_at
 
     def _connected(self, client: Any) -> None:
         self._stage.welcome(client)
