@@ -76,7 +76,9 @@ def read_bind_pose(path: str | os.PathLike[str], name: str | None = None) -> Mes
     Raises
     ------
     FormatError
-        If the file is missing, damaged, of another type, or has no skeleton of that name, or no mesh on it.
+        If the file is missing, damaged, of another type, or has no skeleton of that name.
+    NoMeshError
+        If there is no mesh on the skeleton.
     AmbiguousError
         If there are several skeletons; the message names them.
     """

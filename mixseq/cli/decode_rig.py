@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import FormatError, SettingsError
+from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
@@ -104,12 +105,26 @@ class RigSettings:
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
-    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence."""
+    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence.
+
+    Warns
+    -----
+    MixseqWarning
+        If it is another one.
+    """
     try:
         found = mixseq.read_bind_pose(path)
-    except FormatError:  # a skeleton alone
+    except NoMeshError:  # a skeleton alone
         return None
-    return found if found.vertex_count == sequence.vertex_count else None
+    if found.vertex_count == sequence.vertex_count:
+        return found
+    warnings.warn(
+        f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
+        f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame",
+        MixseqWarning,
+        stacklevel=2,
+    )
+    return None
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:

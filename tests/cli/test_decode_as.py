@@ -84,6 +84,29 @@ def test_a_skeleton_alone_stands_in_the_first_frame(run: Run, bent_bar: MeshSequ
     assert mixseq.compare(bent_bar, mixseq.read("again.glb")).max_error < 0.05
 
 
+def test_a_damaged_mesh_on_a_skeleton_is_an_error(run: Run) -> None:
+    succeed(run("decode", "bar.npz", "rig.gltf", "--as", "skin", "--bones", "3"))
+    file = json.loads(Path("rig.gltf").read_text())
+    file["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 99
+    Path("damaged.gltf").write_text(json.dumps(file))
+    assert mixseq.read_skeleton("damaged.gltf").bone_count
+    result = run("decode", "model.h5", "again.glb", "--as", "skin", "--skeleton", "damaged.gltf")
+    assert result.exit_code == 2
+    assert "error: damaged.gltf" in result.stderr
+    assert not Path("again.glb").exists()
+
+
+def test_another_mesh_on_a_skeleton_is_told(run: Run) -> None:
+    succeed(run("decode", "bar.npz", "rig.usda", "--as", "skin", "--bones", "3"))
+    more = mixseq.MeshSequence.from_arrays([np.eye(3)], [[0, 1, 2]], fps=10)
+    mixseq.write("more.npz", more)
+    result = run("decode", "more.npz", "again.glb", "--as", "skin", "--skeleton", "rig.usda")
+    assert (
+        "warning: rig.usda: the mesh on the skeleton has 77 vertices, that of the sequence has 3; it is left out, and "
+        "the skeleton is taken as it would stand in the first frame" in result.stderr
+    )
+
+
 @pytest.mark.parametrize("kind", ["skin", "morph"])
 @pytest.mark.parametrize("source", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
 def test_a_sequence_is_fitted_as_it_is(run: Run, source: str, kind: str, bent_bar: MeshSequence) -> None:
