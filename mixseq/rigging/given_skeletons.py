@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from mixseq.arrays import Float, Index
@@ -29,9 +30,9 @@ from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.unit_conversion import UnitConversion
 
 _OTHER_LENGTH = 1.5  # of half of the edges: another unit, or another mesh; values here are ours
-_AROUND = 0.1  # of the mesh's largest extent: joints may be so far out of its box
-_OUTSIDE = 0.1  # of the joints: controls, which move nothing, may stand anywhere
-_FAR = 0.15  # diagonals, on the mean over the vertices, to the nearest bone
+_AROUND = 0.5  # of the mesh's largest extent: joints of few bones that we find are up to 0.4 out of its box
+_OUTSIDE = 0.25  # of the joints: controls, which move nothing, may stand anywhere
+_TINY = 0.03  # of the mesh's diagonal: that of the joints, if they are in a larger unit
 _RIGID = 4  # vertices that tell a motion
 _NEARER = 1e-3  # of a distance, that it counts beside an error
 _BEFORE = 10  # rounds of motions before the first weights
@@ -68,10 +69,19 @@ def fit_to_skeleton(
     """
     if bind_pose is None:
         shape = sequence.points[0]
-        _check_inside(skeleton, shape)
+        _check_place(
+            skeleton,
+            shape,
+            "the mesh in the first frame; give the mesh as it is bound to the skeleton (bind_pose), or a skeleton in "
+            "the pose, place and unit of the first frame",
+        )
     else:
         skeleton, shape = _converted(sequence, skeleton, bind_pose)
-    _check_near(skeleton, shape)
+        _check_place(
+            skeleton,
+            shape,
+            "the bind pose; both in the same place and unit are expected, so export them together",
+        )
     origin = shape.mean(axis=0)
     rest = (shape - origin) / sequence.diagonal
     pivots = (skeleton.pivots - origin) / sequence.diagonal
@@ -95,7 +105,7 @@ def bone_distances(points: Float, pivots: Float, parents: Index) -> Float:
     >>> bone_distances(np.array([[0.5, 2, 0], [3, 0, 0]]), shoulder_and_elbow, np.array([-1, 0])).round(2).tolist()
     [[2.0, 2.06], [2.0, 1.0]]
     """
-    found = np.linalg.norm(points[:, None] - pivots, axis=2)
+    found = cdist(points, pivots)
     for bone, parent in enumerate(parents.tolist()):
         if parent >= 0:
             along = pivots[bone] - pivots[parent]
@@ -143,27 +153,16 @@ def _check_size(shape: Float, sequence: Centred) -> None:
         )
 
 
-def _check_inside(skeleton: Skeleton, shape: Float) -> None:
-    """Refuse a skeleton in another pose than its mesh, as far as joints are outside of the box around it."""
+def _check_place(skeleton: Skeleton, shape: Float, expected: str) -> None:
+    """Refuse a skeleton that does not stand in a mesh, told by joints out of its box, or all in one spot of it."""
     margin = _AROUND * np.ptp(shape, axis=0).max()
     low, high = shape.min(axis=0) - margin, shape.max(axis=0) + margin
     outside = int(((skeleton.pivots < low) | (skeleton.pivots > high)).any(axis=1).sum())
     if outside > _OUTSIDE * skeleton.bone_count:
-        raise SettingsError(
-            f"{outside} of {skeleton.bone_count} joints are outside of the mesh in the first frame; give the mesh "
-            "as it is bound to the skeleton (bind_pose), or a skeleton in the pose, place and unit of the first frame"
-        )
-
-
-def _check_near(skeleton: Skeleton, shape: Float) -> None:
-    """Refuse a skeleton of another size than its mesh."""
-    nearest = bone_distances(shape, skeleton.pivots, skeleton.parents).min(axis=1)
-    away = float(nearest.mean()) / (bounding_diagonal(shape) or 1.0)
-    if away > _FAR:
-        raise SettingsError(
-            f"vertices are {away:.2g} diagonals away from the nearest bone on the mean, so the skeleton is not the "
-            "one of this mesh, or in another unit or place; export both together"
-        )
+        raise SettingsError(f"{outside} of {skeleton.bone_count} joints are outside of {expected}")
+    size = bounding_diagonal(skeleton.pivots) / (bounding_diagonal(shape) or 1.0)
+    if skeleton.bone_count > 1 and size < _TINY:
+        raise SettingsError(f"all joints together are {size:.2g} times as large as {expected}")
 
 
 def _start(tracks: Float, rest: Float, joints: Joints) -> tuple[Binding, Float]:
