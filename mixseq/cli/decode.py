@@ -165,34 +165,28 @@ def command(
     else:
         settings.check(velocities, writing, texture)
     claim(target)
-    if textures:
-        with workers as work, progress_bar(quiet) as progress:
-            sequence = _sequence(source, salvage, chosen, progress, work)
-            check_origin(target, sequence)
-            report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
-        if not quiet:
-            print_table(texture_rows(report))
-        announce(target)
-        return
     if kind is not None:
         from mixseq_io.rig_files import check_rig_target
 
         check_rig_target(target)
-        with workers as work, progress_bar(quiet) as progress:
+    with workers as work, progress_bar(quiet) as progress:
+        if kind is None and not textures:
+            model = mixseq.load(source, salvage)
+            header = chosen.of(model)
+            write_frames(target, model, header, velocities, writing, progress, work)
+            table = time_rows(header)
+        else:
             sequence = _sequence(source, salvage, chosen, progress, work)
             check_origin(target, sequence)
-            rig = settings.fit(sequence, progress)
-            mixseq.write_rig(target, rig, writing.get("meshopt"))
-        if not quiet:
-            print_table(rows(target, rig, sequence))
-        announce(target)
-        return
-    model = mixseq.load(source, salvage)
-    header = chosen.of(model)
-    with workers as work, progress_bar(quiet) as progress:
-        write_frames(target, model, header, velocities, writing, progress, work)
+            if textures:
+                report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
+                table = texture_rows(report)
+            else:
+                rig = settings.fit(sequence, progress)
+                mixseq.write_rig(target, rig, writing.get("meshopt"))
+                table = [] if quiet else rows(target, rig, sequence)
     if not quiet:
-        print_table(time_rows(header))
+        print_table(table)
     announce(target)
 
 
