@@ -120,7 +120,10 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
     ):
         mixseq.read_skeleton(tmp_path / "b.glb", "hand")
     maker.json["skins"][2]["name"] = "left"
-    with pytest.raises(AmbiguousError, match=r"'skin 0', 'skin 2'; choose one"):
+    with pytest.raises(
+        AmbiguousError,
+        match=r"'skin 0', 'skin 2'; choose one by name \(in Python, as name= of mixseq\.read_sk",
+    ):
         mixseq.read_skeleton(maker.glb(tmp_path / "c.glb"), "left")
 
 
