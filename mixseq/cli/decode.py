@@ -161,7 +161,8 @@ def command(
     settings = RigSettings(kind, bones, skeleton, correctives, max_error, kg, max_targets)
     textures = target.suffix.lower() == ".vat"
     if textures:
-        check_textures(kind, velocities, writing)
+        of_rigs = {name: value for name, value in vars(settings).items() if name not in ("kind", "max_error")}
+        check_textures({"as": kind, "velocities": velocities, **of_rigs, **writing})
     else:
         settings.check(velocities, writing, texture)
     claim(target)

@@ -25,6 +25,7 @@ _ONLY_FOR = {
     "max_error": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
+_BONES = ("bones", "skeleton", "max_error", "kg")
 _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
 
 
@@ -70,8 +71,12 @@ class RigSettings:
             )
         for name, kinds in _ONLY_FOR.items():
             if getattr(self, name) is not None and (self.kind is None or self.kind not in kinds):
-                option = f"--{name.replace('_', '-')}"
-                raise SettingsError(f"{option} is for --as {kinds}; leave it out, or give both")
+                raise SettingsError(f"{_option(name)} is for --as {kinds}; leave it out, or give both")
+        telling = [_option(name) for name in _BONES if getattr(self, name) is not None]
+        if self.kind == "skin" and len(telling) > 1:
+            raise SettingsError(
+                f"{telling[0]} and {telling[1]} both tell which bones there are; give one of them"
+            )
         if self.kind is not None:
             for name in ["velocities"] * velocities + list(writing):
                 if name in _USELESS:
@@ -102,6 +107,10 @@ class RigSettings:
             max_error=self.max_error,
             kg=self.kg,
         )
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:

@@ -72,8 +72,8 @@ def fit_to_skeleton(
         _check_place(
             skeleton,
             shape,
-            "the mesh in the first frame; give the mesh as it is bound to the skeleton (bind_pose), or a skeleton in "
-            "the pose, place and unit of the first frame",
+            "the mesh in the first frame; give the mesh as it is bound to the skeleton (bind_pose; on the command "
+            "line in the skeleton's file), or a skeleton in the pose, place and unit of the first frame",
         )
     else:
         skeleton, shape = _converted(sequence, skeleton, bind_pose)
