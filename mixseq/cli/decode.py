@@ -15,6 +15,7 @@ from mixseq.cli.decode_rig import RigSettings, rows
 from mixseq.cli.decode_textures import check_textures, texture_rows
 from mixseq.cli.files import (
     MODEL_EXTENSIONS,
+    VAT,
     check_origin,
     is_model,
     read_sequence,
@@ -159,14 +160,18 @@ def command(
     """
     chosen = Chosen(times, frames, fps, start, end)
     settings = RigSettings(kind, bones, skeleton, correctives, max_error, kg, max_targets)
-    textures = target.suffix.lower() == ".vat"
+    textures = target.suffix.lower() == VAT
     if textures:
         of_rigs = {name: value for name, value in vars(settings).items() if name not in ("kind", "max_error")}
         check_textures({"as": kind, "velocities": velocities, **of_rigs, **writing})
     else:
         settings.check(velocities, writing, texture)
     claim(target)
-    if kind is not None:
+    if textures:
+        from mixseq_io.vat.writer import check_vat_target
+
+        check_vat_target(target)
+    elif kind is not None:
         from mixseq_io.rig_files import check_rig_target
 
         check_rig_target(target)

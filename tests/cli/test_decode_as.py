@@ -233,6 +233,33 @@ def test_textures(run: Run) -> None:
     ]  # fmt: skip
 
 
+def test_textures_replace_those_of_an_older_run(
+    run: Run, contents: Callable[[], dict[str, bytes | None]]
+) -> None:
+    succeed(run("decode", "model.h5", "bar.vat", "--max-error", "1e-3"))
+    Path("bar.vat/points.png.import").write_text("an engine's")
+    before = contents()
+    refused = run("decode", "model.h5", "bar.vat", "--no-overwrite")
+    assert "bar.vat exists; give another name, or --overwrite" in refused.stderr
+    failed = run("decode", "model.h5", "bar.vat", "--max-error", "1e-9", "--overwrite")
+    assert "rounding to 16 bits alone" in failed.stderr
+    lost = run("decode", "bar.vat/mesh.glb", "bar.vat", "--overwrite")
+    assert "bar.vat is the source itself and would be lost" in lost.stderr
+    assert contents() == before
+    for option in ("--overwrite", "--quiet"):
+        succeed(run("decode", "model.h5", "bar.vat", option))
+    assert json.loads(Path("bar.vat/vat.json").read_text())["kind"] == "plain"
+    assert Path("bar.vat/points.png.import").read_text() == "an engine's"
+    assert not Path("bar.vat/coefficients.png").exists()
+
+
+def test_a_file_is_no_folder_of_textures(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+    Path("old.vat").write_text("somebody's work")
+    before = contents()
+    assert "old.vat is a file, and vertex animation" in run("decode", "model.h5", "old.vat").stderr
+    assert contents() == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
