@@ -5,6 +5,8 @@ children; one without children goes on as the one above it did. Bones start with
 vertices, those without vertices move as the bone above; then joints hold them together, and weights and motions are
 fitted in turn (`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight
 :math:`w_{vb}` costs as much as :math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`.
+At first it costs a hundred times as much: else bones whose motions are not known yet lose their vertices to others that
+happen to move like them, and never get them back.
 Bones that move nothing stay to the one above as at rest.
 """
 
@@ -34,7 +36,7 @@ _AROUND = 0.5  # of the mesh's largest extent: joints of few bones that we find 
 _OUTSIDE = 0.25  # of the joints: controls, which move nothing, may stand anywhere
 _TINY = 0.03  # of the mesh's diagonal: that of the joints, if they are in a larger unit
 _RIGID = 4  # vertices that tell a motion
-_NEARER = 1e-3  # of a distance, that it counts beside an error
+_NEARER = 1e-2, 1e-3  # of a distance, that it counts beside an error, at first and then
 _BEFORE = 10  # rounds of motions before the first weights
 
 
@@ -56,7 +58,7 @@ def fit_to_skeleton(
     bind_pose : MeshSequence or None
         The mesh around them, in a single frame; None for the first frame of the animation.
     rounds : int
-        At most so many rounds of weights and motions.
+        At most so many rounds of weights and motions, twice.
     progress : callable
         Told how far the work is.
 
@@ -87,12 +89,15 @@ def fit_to_skeleton(
     pivots = (skeleton.pivots - origin) / sequence.diagonal
     joints = Joints(skeleton.parents, pivots, skeleton.parents < 0)
     tracks = sequence.tracks
-    binding, motions = _start(tracks, rest, joints)
+    distances = bone_distances(rest, joints.pivots, joints.parents)
+    binding, motions = _start(tracks, rest, joints, distances.argmin(axis=1))
+    for stage, nearer in enumerate(_NEARER):
 
-    def told(done: int) -> None:
-        progress(done, rounds + 1, "fitting weights and bones")
+        def told(done: int, before: int = stage * rounds) -> None:
+            progress(before + done, len(_NEARER) * rounds + 1, "fitting weights and bones")
 
-    binding, motions, _ = alternated(tracks, binding, motions, joints, 0.0, rounds, told, held=True)
+        binding = replace(binding, costs=sequence.header.frame_count * (nearer * distances) ** 2)
+        binding, motions, _ = alternated(tracks, binding, motions, joints, 0.0, rounds, told, held=True)
     return sequence.skin(binding, motions, skeleton, origin)
 
 
@@ -165,14 +170,11 @@ def _check_place(skeleton: Skeleton, shape: Float, expected: str) -> None:
         raise SettingsError(f"all joints together are {size:.2g} times as large as {expected}")
 
 
-def _start(tracks: Float, rest: Float, joints: Joints) -> tuple[Binding, Float]:
+def _start(tracks: Float, rest: Float, joints: Joints, nearest: Index) -> tuple[Binding, Float]:
     """Return every vertex on the nearest bone, and motions that joints hold together."""
-    distances = bone_distances(rest, joints.pivots, joints.parents)
-    nearest = distances.argmin(axis=1)
     influences, weights = np.zeros((2, len(rest), INFLUENCES))
     influences[:, 0], weights[:, 0] = nearest, 1.0
-    costs = tracks.shape[1] / 3 * (_NEARER * distances) ** 2
-    binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)), costs)
+    binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)))
     whole = motion_of(tracks, rest, np.arange(len(rest)))
     motions: list[Float] = []
     for bone, parent in enumerate(joints.parents.tolist()):
