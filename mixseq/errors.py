@@ -8,7 +8,8 @@
     ├── ReconstructionError    a point of the shape space that no mesh could be found for
     ├── SettingsError          a setting outside its range, or two that exclude each other
     ├── FormatError            a file that cannot be read: wrong type, damaged, too new
-    │   └── AmbiguousError     a file with several candidates, where one must be chosen
+    │   ├── AmbiguousError     a file with several candidates, where one must be chosen
+    │   └── NoMeshError        a file without a mesh, or with none on its skeleton
     ├── OutputError            a file that cannot be written
     ├── ClusterError           workers that cannot be reached, do not fit, or were lost
     │   └── GivenUpError       work over which several workers died
@@ -48,6 +49,10 @@ class FormatError(MixseqError):
 
 class AmbiguousError(FormatError):
     """A file that holds several candidates, of which one must be chosen."""
+
+
+class NoMeshError(FormatError):
+    """A file that is read as it should be, and has no mesh, or none on its skeleton."""
 
 
 class OutputError(MixseqError):

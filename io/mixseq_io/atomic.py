@@ -14,13 +14,13 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mixseq.errors import OutputError
 from mixseq.interrupts import held, raise_swallowed
-from mixseq_io.temporary import temporary_name
+from mixseq_io.temporary import put_away, temporary_name
 
 
 @contextmanager
@@ -92,10 +92,63 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
         _flush_folder(folder)
 
 
+@contextmanager
+def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
+    """Yield a temporary folder to write files to; it becomes `path` if the block ends without an exception.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder to make or replace. A symbolic link is followed, not replaced.
+    own : container of str
+        Names of the writer's files: those that are not written again go. What else was in the folder stays in it.
+
+    Raises
+    ------
+    OutputError
+        As `replacing`.
+    """
+    target = Path(os.path.realpath(path))
+    with _explaining(target):
+        _check_parent(target)
+        with temporary_name(target.parent) as name:
+            temporary, old = Path(f"{name}.new"), put_away(name, target)
+            temporary.mkdir()
+            yield temporary
+            if target.exists():
+                _keep_others(target, temporary, own)
+                shutil.copymode(target, temporary)
+            for file in temporary.iterdir():
+                if file.is_file() and os.access(file, os.W_OK):
+                    _flush(file)
+            raise_swallowed()
+            with held():
+                if target.exists():
+                    target.rename(old)  # it comes back if the next line fails
+                temporary.rename(target)
+        _flush_folder(target.parent)
+
+
+def _keep_others(source: Path, target: Path, own: Container[str]) -> None:
+    """Copy what is in a folder, but for what its writer calls its own, or has written."""
+    for entry in source.iterdir():
+        copy = target / entry.name
+        if entry.name in own or copy.exists():
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.copytree(entry, copy, symlinks=True)
+        else:
+            shutil.copy2(entry, copy, follow_symlinks=False)
+
+
 def _check_target(target: Path) -> None:
     """Refuse before the work starts what could not succeed at its end."""
     if target.is_dir():
         raise OutputError(f"{target} is a folder; give the name of a file")
+    _check_parent(target)
+
+
+def _check_parent(target: Path) -> None:
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder {target.parent} does not exist; make it first")
 

@@ -76,7 +76,9 @@ def read_bind_pose(path: str | os.PathLike[str], name: str | None = None) -> Mes
     Raises
     ------
     FormatError
-        If the file is missing, damaged, of another type, or has no skeleton of that name, or no mesh on it.
+        If the file is missing, damaged, of another type, or has no skeleton of that name.
+    NoMeshError
+        If there is no mesh on the skeleton.
     AmbiguousError
         If there are several skeletons; the message names them.
     """
@@ -136,7 +138,8 @@ def choose_skeleton(file: Path, names: Sequence[tuple[str, ...]], name: str | No
         raise FormatError(f"{file} has no skeleton {name!r}; there are {shown}")
     if len(found) > 1:
         raise AmbiguousError(
-            f"{file} has several skeletons, {listed([names[i][0] for i in found])}; choose one by name"
+            f"{file} has several skeletons, {listed([names[i][0] for i in found])}; choose one by name (in Python, as "
+            "name= of mixseq.read_skeleton and mixseq.read_bind_pose), or export it alone"
         )
     return found[0]
 

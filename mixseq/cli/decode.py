@@ -15,6 +15,7 @@ from mixseq.cli.decode_rig import RigSettings, rows
 from mixseq.cli.decode_textures import check_textures, texture_rows
 from mixseq.cli.files import (
     MODEL_EXTENSIONS,
+    VAT,
     check_origin,
     is_model,
     read_sequence,
@@ -159,40 +160,39 @@ def command(
     """
     chosen = Chosen(times, frames, fps, start, end)
     settings = RigSettings(kind, bones, skeleton, correctives, max_error, kg, max_targets)
-    textures = target.suffix.lower() == ".vat"
+    textures = target.suffix.lower() == VAT
     if textures:
-        check_textures(kind, velocities, writing)
+        of_rigs = {name: value for name, value in vars(settings).items() if name not in ("kind", "max_error")}
+        check_textures({"as": kind, "velocities": velocities, **of_rigs, **writing})
     else:
         settings.check(velocities, writing, texture)
     claim(target)
     if textures:
-        with workers as work, progress_bar(quiet) as progress:
-            sequence = _sequence(source, salvage, chosen, progress, work)
-            check_origin(target, sequence)
-            report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
-        if not quiet:
-            print_table(texture_rows(report))
-        announce(target)
-        return
-    if kind is not None:
+        from mixseq_io.vat.writer import check_vat_target
+
+        check_vat_target(target)
+    elif kind is not None:
         from mixseq_io.rig_files import check_rig_target
 
         check_rig_target(target)
-        with workers as work, progress_bar(quiet) as progress:
+    with workers as work, progress_bar(quiet) as progress:
+        if kind is None and not textures:
+            model = mixseq.load(source, salvage)
+            header = chosen.of(model)
+            write_frames(target, model, header, velocities, writing, progress, work)
+            table = time_rows(header)
+        else:
             sequence = _sequence(source, salvage, chosen, progress, work)
             check_origin(target, sequence)
-            rig = settings.fit(sequence, progress)
-            mixseq.write_rig(target, rig, writing.get("meshopt"))
-        if not quiet:
-            print_table(rows(target, rig, sequence))
-        announce(target)
-        return
-    model = mixseq.load(source, salvage)
-    header = chosen.of(model)
-    with workers as work, progress_bar(quiet) as progress:
-        write_frames(target, model, header, velocities, writing, progress, work)
+            if textures:
+                report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
+                table = texture_rows(report)
+            else:
+                rig = settings.fit(sequence, progress)
+                mixseq.write_rig(target, rig, writing.get("meshopt"))
+                table = [] if quiet else rows(target, rig, sequence)
     if not quiet:
-        print_table(time_rows(header))
+        print_table(table)
     announce(target)
 
 

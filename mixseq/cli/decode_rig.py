@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mixseq
-from mixseq.errors import FormatError, SettingsError
+from mixseq.errors import MixseqWarning, NoMeshError, SettingsError
 from mixseq.frame_rates import rate_text
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ _ONLY_FOR = {
     "max_error": "skin or morph (or a target .vat)",
     "max_targets": "skin or morph",
 }
+_BONES = ("bones", "skeleton", "max_error", "kg")
 _USELESS = {"velocities": "velocities", "onto": "other files to build on", "clips": "clips"}
 
 
@@ -69,8 +71,12 @@ class RigSettings:
             )
         for name, kinds in _ONLY_FOR.items():
             if getattr(self, name) is not None and (self.kind is None or self.kind not in kinds):
-                option = f"--{name.replace('_', '-')}"
-                raise SettingsError(f"{option} is for --as {kinds}; leave it out, or give both")
+                raise SettingsError(f"{_option(name)} is for --as {kinds}; leave it out, or give both")
+        telling = [_option(name) for name in _BONES if getattr(self, name) is not None]
+        if self.kind == "skin" and len(telling) > 1:
+            raise SettingsError(
+                f"{telling[0]} and {telling[1]} both tell which bones there are; give one of them"
+            )
         if self.kind is not None:
             for name in ["velocities"] * velocities + list(writing):
                 if name in _USELESS:
@@ -103,13 +109,31 @@ class RigSettings:
         )
 
 
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
-    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence."""
+    """Return the mesh on the skeleton of a file, None if there is none, or another one than that of a sequence.
+
+    Warns
+    -----
+    MixseqWarning
+        If it is another one.
+    """
     try:
         found = mixseq.read_bind_pose(path)
-    except FormatError:  # a skeleton alone
+    except NoMeshError:  # a skeleton alone
         return None
-    return found if found.vertex_count == sequence.vertex_count else None
+    if found.vertex_count == sequence.vertex_count:
+        return found
+    warnings.warn(
+        f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
+        f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame",
+        MixseqWarning,
+        stacklevel=2,
+    )
+    return None
 
 
 def rows(path: Path, rig: Skin | Morph, sequence: MeshSequence) -> list[tuple[str, str]]:

@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from mixseq_io.vat.writer import VatReport
 
 
-def check_textures(kind: str | None, velocities: bool, writing: Mapping[str, Any]) -> None:
-    """Refuse options that textures have no place for.
+def check_textures(others: Mapping[str, Any]) -> None:
+    """Refuse options that textures have no place for, by name; those that are None or False are not given.
 
     Raises
     ------
     SettingsError
         If there are some; the message names them.
     """
-    given = ["as"] * (kind is not None) + ["velocities"] * velocities + list(writing)
-    if given:
-        name = given[0].replace("_", "-")
-        raise SettingsError(f"vertex animation textures (.vat) have no place for --{name}; leave it out")
+    for name, value in others.items():
+        if value is not None and value is not False:
+            option = f"--{name.replace('_', '-')}"
+            raise SettingsError(f"vertex animation textures (.vat) have no place for {option}; leave it out")
 
 
 def texture_rows(report: VatReport) -> list[tuple[str, str]]:

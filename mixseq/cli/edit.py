@@ -121,22 +121,21 @@ def command(
         check_target(target, path)
         return path
 
-    model = mixseq.load(source)
-    edits = read_script(
-        script,
-        Readers(
-            model=lambda path: mixseq.load(unlike_target(path)),
-            mesh=lambda path: mixseq.read(unlike_target(path)),
-            folders=folders,
-        ),
+    readers = Readers(
+        model=lambda path: mixseq.load(unlike_target(path)),
+        mesh=lambda path: mixseq.read(unlike_target(path)),
+        folders=folders,
     )
-    in_place = [edit for edit in edits if edit.operation == "in_place"]
-    if travel is not None and len(in_place) != 1:
-        raise SettingsError(
-            f"the script has the operation in_place {len(in_place)} times; travel is what it takes away, have it once"
-        )
     rows = []
     with workers as work, progress_bar(quiet) as progress:
+        model = mixseq.load(source)
+        edits = read_script(script, readers)
+        in_place = [edit for edit in edits if edit.operation == "in_place"]
+        if travel is not None and len(in_place) != 1:
+            raise SettingsError(
+                f"the script has the operation in_place {len(in_place)} times; travel is what it takes away, have it "
+                "once"
+            )
         for edit in edits:
             progress(edit.number - 1, len(edits), edit.operation)
             if travel is not None and edit in in_place:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from mixseq_io.reader import SequenceReader
 
 MODEL_EXTENSIONS, GLB = (".h5", ".hdf5"), ".glb"
+VAT = ".vat"
+"""Of folders with vertex animation textures, the only folders that are written as targets."""
 
 
 def is_model(path: Path) -> bool:
@@ -109,7 +111,7 @@ def write_sequence(
 def check_origin(path: Path, header: SequenceHeader) -> None:
     """Refuse to write over the file that a sequence once came from."""
     origin = header.surface.origin
-    if origin is not None and path.exists() and Path(origin.path).exists() and path.samefile(origin.path):
+    if origin is not None and _replaces(path, Path(origin.path)):
         raise OutputError(
             f"{path} is the file that the sequence came from, which would be lost; give another name"
         )
@@ -117,7 +119,7 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
 
 def check_target(path: Path, source: Path) -> None:
     """Refuse a file that could not be written or would replace the source, before the work and not after it."""
-    if (path.exists() and source.exists() and path.samefile(source)) or _share_files(path, source):
+    if _replaces(path, source) or _share_files(path, source):
         raise OutputError(f"{path} is the source itself and would be lost; give another name")
     check_place(path)
 
@@ -125,12 +127,19 @@ def check_target(path: Path, source: Path) -> None:
 def check_place(path: Path) -> None:
     """Refuse a file that could not be written where it shall be, before the work and not after it."""
     folder = path.parent
-    if path.is_dir():
+    if path.is_dir() and path.suffix.lower() != VAT:
         raise OutputError(f"{path} is a folder; give the name of a file")
     if not folder.is_dir():
         raise OutputError(f"{path}: the folder {folder} does not exist; make it first")
     if not os.access(folder, os.W_OK):
         raise OutputError(f"cannot write {path}: no permission; choose a folder that you may write to")
+
+
+def _replaces(target: Path, source: Path) -> bool:
+    """Whether a target is a source that exists, or the folder that it is in."""
+    if not (target.exists() and source.exists()):
+        return False
+    return target.samefile(source) or (target.is_dir() and target.resolve() in source.resolve().parents)
 
 
 def _share_files(target: Path, source: Path) -> bool:

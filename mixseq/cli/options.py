@@ -309,7 +309,7 @@ def workers_options(command: Command) -> Command:
 
 def _workers(threads: int | None, address: str | None) -> AbstractContextManager[Executor]:
     if address is None:
-        return _on_threads(threads)
+        return threads_held(threads)
     if threads is not None:
         raise SettingsError("--threads and --cluster exclude each other; a cluster has threads of its own")
     from mixseq.cluster import cluster
@@ -318,7 +318,7 @@ def _workers(threads: int | None, address: str | None) -> AbstractContextManager
 
 
 @contextmanager
-def _on_threads(count: int | None) -> Iterator[Executor]:
+def threads_held(count: int | None) -> Iterator[Executor]:
     """Work on so many threads meanwhile, also where nobody is told of the executor."""
     from mixseq.mapping import on_threads
 

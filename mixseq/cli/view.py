@@ -19,7 +19,7 @@ import mixseq
 from mixseq.cli.camera import camera_option
 from mixseq.cli.console import announce, needed, progress_bar, say
 from mixseq.cli.files import MODEL_EXTENSIONS, check_target, free_name, is_model, scene_items, write_frames
-from mixseq.cli.options import FILE, examples, quiet_option, reader_options
+from mixseq.cli.options import FILE, examples, quiet_option, reader_options, threads_held
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings, setting
 from mixseq.errors import MixseqWarning, OutputError, SettingsError
@@ -28,6 +28,7 @@ from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.frame_store import FrameStore
+    from mixseq.mapping import Executor
     from mixseq.scene.colours import SceneColours
     from mixseq.scene.items import Scene
     from mixseq.signals import Model
@@ -84,7 +85,10 @@ if TYPE_CHECKING:
     "--shading", type=click.Choice(["smooth", "simple"]), help="simple is quick without a graphics card."
 )
 @click.option(
-    "--threads", type=click.IntRange(min=1), metavar="N", help="Threads that decode.  [default: all cores]"
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads that open files and decode.  [default: all cores]",
 )
 @click.option(
     "--export",
@@ -180,29 +184,30 @@ def command(
         how = {"host": host, "port": port, "camera": camera}
         set_markers(files, markers, reading, _settings(how, shading), partial(_wait, browser=browser))
         return
-    with progress_bar(quiet) as progress:
-        scene, original = _opened(files, against, rate, reading, progress)
-        colours = _scene_colours(scene, original)
-        if page is not None:
-            of_page: dict[str, Any] = {
-                "fps": rate,
-                "every": every,
-                "max_error": max_error,
+    with threads_held(threads) as work:
+        with progress_bar(quiet) as progress:
+            scene, original = _opened(files, against, rate, reading, progress)
+            colours = _scene_colours(scene, original)
+            if page is not None:
+                of_page: dict[str, Any] = {
+                    "fps": rate,
+                    "every": every,
+                    "max_error": max_error,
+                    "overlaid": overlaid,
+                    "camera": camera,
+                    "following": follow,
+                }
+                _export(page, colours, files, of_page, progress, work)
+        if page is None:
+            how = {
+                "host": host,
+                "port": port,
                 "overlaid": overlaid,
+                "read_only": read_only,
                 "camera": camera,
                 "following": follow,
             }
-            _export(page, colours, files, of_page, threads, progress)
-    if page is None:
-        how = {
-            "host": host,
-            "port": port,
-            "overlaid": overlaid,
-            "read_only": read_only,
-            "camera": camera,
-            "following": follow,
-        }
-        _run(colours, files, how, browser, shading, threads)
+            _run(colours, files, how, browser, shading)
 
 
 def _opened(
@@ -245,13 +250,12 @@ def _run(
     given: Mapping[str, Any],
     browser: bool | None,
     shading: str | None,
-    threads: int | None,
 ) -> None:
     """Run the viewer until it is interrupted."""
     from mixseq.mapping import thread_count
     from mixseq.viewing.live import viewer
 
-    settings = _settings({"folder": Path.cwd(), "threads": threads or thread_count(), **given}, shading)
+    settings = _settings({"folder": Path.cwd(), "threads": thread_count(), **given}, shading)
     with viewer(colours, settings, partial(_save, files)) as running:
         try:
             _wait(running.address, browser)
@@ -325,11 +329,10 @@ def _export(
     colours: SceneColours,
     files: Sequence[Path],
     given: Mapping[str, Any],
-    threads: int | None,
     progress: Progress,
+    workers: Executor,
 ) -> None:
     """Write a page with all meshes."""
-    from mixseq.mapping import on_threads
     from mixseq.viewing.export import ExportSettings, export_page, page_items
     from mixseq_io.atomic import replacing
     from mixseq_io.compressed_files import is_compressed, read_compressed
@@ -339,7 +342,7 @@ def _export(
         colours, [read_compressed(file) if is_model(file) and is_compressed(file) else None for file in files]
     )
     with replacing(page) as temporary:
-        report = export_page(temporary, items, settings, progress, on_threads(threads))
+        report = export_page(temporary, items, settings, progress, workers)
     announce(page)
     for item in report.items:
         about = f"{item.name}: n" if len(report.items) > 1 else "n"

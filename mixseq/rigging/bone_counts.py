@@ -1,4 +1,9 @@
-"""As few bones as an error asks for: their number is doubled until they reach it, and then what is between halved."""
+"""As few bones as an error asks for.
+
+Rough fits of free bones, in a few rounds, tell how the error falls with their number, and what is found at one number
+how far all of them are off. So the number that should do is fitted, and then the one that is a tenth less: mostly it
+does not do. Free bones that are too far off are not hung into a tree, which would take them no nearer.
+"""
 
 from __future__ import annotations
 
@@ -14,35 +19,70 @@ MOST_BONES = 128
 
 _FIRST = 8
 _CLOSE = 10  # one in so many bones may be too many
+_CONVERGED = 0.8  # of the error of a rough fit is left when it is done, until one is
+_GUESSED = 4  # numbers are tried that rough fits tell; then those in the middle
+_NONE = 1e-300
 
 
-def fewest_bones(fit: Callable[[int], Skin], reaches: Callable[[Skin], bool], most: int) -> Skin:
-    """Return a skin with the fewest bones that reaches what is asked, to within a tenth.
+def fewest_bones(
+    roughly: Callable[[int], float],
+    free: Callable[[int], float],
+    hung: Callable[[int], tuple[Skin, float]],
+    wanted: float,
+    most: int,
+) -> tuple[Skin, float]:
+    """Return a skin with the fewest bones that reaches an error, to within a tenth, and the error that it has.
 
     Parameters
     ----------
-    fit : callable
-        Fits a skin of at most so many bones.
-    reaches : callable
-        Tells whether a skin is good enough.
+    roughly, free : callable
+        Error of so many free bones, after some rounds and after all.
+    hung : callable
+        Hangs them into a tree; the skin, and its error.
+    wanted : float
+        The error.
     most : int
         Number of bones at most; a skin of so many is returned if none is good enough.
     """
-    too_few, count = 0, min(_FIRST, most)
-    skin = fit(count)
-    while not reaches(skin) and count < most:
-        too_few, count = count, min(2 * count, most)
-        skin = fit(count)
-    if not reaches(skin):
-        return skin
-    while count - too_few > 1 + count // _CLOSE:
-        middle = (too_few + count) // 2
-        tried = fit(middle)
-        if reaches(tried):
-            skin, count = tried, middle
+    few, enough, left, tries = 0, most + 1, _CONVERGED, 0
+    best: tuple[Skin, float] | None = None
+    tried: tuple[Skin, float] | None = None
+    while few < most and (best is None or enough - few > _margin(enough)):
+        last = enough - _margin(enough) if best else most
+        count = min(
+            last, max(_promising(roughly, few, last, wanted / left), few + (1 if best else _margin(few)))
+        )
+        if tries >= _GUESSED:
+            count = (few + enough) // 2 if best else min(2 * few, most)
+        tries += 1
+        error = free(count)
+        tried = hung(count) if error <= wanted else None
+        left = (tried[1] if tried else error) / max(roughly(count), _NONE)
+        if tried and tried[1] <= wanted:
+            best, enough = tried, count
         else:
-            too_few = middle
-    return skin
+            few = count
+    return best or tried or hung(most)
+
+
+def _margin(count: int) -> int:
+    return 1 + count // _CLOSE
+
+
+def _promising(roughly: Callable[[int], float], few: int, most: int, wanted: float) -> int:
+    """Return the number of bones above `few` whose rough fit is good enough, to within a tenth; `most` if none is."""
+    count = min(max(_FIRST, few + 1), most)
+    while roughly(count) > wanted:
+        if count == most:
+            return most
+        few, count = count, min(2 * count, most)
+    while count - few > _margin(count):
+        middle = (few + count) // 2
+        if roughly(middle) <= wanted:
+            count = middle
+        else:
+            few = middle
+    return count
 
 
 def errors(skin: Skin, sequence: Centred) -> tuple[float, float]:

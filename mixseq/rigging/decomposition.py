@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 
 from mixseq.arrays import Float, Index
-from mixseq.progress import Progress
 from mixseq.rigging.bone_tree import bone_tree
 from mixseq.rigging.bones import merged, motion_of, on_rotations, seeded
 from mixseq.rigging.jointed_motions import Joints, attached, move
@@ -38,45 +37,30 @@ _BETWEEN = 2  # rounds before more bones are seeded
 _TRIED = 3  # of all rounds, one in so many is for a number of sliding joints
 
 
-def decompose(
-    tracks: Float, faces: Index, labels: Index, most: int, rounds: int, progress: Progress
-) -> tuple[Binding, Float, Joints]:
-    """Find weights, rest positions and motions of bones that hang in a tree.
+def free_bones(
+    tracks: Float, labels: Index, most: int, rounds: int, told: Callable[[int], None]
+) -> tuple[Binding, Float]:
+    """Find weights, rest positions and motions of bones that know nothing of each other.
 
     Parameters
     ----------
     tracks : (V, 3T) float64
         Positions of every vertex, frame by frame; centred, in diagonals.
-    faces : (F, 3) int64
-        Triangles.
     labels : (V,) int64
         The bone that every vertex starts with.
     most : int
         Number of bones: those of the labels are merged if they are more, and others seeded if they are fewer.
     rounds : int
         At most so many rounds of weights and motions.
-    progress : callable
-        Told how far the work is.
+    told : callable
+        Told how many of them are done.
 
     Returns
     -------
     binding : Binding
     motions : (B, 4, 3T) float64
         Transposed motions of the bones.
-    joints : Joints
     """
-
-    def told(done: int) -> None:
-        progress(done, 2 * rounds + 1, "fitting weights and bones")
-
-    free = free_bones(tracks, labels, most, rounds, told)
-    return _hung(tracks, faces, *free, rounds, lambda done: told(rounds + done))
-
-
-def free_bones(
-    tracks: Float, labels: Index, most: int, rounds: int, told: Callable[[int], None]
-) -> tuple[Binding, Float]:
-    """Find weights, rest positions and motions of bones that know nothing of each other; see `decompose`."""
     labels = merged(tracks, labels, most)
     rest = tracks[:, :3].copy()
     motions = np.stack(
@@ -150,10 +134,10 @@ def _renumbered(binding: Binding, order: Index, bones: int) -> Binding:
     return replace(binding, influences=np.where(binding.weights > 0, places[binding.influences], 0))
 
 
-def _hung(
+def hung_bones(
     tracks: Float, faces: Index, binding: Binding, motions: Float, rounds: int, told: Callable[[int], None]
 ) -> tuple[Binding, Float, Joints]:
-    """Hang free bones into a tree with as few sliding joints as the error allows."""
+    """Hang free bones into a tree with as few sliding joints as the error allows; see `free_bones`."""
     order, joints = bone_tree(faces, binding, motions)
     binding, motions = _renumbered(binding, order, len(order)), motions[order]
     most = max(WORSE**2 * binding.errors.sum(), _NEARLY**2 * tracks.size / 3)

@@ -5,6 +5,8 @@ children; one without children goes on as the one above it did. Bones start with
 vertices, those without vertices move as the bone above; then joints hold them together, and weights and motions are
 fitted in turn (`mixseq.rigging.decomposition`). Of bones that move alike a vertex follows the nearest: a weight
 :math:`w_{vb}` costs as much as :math:`w_{vb} (10^{-3} d_{vb})^2` of a squared error, at the distance :math:`d_{vb}`.
+At first it costs a hundred times as much: else bones whose motions are not known yet lose their vertices to others that
+happen to move like them, and never get them back.
 Bones that move nothing stay to the one above as at rest.
 """
 
@@ -13,6 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from mixseq.arrays import Float, Index
@@ -29,11 +32,11 @@ from mixseq.sequence import MeshSequence, bounding_diagonal
 from mixseq.unit_conversion import UnitConversion
 
 _OTHER_LENGTH = 1.5  # of half of the edges: another unit, or another mesh; values here are ours
-_AROUND = 0.1  # of the mesh's largest extent: joints may be so far out of its box
-_OUTSIDE = 0.1  # of the joints: controls, which move nothing, may stand anywhere
-_FAR = 0.15  # diagonals, on the mean over the vertices, to the nearest bone
+_AROUND = 0.5  # of the mesh's largest extent: joints of few bones that we find are up to 0.4 out of its box
+_OUTSIDE = 0.25  # of the joints: controls, which move nothing, may stand anywhere
+_TINY = 0.03  # of the mesh's diagonal: that of the joints, if they are in a larger unit
 _RIGID = 4  # vertices that tell a motion
-_NEARER = 1e-3  # of a distance, that it counts beside an error
+_NEARER = 1e-2, 1e-3  # of a distance, that it counts beside an error, at first and then
 _BEFORE = 10  # rounds of motions before the first weights
 
 
@@ -55,7 +58,7 @@ def fit_to_skeleton(
     bind_pose : MeshSequence or None
         The mesh around them, in a single frame; None for the first frame of the animation.
     rounds : int
-        At most so many rounds of weights and motions.
+        At most so many rounds of weights and motions, twice.
     progress : callable
         Told how far the work is.
 
@@ -68,21 +71,33 @@ def fit_to_skeleton(
     """
     if bind_pose is None:
         shape = sequence.points[0]
-        _check_inside(skeleton, shape)
+        _check_place(
+            skeleton,
+            shape,
+            "the mesh in the first frame; give the mesh as it is bound to the skeleton (bind_pose; on the command "
+            "line in the skeleton's file), or a skeleton in the pose, place and unit of the first frame",
+        )
     else:
         skeleton, shape = _converted(sequence, skeleton, bind_pose)
-    _check_near(skeleton, shape)
+        _check_place(
+            skeleton,
+            shape,
+            "the bind pose; both in the same place and unit are expected, so export them together",
+        )
     origin = shape.mean(axis=0)
     rest = (shape - origin) / sequence.diagonal
     pivots = (skeleton.pivots - origin) / sequence.diagonal
     joints = Joints(skeleton.parents, pivots, skeleton.parents < 0)
     tracks = sequence.tracks
-    binding, motions = _start(tracks, rest, joints)
+    distances = bone_distances(rest, joints.pivots, joints.parents)
+    binding, motions = _start(tracks, rest, joints, distances.argmin(axis=1))
+    for stage, nearer in enumerate(_NEARER):
 
-    def told(done: int) -> None:
-        progress(done, rounds + 1, "fitting weights and bones")
+        def told(done: int, before: int = stage * rounds) -> None:
+            progress(before + done, len(_NEARER) * rounds + 1, "fitting weights and bones")
 
-    binding, motions, _ = alternated(tracks, binding, motions, joints, 0.0, rounds, told, held=True)
+        binding = replace(binding, costs=sequence.header.frame_count * (nearer * distances) ** 2)
+        binding, motions, _ = alternated(tracks, binding, motions, joints, 0.0, rounds, told, held=True)
     return sequence.skin(binding, motions, skeleton, origin)
 
 
@@ -95,7 +110,7 @@ def bone_distances(points: Float, pivots: Float, parents: Index) -> Float:
     >>> bone_distances(np.array([[0.5, 2, 0], [3, 0, 0]]), shoulder_and_elbow, np.array([-1, 0])).round(2).tolist()
     [[2.0, 2.06], [2.0, 1.0]]
     """
-    found = np.linalg.norm(points[:, None] - pivots, axis=2)
+    found = cdist(points, pivots)
     for bone, parent in enumerate(parents.tolist()):
         if parent >= 0:
             along = pivots[bone] - pivots[parent]
@@ -143,37 +158,23 @@ def _check_size(shape: Float, sequence: Centred) -> None:
         )
 
 
-def _check_inside(skeleton: Skeleton, shape: Float) -> None:
-    """Refuse a skeleton in another pose than its mesh, as far as joints are outside of the box around it."""
+def _check_place(skeleton: Skeleton, shape: Float, expected: str) -> None:
+    """Refuse a skeleton that does not stand in a mesh, told by joints out of its box, or all in one spot of it."""
     margin = _AROUND * np.ptp(shape, axis=0).max()
     low, high = shape.min(axis=0) - margin, shape.max(axis=0) + margin
     outside = int(((skeleton.pivots < low) | (skeleton.pivots > high)).any(axis=1).sum())
     if outside > _OUTSIDE * skeleton.bone_count:
-        raise SettingsError(
-            f"{outside} of {skeleton.bone_count} joints are outside of the mesh in the first frame; give the mesh "
-            "as it is bound to the skeleton (bind_pose), or a skeleton in the pose, place and unit of the first frame"
-        )
+        raise SettingsError(f"{outside} of {skeleton.bone_count} joints are outside of {expected}")
+    size = bounding_diagonal(skeleton.pivots) / (bounding_diagonal(shape) or 1.0)
+    if skeleton.bone_count > 1 and size < _TINY:
+        raise SettingsError(f"all joints together are {size:.2g} times as large as {expected}")
 
 
-def _check_near(skeleton: Skeleton, shape: Float) -> None:
-    """Refuse a skeleton of another size than its mesh."""
-    nearest = bone_distances(shape, skeleton.pivots, skeleton.parents).min(axis=1)
-    away = float(nearest.mean()) / (bounding_diagonal(shape) or 1.0)
-    if away > _FAR:
-        raise SettingsError(
-            f"vertices are {away:.2g} diagonals away from the nearest bone on the mean, so the skeleton is not the "
-            "one of this mesh, or in another unit or place; export both together"
-        )
-
-
-def _start(tracks: Float, rest: Float, joints: Joints) -> tuple[Binding, Float]:
+def _start(tracks: Float, rest: Float, joints: Joints, nearest: Index) -> tuple[Binding, Float]:
     """Return every vertex on the nearest bone, and motions that joints hold together."""
-    distances = bone_distances(rest, joints.pivots, joints.parents)
-    nearest = distances.argmin(axis=1)
     influences, weights = np.zeros((2, len(rest), INFLUENCES))
     influences[:, 0], weights[:, 0] = nearest, 1.0
-    costs = tracks.shape[1] / 3 * (_NEARER * distances) ** 2
-    binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)), costs)
+    binding = Binding(rest, influences.astype(np.int64), weights, np.zeros(len(rest)))
     whole = motion_of(tracks, rest, np.arange(len(rest)))
     motions: list[Float] = []
     for bone, parent in enumerate(joints.parents.tolist()):

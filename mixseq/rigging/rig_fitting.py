@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mixseq.arrays import Index
-from mixseq.errors import MixseqWarning, SegmentationError, SettingsError
+from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.progress import Progress, silent
 from mixseq.public import public
 from mixseq.rigging.bone_counts import MOST_BONES, errors, fewest_bones
-from mixseq.rigging.bones import vertex_labels
 from mixseq.rigging.centred import Centred
 from mixseq.rigging.correctives import fit_correctives, fit_targets
-from mixseq.rigging.decomposition import decompose
+from mixseq.rigging.found_bones import ROUGH, FoundBones, FreeBones
 from mixseq.rigging.given_skeletons import fit_to_skeleton
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.rigging.skeletons import Skeleton
-from mixseq.segmentation import segment
 from mixseq.sequence import Frames, MeshSequence, check_frames
 from mixseq.threads import one_blas_thread
-from mixseq.topology import Topology
 
 
 @public
@@ -72,7 +68,7 @@ def fit_skin(
         in the first frame, in its pose, place and unit.
     max_error : float, optional
         Largest distance of a vertex from the sequence, in diagonals, that bones alone shall reach: there are as few as
-        it takes, to within a tenth, and at most 128. It takes the time of about six fits.
+        it takes, to within a tenth, and at most 128. It takes the time of about two fits.
     kg : float, optional
         The same for the KG error, in percent.
 
@@ -111,10 +107,12 @@ def fit_skin(
     with one_blas_thread():
         if skeleton is not None:
             skin = fit_to_skeleton(centred, skeleton, bind_pose, rounds, progress)
-        elif max_error is None and kg is None:
-            skin = _decomposed(centred, bones, rounds, progress)
         else:
-            skin = _reaching(centred, max_error, kg, rounds, progress)
+            found = FoundBones.of(centred, rounds, progress)
+            if max_error is None and kg is None:
+                skin = found.hung(found.free(bones))
+            else:
+                skin = _reaching(found, max_error, kg)
         if correctives is None:
             return skin
         progress(2 * rounds, 2 * rounds + 1, "fitting correctives")
@@ -172,39 +170,30 @@ def fit_morph(
     return Morph(held.header, base, targets.shapes, targets.weights)
 
 
-def _decomposed(sequence: Centred, bones: int | ArrayLike | None, rounds: int, progress: Progress) -> Skin:
-    """Find bones, and leave out those that move nothing."""
-    labels, most = _starting_bones(sequence, bones)
-    faces = sequence.header.faces.astype(np.int64)
-    binding, motions, joints = decompose(sequence.tracks, faces, labels, most, rounds, progress)
-    used = np.isin(np.arange(len(motions)), binding.influences[binding.weights > 0])
-    kept = (joints.below() & used).any(axis=1)
-    place = np.cumsum(kept) - 1
-    parents = joints.parents[kept]
-    skeleton = replace(
-        Skeleton.flat(sequence.diagonal * joints.pivots[kept] + sequence.centres[0]),
-        parents=np.where(parents < 0, -1, place[parents]),
-    )
-    binding = replace(binding, influences=place[binding.influences])
-    return sequence.skin(binding, motions[kept], skeleton, sequence.centres[0])
-
-
-def _reaching(
-    sequence: Centred, max_error: float | None, kg: float | None, rounds: int, progress: Progress
-) -> Skin:
+def _reaching(bones: FoundBones, max_error: float | None, kg: float | None) -> Skin:
     """Find as few bones as an error asks for."""
-
-    def error(skin: Skin) -> float:
-        return errors(skin, sequence)[0 if kg is None else 1]
-
-    wanted = max_error if kg is None else kg
+    which, wanted = (0, max_error) if kg is None else (1, kg)
     assert wanted is not None, "one of them is given"
-    skin = fewest_bones(
-        lambda count: _decomposed(sequence, count, rounds, progress),
-        lambda skin: error(skin) <= wanted,
-        min(MOST_BONES, len(sequence.header.faces)),
+
+    @cache
+    def roughly(count: int) -> float:
+        return bones.free(count, ROUGH).errors[which]
+
+    @lru_cache(1)
+    def free(count: int) -> FreeBones:
+        return bones.free(count)
+
+    def hung(count: int) -> tuple[Skin, float]:
+        skin = bones.hung(free(count))
+        return skin, errors(skin, bones.sequence)[which]
+
+    skin, reached = fewest_bones(
+        roughly,
+        lambda count: free(count).errors[which],
+        hung,
+        wanted,
+        min(MOST_BONES, len(bones.faces)),
     )
-    reached = error(skin)
     if reached > wanted:
         unit = "diagonals" if kg is None else "% (KG)"
         warnings.warn(
@@ -214,28 +203,6 @@ def _reaching(
             stacklevel=4,
         )
     return skin
-
-
-def _starting_bones(sequence: Centred, bones: int | ArrayLike | None) -> tuple[Index, int]:
-    """Return the bone ``(V,)`` that every vertex starts with, and how many there may be."""
-    header = sequence.header
-    faces = header.faces.astype(np.int64)
-    if bones is None or isinstance(bones, int | np.integer):
-        if bones is not None and not 1 <= bones <= len(faces):
-            raise SettingsError(
-                f"{bones} bones are asked for; a number from 1 to {len(faces)}, that of the triangles, is expected"
-            )
-        count = None if bones is None else int(bones)
-        labels = segment(sequence.frames, Topology(faces, header.vertex_count), parts=count)
-    else:
-        labels, count = np.asarray(bones), None
-        if labels.shape != (len(faces),) or not np.issubdtype(labels.dtype, np.integer):
-            raise SegmentationError(
-                f"labels of bones have shape {labels.shape} and type {labels.dtype}; "
-                f"one whole number for each of the {len(faces)} triangles is expected"
-            )
-        labels = np.unique(labels, return_inverse=True)[1]
-    return vertex_labels(faces, labels, header.vertex_count), count or int(labels.max()) + 1
 
 
 def _check_ways(ways: dict[str, object], bind_pose: MeshSequence | None) -> None:

@@ -62,9 +62,20 @@ def test_threads_are_as_many_as_were_asked_for(
         return 3
 
     monkeypatch.setattr("mixseq.mapping.thread_count", count)
-    succeed(run("encode", "bar.npz", "again.h5", "--max-error", "0.001", "--threads", "3", "-q"))
-    assert set(asked) == {"3"}
-    assert os.environ.get("MIXSEQ_THREADS") == before
+    Path("edits.toml").write_text('[[edit]]\noperation = "reverse"\n')
+    for arguments in (
+        "encode bar.npz again.h5 --max-error 0.001",
+        "decode small.h5 again.npz",
+        "decode small.h5 again.vat",
+        "decode small.h5 again.glb --as morph",
+        "edit small.h5 edited.npz --script edits.toml",
+        "resample small.h5 resampled.npz --fps 20",
+        "view small.h5 --export again.html",
+    ):
+        asked.clear()
+        succeed(run(*arguments.split(), "--threads", "3", "-q"))
+        assert set(asked) == {"3"}, arguments
+        assert os.environ.get("MIXSEQ_THREADS") == before
     assert (small.parent / "again.h5").read_bytes() == small.read_bytes()
 
 

@@ -84,6 +84,29 @@ def test_a_skeleton_alone_stands_in_the_first_frame(run: Run, bent_bar: MeshSequ
     assert mixseq.compare(bent_bar, mixseq.read("again.glb")).max_error < 0.05
 
 
+def test_a_damaged_mesh_on_a_skeleton_is_an_error(run: Run) -> None:
+    succeed(run("decode", "bar.npz", "rig.gltf", "--as", "skin", "--bones", "3"))
+    file = json.loads(Path("rig.gltf").read_text())
+    file["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 99
+    Path("damaged.gltf").write_text(json.dumps(file))
+    assert mixseq.read_skeleton("damaged.gltf").bone_count
+    result = run("decode", "model.h5", "again.glb", "--as", "skin", "--skeleton", "damaged.gltf")
+    assert result.exit_code == 2
+    assert "error: damaged.gltf" in result.stderr
+    assert not Path("again.glb").exists()
+
+
+def test_another_mesh_on_a_skeleton_is_told(run: Run) -> None:
+    succeed(run("decode", "bar.npz", "rig.usda", "--as", "skin", "--bones", "3"))
+    more = mixseq.MeshSequence.from_arrays([np.eye(3)], [[0, 1, 2]], fps=10)
+    mixseq.write("more.npz", more)
+    result = run("decode", "more.npz", "again.glb", "--as", "skin", "--skeleton", "rig.usda")
+    assert (
+        "warning: rig.usda: the mesh on the skeleton has 77 vertices, that of the sequence has 3; it is left out, and "
+        "the skeleton is taken as it would stand in the first frame" in result.stderr
+    )
+
+
 @pytest.mark.parametrize("kind", ["skin", "morph"])
 @pytest.mark.parametrize("source", ["bar.npz", "bar.usdc", "bar_sequence.h5"])
 def test_a_sequence_is_fitted_as_it_is(run: Run, source: str, kind: str, bent_bar: MeshSequence) -> None:
@@ -118,7 +141,11 @@ def test_quiet_tells_only_the_file(run: Run) -> None:
         (("out.glb", "--max-targets", "3"), "--max-targets is for --as skin or morph"),
         (
             ("out.glb", "--as", "skin", "--max-error", "0.1", "--bones", "3"),
-            "bones and max_error both tell which bones there are; give one of them",
+            "--bones and --max-error both tell which bones there are; give one of them",
+        ),
+        (
+            ("out.glb", "--as", "skin", "--kg", "0.1", "--skeleton", "bar.glb"),
+            "--skeleton and --kg both tell which bones there are; give one of them",
         ),
         (("out.glb", "--as", "skin", "--skeleton", "none.glb"), "none.glb does not exist"),
         (("out.glb", "--as", "morph", "--bones", "3"), "--bones is for --as skin"),
@@ -206,12 +233,44 @@ def test_textures(run: Run) -> None:
     ]  # fmt: skip
 
 
+def test_textures_replace_those_of_an_older_run(
+    run: Run, contents: Callable[[], dict[str, bytes | None]]
+) -> None:
+    succeed(run("decode", "model.h5", "bar.vat", "--max-error", "1e-3"))
+    Path("bar.vat/points.png.import").write_text("an engine's")
+    before = contents()
+    refused = run("decode", "model.h5", "bar.vat", "--no-overwrite")
+    assert "bar.vat exists; give another name, or --overwrite" in refused.stderr
+    failed = run("decode", "model.h5", "bar.vat", "--max-error", "1e-9", "--overwrite")
+    assert "rounding to 16 bits alone" in failed.stderr
+    lost = run("decode", "bar.vat/mesh.glb", "bar.vat", "--overwrite")
+    assert "bar.vat is the source itself and would be lost" in lost.stderr
+    assert contents() == before
+    for option in ("--overwrite", "--quiet"):
+        succeed(run("decode", "model.h5", "bar.vat", option))
+    assert json.loads(Path("bar.vat/vat.json").read_text())["kind"] == "plain"
+    assert Path("bar.vat/points.png.import").read_text() == "an engine's"
+    assert not Path("bar.vat/coefficients.png").exists()
+
+
+def test_a_file_is_no_folder_of_textures(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+    Path("old.vat").write_text("somebody's work")
+    before = contents()
+    assert "old.vat is a file, and vertex animation" in run("decode", "model.h5", "old.vat").stderr
+    assert contents() == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("walk.vat", "--as", "skin"), "no place for --as"),
         (("walk.vat", "--velocities"), "no place for --velocities"),
         (("walk.vat", "--set", "meshopt=1e-3"), "no place for --meshopt"),
+        (("walk.vat", "--kg", "1"), "no place for --kg"),
+        (("walk.vat", "--set", "bones=3"), "no place for --bones"),
+        (("walk.vat", "--skeleton", "bar.glb"), "no place for --skeleton"),
+        (("walk.vat", "--correctives", "1"), "no place for --correctives"),
+        (("walk.vat", "--max-targets", "0"), "no place for --max-targets"),
         (("walk.usdc", "--set", "texture=exr"), "end the target in .vat"),
         (("walk.usdc", "--max-error", "1e-3"), "or a target .vat"),
     ],

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mixseq.errors import OutputError
-from mixseq_io.atomic import replacing, replacing_many
+from mixseq_io.atomic import replacing, replacing_folder, replacing_many
 
 
 def test_the_file_appears_at_the_end(tmp_path: Path) -> None:
@@ -81,6 +81,58 @@ def test_the_file_reaches_the_disk_before_its_name(tmp_path: Path, monkeypatch: 
         for number in (1, 2):
             (folder / f"a_{number}").write_text("new")
     assert steps == ["file", "file", "rename", "rename", "folder"]
+
+
+def listed(folder: Path) -> dict[str, str]:
+    return {str(file.relative_to(folder)): file.read_text() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_a_folder_is_replaced_and_what_others_put_there_stays(tmp_path: Path) -> None:
+    target = tmp_path / "a.vat"
+    for text in ("first", "second"):
+        with replacing_folder(target, {"one", "two"}) as folder:
+            (folder / ("one" if text == "first" else "two")).write_text(text)
+        (target / "deep").mkdir(exist_ok=True)
+        (target / "deep" / "notes").write_text("mine")
+        (target / "one.import").write_text("mine")
+    assert listed(tmp_path) == {"a.vat/two": "second", "a.vat/deep/notes": "mine", "a.vat/one.import": "mine"}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_a_folder_stays_as_it_was_after_an_error(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "a.vat"
+    with pytest.raises(error), replacing_folder(target, {"one"}) as folder:
+        (folder / "one").write_text("new")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+    target.mkdir()
+    (target / "one").write_text("old")
+    with pytest.raises(error), replacing_folder(target, {"one"}) as folder:
+        (folder / "one").write_text("new")
+        raise error
+    assert listed(tmp_path) == {"a.vat/one": "old"}
+
+
+def test_a_folder_comes_back_if_the_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "a.vat"
+    target.mkdir()
+    (target / "one").write_text("old")
+    rename = Path.rename
+
+    def refuse(self: Path, to: Path) -> Path:
+        if self.suffix == ".new":
+            raise PermissionError(13, "no")
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with (
+        pytest.raises(OutputError, match=r"cannot write .*a\.vat: Permission denied; choose"),
+        replacing_folder(target, {"one"}) as folder,
+    ):
+        (folder / "one").write_text("new")
+    assert listed(tmp_path) == {"a.vat/one": "old"}
 
 
 def test_long_names(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 import mixseq
-from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError
+from mixseq.errors import AmbiguousError, FormatError, InvalidSequenceError, NoMeshError
 from mixseq.rigging.rigs import rotation_matrices
 from mixseq.rigging.skeletons import Skeleton
 from tests.formats.conftest import lossy
@@ -120,7 +120,10 @@ def test_skins_of_the_same_joints_are_one_skeleton(tmp_path: Path) -> None:
     ):
         mixseq.read_skeleton(tmp_path / "b.glb", "hand")
     maker.json["skins"][2]["name"] = "left"
-    with pytest.raises(AmbiguousError, match=r"'skin 0', 'skin 2'; choose one"):
+    with pytest.raises(
+        AmbiguousError,
+        match=r"'skin 0', 'skin 2'; choose one by name \(in Python, as name= of mixseq\.read_sk",
+    ):
         mixseq.read_skeleton(maker.glb(tmp_path / "c.glb"), "left")
 
 
@@ -274,12 +277,15 @@ def test_without_matrices_meshes_of_gltf_are_bound_where_joints_stand(tmp_path: 
 def test_skeletons_without_a_mesh_have_no_bind_pose(tmp_path: Path) -> None:
     maker = arm()
     del maker.json["nodes"][2]["skin"]
-    with pytest.raises(FormatError, match=r"arm\.glb has no mesh on its skeleton; export the character with"):
+    with pytest.raises(NoMeshError, match=r"arm\.glb has no mesh on its skeleton; export the character with"):
         mixseq.read_bind_pose(maker.glb(tmp_path / "arm.glb"))
     stage, _ = bones(tmp_path / "man.usda")
+    stage.Save()
+    with pytest.raises(NoMeshError, match=r"man\.usda holds no mesh; it has 1 Xform, 1 Skeleton"):
+        mixseq.read_bind_pose(tmp_path / "man.usda")
     UsdGeom.Mesh.Define(stage, "/man/floor").CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     stage.Save()
-    with pytest.raises(FormatError, match=r"man\.usda has no mesh on /man/bones; export the character with"):
+    with pytest.raises(NoMeshError, match=r"man\.usda has no mesh on /man/bones; export the character with"):
         mixseq.read_bind_pose(tmp_path / "man.usda")
     with pytest.raises(FormatError, match=r"arm\.abc: skeletons are read from glTF and USD"):
         (tmp_path / "arm.abc").write_bytes(b"")

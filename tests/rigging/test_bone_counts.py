@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -12,38 +12,75 @@ from hypothesis import strategies as st
 
 import mixseq
 from mixseq.errors import MixseqWarning
+from mixseq.progress import silent
 from mixseq.rigging import fit_skin
 from mixseq.rigging.bone_counts import errors, fewest_bones
 from mixseq.rigging.centred import Centred
+from mixseq.rigging.found_bones import FoundBones
 from tests.rigging.test_rig_fitting import skinned_bar
 
 
 @dataclass
 class Fits:
-    """Stands for a skin: only the number of its bones counts."""
+    """Stands for fits whose errors fall with the number of bones; a skin is this number."""
 
-    asked: list[int]
+    needed: int
+    power: float
+    noise: int
+    free_asked: list[int] = field(default_factory=list)
+    hung_asked: list[int] = field(default_factory=list)
 
-    def fit(self, count: int) -> Any:
-        self.asked.append(count)
-        return count
+    def error(self, count: int) -> float:
+        return float((self.needed / count) ** self.power)
+
+    def roughly(self, count: int) -> float:
+        return self.error(count) * np.random.default_rng([self.noise, count]).uniform(1, 2)
+
+    def free(self, count: int) -> float:
+        self.free_asked.append(count)
+        return 0.95 * self.error(count)
+
+    def hung(self, count: int) -> tuple[Any, float]:
+        self.hung_asked.append(count)
+        return count, self.error(count)
 
 
-def search(needed: int, most: int) -> tuple[int, list[int]]:
-    fits = Fits([])
-    found = fewest_bones(fits.fit, lambda count: cast(int, count) >= needed, most)
-    return cast(int, found), fits.asked
-
-
-@given(st.integers(1, 128), st.integers(1, 128))
-def test_bones_are_enough_and_at_most_a_tenth_more_than_needed(needed: int, most: int) -> None:
-    found, asked = search(needed, most)
-    assert found <= most
+@given(st.integers(1, 128), st.integers(1, 128), st.floats(0.2, 4), st.integers(0, 1000))
+def test_bones_are_enough_and_at_most_a_tenth_more_than_needed(
+    needed: int, most: int, power: float, noise: int
+) -> None:
+    fits = Fits(needed, power, noise)
+    found, error = fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, most)
+    count = cast(int, found)
+    assert error == fits.error(count)
+    assert count <= most
     if needed > most:
-        assert found == most
+        assert count == most
     else:
-        assert needed <= found <= needed + 1 + found // 10
-    assert len(asked) == len(set(asked)) <= 10
+        assert needed <= count <= needed + 1 + count // 10
+    for asked in (fits.free_asked, fits.hung_asked):
+        assert len(asked) == len(set(asked)) <= 10
+
+
+@pytest.mark.parametrize(("needed", "noise"), [(5, 0), (18, 1), (60, 2)])
+def test_two_numbers_are_fitted_where_rough_fits_tell_the_truth(needed: int, noise: int) -> None:
+    fits = Fits(needed, 1.5, noise)
+    fewest_bones(lambda count: fits.error(count) / 0.8, fits.free, fits.hung, 1.0, 128)
+    assert len(fits.free_asked) <= 2
+    assert len(fits.hung_asked) == 1
+
+
+def test_bones_that_are_too_far_off_are_hung_only_if_no_others_are_allowed() -> None:
+    fits = Fits(40, 1.5, 0)
+    assert cast(int, fewest_bones(fits.roughly, fits.free, fits.hung, 1.0, 20)[0]) == 20
+    assert fits.hung_asked == [20]
+
+
+@pytest.mark.slow
+def test_errors_of_free_bones_are_those_of_their_shapes() -> None:
+    sequence = skinned_bar()
+    bones = FoundBones.of(Centred.of(sequence), 60, silent)
+    assert bones.free(1).errors == pytest.approx(errors(bones.hung(bones.free(1)), bones.sequence), rel=1e-3)
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mixseq.arrays import Float
-from mixseq.errors import FormatError
+from mixseq.errors import NoMeshError
 from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import Document, load_document
 from mixseq_io.gltf.json_fields import Fields
@@ -49,13 +49,13 @@ def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
 
     Raises
     ------
-    FormatError
+    NoMeshError
         If there are none.
     """
     wanted = set(joints_of(document, _chosen(document, name)))
     nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
     if not nodes:
-        raise FormatError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
+        raise NoMeshError(f"{document.path} has no mesh on its skeleton; export the character with its mesh")
     return nodes
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from mixseq.arrays import FloatArray
-from mixseq.errors import FormatError
+from mixseq.errors import FormatError, NoMeshError
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import Origin
 from mixseq_io.blocks import warn
@@ -94,7 +94,7 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
         movers = [Mover(mesh, skins.get(mesh.GetPath())) for mesh in meshes]
         movers = [each for each in movers if each.skin and each.skin.skeleton.prim == wanted]
         if not movers:
-            raise FormatError(f"{path} has no mesh on {wanted.GetPath()}; export the character with its mesh")
+            raise NoMeshError(f"{path} has no mesh on {wanted.GetPath()}; export the character with its mesh")
         codes = np.array([stage.GetStartTimeCode()])
         shot = _Shot(stage, [AnimatedMesh(mover, codes) for mover in movers], codes, bound)
         return _UsdReader(path, _header(path, shot, notes), shot, moving=False)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom
 
-from mixseq.errors import FormatError
+from mixseq.errors import NoMeshError
 from mixseq_io.choosing import SceneObject, chosen
 from mixseq_io.usd.prims import Notes, lineage, prims_of, shortened
 
@@ -28,14 +28,14 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
     ------
     AmbiguousError
         If `prim` is a plain name that prims in several places have.
-    FormatError
-        If there is none; the message lists what there is.
+    NoMeshError, FormatError
+        If there is none, or none of that name; the message lists what there is.
     """
     prims = list(prims_of(path, stage))
     meshes = [mesh for each in prims if (mesh := UsdGeom.Mesh(each))]
     instancers = [each for each in prims if UsdGeom.PointInstancer(each)]
     if not meshes:
-        raise FormatError(f"{path} holds no mesh; {_what_else(prims, instancers)}")
+        raise NoMeshError(f"{path} holds no mesh; {_what_else(prims, instancers)}")
     if prim is not None:
         places = places_of(meshes)
         instancers = [instancers[i] for i in chosen(path, places, prim, among=places_of(instancers))]

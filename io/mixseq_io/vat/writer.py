@@ -19,7 +19,7 @@ from mixseq.progress import Progress, silent
 from mixseq.public import public
 from mixseq.rigging.low_rank import fit_low_rank
 from mixseq.sequence import MeshSequence, bounding_diagonal
-from mixseq_io.atomic import replacing_many
+from mixseq_io.atomic import replacing_folder
 from mixseq_io.blocks import warn
 from mixseq_io.gltf.buffers import writing_buffer
 from mixseq_io.vat.encoding import Encoded, Kind
@@ -31,6 +31,11 @@ from mixseq_io.vat.textures import Frames, Textures, low_rank, plain
 VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
 TEXTURES: tuple[TextureName, ...] = get_args(TextureName)
+
+_OWN = {
+    *("vat.json", "mesh.glb", *SHADERS),
+    *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
+}
 
 _TRIES = 6
 _CAUTION = 0.98
@@ -79,7 +84,8 @@ def write_vat(
     Parameters
     ----------
     path : path-like
-        The folder, whose name ends in ``.vat``.
+        The folder, whose name ends in ``.vat``. If it exists, its textures are replaced when all is written; other
+        files in it stay.
     sequence : MeshSequence
         What to write.
     max_error : float, optional
@@ -124,8 +130,7 @@ def write_vat(
     else:
         textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
-    folder.mkdir(exist_ok=True)
-    with replacing_many(folder / "vat.json") as temporary:
+    with replacing_folder(folder, _OWN) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
         with writing_buffer(mesh, mesh, texels.layout):
