@@ -38,7 +38,7 @@ class Fits:
 
     def free(self, count: int) -> float:
         self.free_asked.append(count)
-        return 0.95 * self.error(count)
+        return self.error(count) * np.random.default_rng([self.noise, count, 1]).uniform(0.85, 1.15)
 
     def hung(self, count: int) -> tuple[Any, float]:
         self.hung_asked.append(count)
@@ -67,7 +67,7 @@ def test_two_numbers_are_fitted_where_rough_fits_tell_the_truth(needed: int, noi
     fits = Fits(needed, 1.5, noise)
     fewest_bones(lambda count: fits.error(count) / 0.8, fits.free, fits.hung, 1.0, 128)
     assert len(fits.free_asked) <= 2
-    assert len(fits.hung_asked) == 1
+    assert len(fits.hung_asked) <= 2
 
 
 def test_bones_that_are_too_far_off_are_hung_only_if_no_others_are_allowed() -> None:
