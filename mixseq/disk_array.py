@@ -12,6 +12,7 @@ frames. A small one is in memory. A large one is on disk, tile by tile, so that 
 from __future__ import annotations
 
 import tempfile
+import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import suppress
@@ -33,7 +34,7 @@ _BLOCK = 1 << 23  # numbers in a block of columns, where there are so many rows 
 class DiskArray:
     """A array ``(T, ...)`` in a file that has no name: it vanishes with the object, or with the process.
 
-    Rows are set by slices, and read by slices or indices, as those of an array.
+    Rows are set by slices, and read by slices or indices, as those of an array; several threads may read at a time.
 
     Raises
     ------
@@ -52,6 +53,7 @@ class DiskArray:
             raise OutputError(
                 f"there is no folder for temporary files ({error.strerror}); set TMPDIR to one"
             ) from error
+        self._lock = threading.Lock()  # a file has one place at which it is read
         weakref.finalize(self, _close, self._file)
 
     def __len__(self) -> int:
@@ -97,9 +99,11 @@ class DiskArray:
         )
 
     def _read(self, first: int, count: int, columns: slice) -> NDArray[Any]:
-        self._seek(first, columns)
         block = np.empty((count, columns.stop - columns.start), dtype=self.dtype)
-        if self._file.readinto(block.data.cast("B")) < block.nbytes:
+        with self._lock:
+            self._seek(first, columns)
+            there = self._file.readinto(block.data.cast("B"))
+        if there < block.nbytes:
             raise OutputError("a temporary file was cut short; is the disk full?")
         return block
 

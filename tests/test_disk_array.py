@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mixseq import disk_array
 from mixseq.disk_array import DiskArray, column_blocks, new_large_array
 from mixseq.errors import OutputError
+from mixseq.mapping import on_threads
 
 
 def on_disk(values: NDArray[Any], step: int = 3) -> DiskArray:
@@ -86,6 +87,16 @@ def test_files_vanish_with_their_tables(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(number)
     assert not list(tmp_path.iterdir())
+
+
+def test_threads_read_what_was_written() -> None:
+    array = DiskArray((400, 3000))
+    array[0:400] = np.tile(np.arange(400.0)[:, None], (1, 3000))
+
+    def row(_: None, number: int) -> bool:
+        return bool((array[number : number + 1] == number).all())
+
+    assert all(on_threads(8)(row, None, [*range(400)] * 4))
 
 
 def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, Index, IntArray
 from mixseq.coding.bitstream import arithmetic
 from mixseq.coding.bitstream import signal_kernels as kernels
 from mixseq.coding.bitstream.bit_models import BitModels, bit_models
@@ -47,6 +47,7 @@ _MANY = 512
 """Fewer numbers are coded at once: to hand them over takes as long. Free: a matter of time."""
 
 Contexts = tuple[int, Small, Small, Index, Index, Index]
+"""What `signal_kernels.code_numbers` needs besides models and numbers: signals before, neighbours, counts, sizes."""
 
 
 class Signal(NamedTuple):
@@ -54,17 +55,34 @@ class Signal(NamedTuple):
 
     Attributes
     ----------
-    contexts
-        What `signal_kernels.code_numbers` needs besides models and numbers.
-    numbers : (N,) int64
+    known, neighbours, counts
+        As of `Contexts`.
+    sizes : tuple of (N,) int32 or int64
+        Activity, its mean around, and numbers of the signal before: what else `signal_kernels.code_numbers` needs.
+    numbers : (N,) int32 or int64
         Its numbers in nodes' order.
-    values : (N,) int64
+    values : (N,) int32 or int64
         The values that it has for a decoder, in steps / `UNIT`.
     """
 
-    contexts: Contexts
-    numbers: Index
-    values: Index
+    known: int
+    neighbours: Small
+    counts: Small
+    sizes: tuple[IntArray, IntArray, IntArray]
+    numbers: IntArray
+    values: IntArray
+
+    @classmethod
+    def of(cls, contexts: Contexts, numbers: Index, values: Index) -> Signal:
+        """Make one of 16 bytes a node, if its numbers are not too large for that."""
+        known, neighbours, counts, activity, around, before = contexts
+        sizes = _small(activity), _small(around), _small(before)
+        return cls(known, neighbours, counts, sizes, _small(numbers), _small(values))
+
+
+def _small(numbers: Index) -> IntArray:
+    """Return a copy of whole numbers, in 4 bytes each if they are small enough."""
+    return numbers.astype(np.int32 if np.abs(numbers).max(initial=0) < 2**31 else np.int64)
 
 
 class NumberModels:
@@ -88,9 +106,12 @@ class Writer:
 
     def write(self, signal: Signal, models: NumberModels) -> None:
         """Write a signal; models learn from it."""
-        room = self.room(len(signal.numbers))
-        kernels.code_numbers(room, models.bits, *signal.contexts, signal.numbers)
-        self.checked(signal.values)
+        activity, around, before, numbers = (
+            each.astype(np.int64) for each in (*signal.sizes, signal.numbers)
+        )
+        contexts = signal.known, signal.neighbours, signal.counts, activity, around, before
+        kernels.code_numbers(self.room(len(numbers)), models.bits, *contexts, numbers)
+        self._check = check_of(signal.values, self._check)
 
     def checked(self, values: Index) -> None:
         """Add values to what a decoder has to find."""
@@ -198,7 +219,7 @@ class SignalCoder:
             numbers,
             predictor.values,
         )
-        signal = Signal(self._contexts(), numbers, predictor.values.copy())
+        signal = Signal.of(self._contexts(), numbers, predictor.values)
         self._count(numbers)
         values = np.empty(self._graph.size)
         self._learn(values)

@@ -1,7 +1,8 @@
 """Round a basis, and its coefficients, to what a decoder will have.
 
-Parts know nothing of each other, so that each is rounded on a thread of its own. What is rounded tells the error of a
-trial; its bytes take as long again, and are made by `code_basis` and `code_coefficients` if somebody asks for them.
+Parts know nothing of each other, so that two are rounded at a time: more would take more memory. What is rounded tells
+the error of a trial; its bytes take as long again, and are made by `code_basis` and `code_coefficients` if somebody
+asks for them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mixseq.coding.bitstream.signal_coder import NumberModels, Signal, SignalCod
 from mixseq.coding.bitstream.signal_graph import SignalGraph, path_graph
 from mixseq.coding.bitstream.spatial_basis import SpatialBasis, groups_of_parts
 from mixseq.coding.encoder.part_components import PartComponents
-from mixseq.mapping import on_threads
+from mixseq.mapping import on_two_threads
 
 CHUNK, FEWEST = 512, 16
 """A chunk has about so many frames by default, and as few at least."""
@@ -33,7 +34,7 @@ class RoundedPart(NamedTuple):
 
 def round_basis(parts: Sequence[PartComponents], step: float) -> list[RoundedPart]:
     """Round the components of every part until they are zero, without the constant one of trajectories."""
-    return list(on_threads()(_round_part, step, parts))
+    return list(on_two_threads()(_round_part, step, parts))
 
 
 def _round_part(step: float, part: PartComponents) -> RoundedPart:
@@ -95,7 +96,9 @@ def round_coefficients(
     of_parts = [np.flatnonzero(owners == part) for part in range(len(basis.blocks))]
     work = [(frames, places) for frames in spans for places in of_parts]
     signals: list[list[Signal]] = []
-    for (frames, places), (values, some) in zip(work, on_threads()(_round_chunk, numbers, work), strict=True):
+    for (frames, places), (values, some) in zip(
+        work, on_two_threads()(_round_chunk, numbers, work), strict=True
+    ):
         decoded[frames.start : frames.stop, places] = values / scales[places, None]
         signals.append(some)
     order = np.argsort(np.concatenate(of_parts), kind="stable")

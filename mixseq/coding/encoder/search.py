@@ -13,7 +13,7 @@ begins with a better one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -122,15 +122,9 @@ class Search:
     def with_error(self, error: float) -> Trial:
         """Find the coarsest step whose error is below a given one (root of the sum of squares)."""
         best: Trial | None = None
-        for first in self._first_trials(error):
-            if best is not None and best.size <= _size_at(first, error):
-                break
-            found = _closest(
-                partial(self._try, first.candidate),
-                lambda one: error / max(one.error, TINY * error),
-                first,
-                _slope(first),
-            )
+        trials = self._first_trials(error)
+        while trials and (best is None or best.size > _size_at(trials[0], error)):
+            found = _closest(self._try, lambda one: error / max(one.error, TINY * error), trials.pop(0))
             if found is not None and (best is None or found.size < best.size):
                 best = found
         for _ in range(ROUNDS):
@@ -154,13 +148,8 @@ class Search:
             error *= float(np.clip(aim / error, 1 / FARTHEST, FARTHEST))
             trials = self._first_trials(error)
         found: list[Trial] = []
-        for first in trials:
-            best = _closest(
-                partial(self._try, first.candidate),
-                lambda one: size / one.size,
-                first,
-                -SLOPE * _slope(first),
-            )
+        while trials:
+            best = _closest(self._try, lambda one: size / one.size, trials.pop(0), -SLOPE)
             if best is not None:
                 found.append(best)
         if not found:
@@ -205,23 +194,32 @@ def _next_step(trial: Trial, room: float) -> float:
 
 
 def _closest(
-    trial_with: Callable[[float], Trial], room: Callable[[Trial], float], first: Trial, slope: float
+    try_with: Callable[[Candidate, float], Trial],
+    room: Callable[[Trial], float],
+    last: Trial,
+    power: float = 1.0,
 ) -> Trial | None:
-    """Return the trial with least room that is not below one, after some secants."""
-    best, last, before = None, first, None
+    """Return the trial with least room that is not below one, after some secants.
+
+    Room falls with the step as a power of the error. Trials are large: of others than the best only numbers are kept.
+    """
+    slope, candidate = power * _slope(last), last.candidate
+    best: Trial | None = None
+    before: tuple[float, float] | None = None  # step and room
     for number in range(ROUNDS):
-        left = room(last)
+        left, step = room(last), last.step
         if left >= 1 and (best is None or left < room(best)):
             best = last
         if number == ROUNDS - 1 or 1 <= left < 1 + CLOSE:
             break
-        if before is not None and last.step != before.step and room(before) != left:
-            measured = np.log(room(before) / left) / np.log(last.step / before.step)
+        if before is not None and step != before[0] and left != before[1]:
+            measured = np.log(before[1] / left) / np.log(step / before[0])
             if 0.2 * abs(slope) < measured * np.sign(slope) < 5 * abs(slope):
                 slope = float(measured)
-        aim = left / (1 + CLOSE / 3)
-        before, last = last, trial_with(last.step * float(np.clip(aim ** (1 / slope), 0.05, 20.0)))
-        if last.step == before.step:  # there is no finer one
+        before = step, left
+        del last
+        last = try_with(candidate, step * float(np.clip((left / (1 + CLOSE / 3)) ** (1 / slope), 0.05, 20.0)))
+        if last.step == step:  # there is no finer one
             break
     return best
 
