@@ -127,9 +127,16 @@ def _bind_pose(path: Path, sequence: MeshSequence) -> MeshSequence | None:
         return None
     if found.vertex_count == sequence.vertex_count:
         return found
+    more = sequence.vertex_count > found.vertex_count
+    cure = (
+        "; if the sequence has other meshes as well, encode that one alone (mixseq encode --prim)"
+        if more
+        else ""
+    )
     warnings.warn(
         f"{path}: the mesh on the skeleton has {found.vertex_count} vertices, that of the sequence has "
-        f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame",
+        f"{sequence.vertex_count}; it is left out, and the skeleton is taken as it would stand in the first frame"
+        + cure,
         MixseqWarning,
         stacklevel=2,
     )

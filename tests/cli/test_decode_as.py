@@ -96,15 +96,20 @@ def test_a_damaged_mesh_on_a_skeleton_is_an_error(run: Run) -> None:
     assert not Path("again.glb").exists()
 
 
-def test_another_mesh_on_a_skeleton_is_told(run: Run) -> None:
+@pytest.mark.parametrize("copies", [0, 1])
+def test_another_mesh_on_a_skeleton_is_told(run: Run, bent_bar: MeshSequence, copies: int) -> None:
+    """A triangle, alone or beside the bar, as a sword in its hand would be."""
     succeed(run("decode", "bar.npz", "rig.usda", "--as", "skin", "--bones", "3"))
-    more = mixseq.MeshSequence.from_arrays([np.eye(3)], [[0, 1, 2]], fps=10)
-    mixseq.write("more.npz", more)
+    beside = np.tile(np.eye(3), (bent_bar.frame_count, 1, 1))
+    points = np.concatenate([*copies * [bent_bar.points], beside], axis=1)
+    faces = np.concatenate([*copies * [bent_bar.faces], [[77 * copies + corner for corner in range(3)]]])
+    mixseq.write("more.npz", mixseq.MeshSequence.from_arrays(points, faces, fps=10))
     result = run("decode", "more.npz", "again.glb", "--as", "skin", "--skeleton", "rig.usda")
     assert (
-        "warning: rig.usda: the mesh on the skeleton has 77 vertices, that of the sequence has 3; it is left out, and "
-        "the skeleton is taken as it would stand in the first frame" in result.stderr
+        f"warning: rig.usda: the mesh on the skeleton has 77 vertices, that of the sequence has {len(points[0])}; "
+        "it is left out, and the skeleton is taken as it would stand in the first frame" in result.stderr
     )
+    assert ("encode that one alone (mixseq encode --prim)" in result.stderr) == bool(copies)
 
 
 @pytest.mark.parametrize("kind", ["skin", "morph"])

@@ -13,6 +13,8 @@ from mixseq.arrays import Float
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence import MeshSequence
 from mixseq_io.rig_measuring import measure
+from tests.formats.conftest import lossy
+from tests.formats.gltf_files import validate
 from tests.formats.rig_maker import carried, hinge, swelling
 from tests.viewing.conftest import browser, keep, new_page, page
 from tests.web.site import ADDRESS, serve, three
@@ -43,21 +45,22 @@ PLAY = """async (times) => {
     mixer.setTime(time);
     scene.updateMatrixWorld(true);
     return meshes.map((mesh) => {
-      const { position, _vertex } = mesh.geometry.attributes, targets = mesh.geometry.morphAttributes.position ?? [];
+      const { position } = mesh.geometry.attributes, targets = mesh.geometry.morphAttributes.position ?? [];
       const points = new Float32Array(3 * position.count);
       for (let vertex = 0; vertex < position.count; vertex++) {
         place.fromBufferAttribute(position, vertex);
         targets.forEach((each, number) =>
           place.addScaledVector(more.fromBufferAttribute(each, vertex), mesh.morphTargetInfluences[number]));
         if (mesh.isSkinnedMesh) (mesh.applyBoneTransform ?? mesh.boneTransform).call(mesh, vertex, place);
-        place.applyMatrix4(mesh.matrixWorld).toArray(points, 3 * _vertex.getX(vertex));
+        place.applyMatrix4(mesh.matrixWorld).toArray(points, 3 * vertex);
       }
       return packed(points);
     });
   });
-  return { frames, joints };
+  const vertices = meshes.map((mesh) => packed(new Float32Array(mesh.geometry.attributes._vertex.array)));
+  return { frames, joints, vertices };
 }"""
-"""Skins by three.js's own function, morph targets by its influences; rows are the vertices of single meshes."""
+"""Skins by three.js's own function, morph targets by its influences; and which vertices of meshes were split into."""
 
 
 def played(page: Page, file: Path, times: Float, kind: str = "trimesh") -> tuple[Float, list[list[str]]]:
@@ -66,8 +69,13 @@ def played(page: Page, file: Path, times: Float, kind: str = "trimesh") -> tuple
     serve(page, {**files, "rig.glb": file.read_bytes(), "index.html": f"<!doctype html><body>{head}"})
     page.goto(f"{ADDRESS}index.html")
     found = page.evaluate(PLAY, times.tolist())
-    points = [np.concatenate([floats(mesh, 3) for mesh in frame]) for frame in found["frames"]]
-    return np.array(points, dtype=np.float64), found["joints"]
+    meshes = []
+    for number, text in enumerate(found["vertices"]):
+        split = np.array([floats(frame[number], 3) for frame in found["frames"]], dtype=np.float64)
+        own = floats(text, 1).reshape(-1).astype(np.int64)
+        meshes.append(split[:, np.unique(own, return_index=True)[1]])
+        np.testing.assert_allclose(split, meshes[-1][:, own], rtol=0, atol=NEAR * np.ptp(split))
+    return np.concatenate(meshes, axis=1), found["joints"]
 
 
 def near(rig: Skin | Morph, shown: Float, times: Float) -> float:
@@ -103,3 +111,24 @@ def test_a_real_rig_is_as_far_off_as_is_told(page: Page, tmp_path: Path, data: P
     found = mixseq.compare(wolf, there)
     assert found.max_error == pytest.approx(told.max_error, rel=1e-3)
     assert found.kg_percent == pytest.approx(told.kg_percent, rel=1e-3)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("kind", ["trimesh", "npm"])
+@pytest.mark.parametrize("name", ["gltf/CesiumMan.glb", "gltf/KhronosFox.glb", "usd/RiggedFigure.usdz"])
+def test_a_character_on_its_own_skeleton(
+    page: Page, tmp_path: Path, data: Path, name: str, kind: str
+) -> None:
+    """Textured, with split vertices; bones keep names and parents, and the error is the one that is told."""
+    with lossy():
+        there = mixseq.read(data / name)
+        skeleton, bind_pose = mixseq.read_skeleton(data / name), mixseq.read_bind_pose(data / name)
+    skin = mixseq.fit_skin(there, skeleton=skeleton, bind_pose=bind_pose)
+    mixseq.write_rig(tmp_path / "rig.glb", skin)
+    shown, joints = played(page, tmp_path / "rig.glb", there.times, kind)
+    assert near(skin, shown, there.times) < NEAR
+    found = mixseq.compare(there, MeshSequence.from_header(there.header, shown))
+    assert found.max_error == pytest.approx(measure(tmp_path / "rig.glb", there).max_error, rel=1e-3)
+    above = [skeleton.names[parent] if parent >= 0 else "skeleton" for parent in skeleton.parents]
+    assert dict(joints) == dict(zip(skeleton.names, above, strict=True))
+    validate(tmp_path / "rig.glb")

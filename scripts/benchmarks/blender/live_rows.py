@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,9 @@ PIXELS = 16
 
 SINGLE = 4 * float(np.finfo(np.float32).eps)
 """What single precision may be off by, in diagonals: of a point, and of a frame's number."""
+
+BYTE = 0.5 / 255 * 2.4 / 1.055
+"""Half a byte of sRGB near white, as a linear number."""
 
 LIVING = Path(__file__).with_name("living.py")
 
@@ -88,7 +92,7 @@ def live_rows(folder: Path, data: Path | None) -> Iterator[LiveRow]:
     done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode:
         raise SystemExit(f"Blender failed in {LIVING.name}:\n{done.stdout[-2000:]}")
-    for rows in (_positions, _rendered, _others):
+    for rows in (_positions, _coloured, _rendered, _others):
         yield from rows(models, lambda name: dict(np.load(folder / f"{name}.npz")))
     yield LiveRow("tracebacks on the console", done.stdout.count("Traceback"), 0, "lines")
 
@@ -99,6 +103,10 @@ def _models(folder: Path, data: Path | None) -> dict[str, Model]:
     mixseq.save(folder / "signals.h5", mixseq.fit(walk))
     mixseq.save(folder / "compressed.h5", mixseq.compress(walk, max_error=1e-3))
     mixseq.save(folder / "slide.h5", mixseq.fit(_slide(), space="vertex", exact=True))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of colours beyond white
+        for suffix in (".glb", ".usdc"):
+            mixseq.write(folder / f"slide{suffix}", _slide())
     names = ["signals", "compressed", "slide"]
     if data is not None:
         large = mixseq.read(data / "npz" / "elephant_gallop.npz")
@@ -145,11 +153,21 @@ def _positions(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
         yield LiveRow(what, _off(models["compressed"], baked["moments"], baked[name]), SINGLE)
 
 
+def _coloured(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
+    found, colours = seen("coloured"), models["slide"].header.surface.colours
+    assert colours is not None
+    for what, name in (("colours of corners", "model"), ("colours, saved and opened again", "opened")):
+        yield LiveRow(what, float(np.abs(found[name] - colours.at_corners).max()), 0, "of 1")
+    white = np.minimum(colours.at_corners, 1)
+    off = np.abs(found["glb"] - white).max()
+    yield LiveRow("colours of glTF, in sRGB's bytes", float(off), BYTE, "of 1")
+    off = np.abs(found["usdc"] - colours.at_corners)[:, :3].max()
+    yield LiveRow("colours of USD, without alpha", float(off), 0, "of 1")
+
+
 def _rendered(models: dict[str, Model], seen: Seen) -> Iterator[LiveRow]:
     slide, found = models["slide"], seen("rendered")
-    frames, colours = found["step_frames"], slide.header.surface.colours
-    assert colours is not None
-    yield LiveRow("colours of corners", float(np.abs(found["colours"] - colours.at_corners).max()), 0, "of 1")
+    frames = found["step_frames"]
     yield LiveRow("moments of an open shutter", len(np.unique(frames)), 5, "moments", at_least=True)
     yield LiveRow("vertices at them", _off(slide, frames, found["steps"]), SINGLE)
     yield LiveRow("vertices after the render", _off(slide, [SHUTTER], found["after"]), SINGLE)

@@ -106,8 +106,7 @@ def rendered(folder: Path) -> Seen:
     scene.render.resolution_x = scene.render.resolution_y = 64
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
     thing.cycles.motion_steps = 2
-    colours = [list(corner.color) for corner in thing.data.color_attributes["Color"].data]
-    found: Seen = {"steps": [], "step_frames": [], "colours": colours}
+    found: Seen = {"steps": [], "step_frames": []}
 
     def look(scene: Any, depsgraph: Any) -> None:
         if depsgraph.mode == "RENDER":
@@ -126,6 +125,27 @@ def rendered(folder: Path) -> Seen:
     found["vectors"] = _vectors(scene, folder / "vectors.exr")
     found["after"] = [points(thing.evaluated_get(bpy.context.evaluated_depsgraph_get()))]
     return found
+
+
+def coloured(folder: Path) -> Seen:
+    """Colours of corners: of a model, before and after its scene is saved and opened again, and of glTF and USD."""
+    name = brought(folder / "slide.h5").name
+    found: Seen = {"model": _colours(bpy.data.objects[name])}
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "coloured.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "coloured.blend"))
+    found["opened"] = _colours(bpy.data.objects[name])
+    for file, bring in (("glb", bpy.ops.import_scene.gltf), ("usdc", bpy.ops.wm.usd_import)):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bring(filepath=str(folder / f"slide.{file}"))
+        (thing,) = (each for each in bpy.data.objects if each.type == "MESH")
+        found[file] = _colours(thing)
+    return found
+
+
+def _colours(thing: Any) -> list[list[float]]:
+    """Return red, green, blue and alpha of all corners, of the attribute that Blender shows."""
+    return [list(corner.color) for corner in thing.data.color_attributes.active_color.data]
 
 
 def _vectors(scene: Any, path: Path) -> Any:
@@ -176,7 +196,16 @@ def told(folder: Path) -> Seen:
     return {"messages": found}
 
 
-TASKS: tuple[Callable[[Path], Seen], ...] = (several, retimed, reopened, baked, rendered, told, scrubbed)
+TASKS: tuple[Callable[[Path], Seen], ...] = (
+    several,
+    retimed,
+    reopened,
+    baked,
+    coloured,
+    rendered,
+    told,
+    scrubbed,
+)
 
 
 def brought(path: Path) -> Any:

@@ -23,7 +23,8 @@ class Seen:
     Attributes
     ----------
     arrays : dict
-        ``points/NAME`` and ``velocities/NAME`` (T, V, 3) in the world, ``camera`` (T, 4, 4).
+        ``points/NAME`` and ``velocities/NAME`` (T, V, 3) in the world, ``camera`` (T, 4, 4), ``vertices/NAME`` (V,)
+        of glTF.
     names : dict
         Of meshes, objects, materials, texture coordinates; the scene's range of frames.
     """

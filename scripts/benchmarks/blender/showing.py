@@ -52,7 +52,10 @@ def scene_frames() -> list[float]:
 
 
 def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return ``points/NAME`` and ``velocities/NAME`` (T, V, 3), ``camera`` (T, 4, 4); and names."""
+    """Return ``points/NAME`` and ``velocities/NAME`` (T, V, 3), ``camera`` (T, 4, 4); and names.
+
+    Vertices of glTF that were split have ``vertices/NAME`` (V,), the vertices that they were.
+    """
     scene = bpy.context.scene
     meshes = sorted((each for each in scene.objects if each.type == "MESH"), key=lambda each: each.name)
     cameras = [each for each in scene.objects if each.type == "CAMERA"]
@@ -93,6 +96,9 @@ def shown(frames: list[float]) -> tuple[dict[str, Any], dict[str, Any]]:
             for modifier in each.modifiers
         ],
     }
+    for each in meshes:
+        if "_VERTEX" in each.data.attributes:
+            arrays[f"vertices/{each.name}"] = [one.value for one in each.data.attributes["_VERTEX"].data]
     return {name: np.array(values) for name, values in arrays.items()}, names
 
 
