@@ -36,6 +36,9 @@ from mixseq.mapping import on_threads, on_two_threads
 FINER = 0.35
 """Bytes of a vertex that is coded late, relative to the mean of those before it: it is predicted better."""
 
+MANY = 1 << 22
+"""More numbers are coded at once, whether bytes are asked for or not: until then they take 20 bytes each."""
+
 DIGITS = 1e-10
 """Squared errors below this share of the squared motion are measured of frames: others have lost too many digits."""
 
@@ -212,8 +215,10 @@ def try_step(sequence: FrameStore, candidate: Candidate, step: float, chunk: int
         squares = squared_error(sequence, basis, decoded)
     ranks = tuple(map(len, vectors))
     error = float(np.sqrt(max(squares, 0.0)))
-    spans = tuple(chunks(len(decoded), chunk))
-    return Trial(candidate, step, ranks, basis, decoded, spans, Coding(candidate, rounded, signals), error)
+    spans, coding = tuple(chunks(len(decoded), chunk)), Coding(candidate, rounded, signals)
+    if sum(part.vectors.size for part in rounded) + decoded.size > MANY:
+        _ = coding.streams
+    return Trial(candidate, step, ranks, basis, decoded, spans, coding, error)
 
 
 def in_order(basis: SpatialBasis, coefficients: Sequence[Float]) -> Float:
