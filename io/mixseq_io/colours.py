@@ -12,7 +12,7 @@ from mixseq.arrays import FloatArray
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import WHITE
 
-_LARGEST = 255
+LARGEST_BYTE = 255
 """The byte that stands for 1."""
 
 
@@ -32,17 +32,17 @@ def from_text(numbers: FloatArray) -> FloatArray:
     ([[0.0, 0.2, 1.0]], [[0.0, 0.2, 1.5]])
     """
     known = numbers[np.isfinite(numbers)]
-    return numbers / (_LARGEST if known.max(initial=0) > 1 and (known == np.rint(known)).all() else 1)
+    return numbers / (LARGEST_BYTE if known.max(initial=0) > 1 and (known == np.rint(known)).all() else 1)
 
 
 def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return bytes as numbers from 0 to 1."""
-    return (values / np.float32(_LARGEST)).astype(np.float32)
+    return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
 
 def nearest_bytes(values: FloatArray) -> NDArray[np.uint8]:
     """Return the bytes that `of_bytes` makes the nearest numbers of."""
-    return np.rint(_LARGEST * within_one(values)).astype(np.uint8)
+    return np.rint(LARGEST_BYTE * within_one(values)).astype(np.uint8)
 
 
 def as_bytes(values: FloatArray) -> NDArray[np.uint8] | None:
