@@ -15,6 +15,10 @@ from mixseq.surface import WHITE
 LARGEST_BYTE = 255
 """The byte that stands for 1."""
 
+# Ours. Of numbers from 0 to 255 only a nearly black mesh has none above it, and lit colours, of which 1 is white, are
+# rarely so bright.
+_BRIGHTEST = 16
+
 
 def with_alpha(colours: FloatArray) -> FloatArray:
     """Return colours ``(n, 3)`` as ``(n, 4)``, opaque, or such ``(n, 4)`` as they are."""
@@ -24,15 +28,14 @@ def with_alpha(colours: FloatArray) -> FloatArray:
 
 
 def from_text(numbers: FloatArray) -> FloatArray:
-    """Return the colours that texts tell: numbers from 0 to 255 if all are whole and one is above 1, else as they are.
+    """Return the colours that texts tell: numbers from 0 to 255 if the largest is above 16, else as they are.
 
     Examples
     --------
     >>> from_text(np.array([[0.0, 51.0, 255.0]])).tolist(), from_text(np.array([[0.0, 0.2, 1.5]])).tolist()
     ([[0.0, 0.2, 1.0]], [[0.0, 0.2, 1.5]])
     """
-    known = numbers[np.isfinite(numbers)]
-    return numbers / (LARGEST_BYTE if known.max(initial=0) > 1 and (known == np.rint(known)).all() else 1)
+    return numbers / (LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _BRIGHTEST else 1)
 
 
 def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -77,11 +77,30 @@ def test_alpha_and_texts() -> None:
     assert from_text(np.array([[np.nan, 255, 51]]))[0, 1:].tolist() == [1, 0.2]
 
 
-@pytest.mark.parametrize("largest", [1.00001, 1.5, 254.5])
-def test_only_whole_numbers_are_bytes(largest: float) -> None:
-    numbers = np.array([[0.5, 1.0, largest]])
-    np.testing.assert_array_equal(from_text(numbers), numbers)
-    assert from_text(np.array([[0, 1, 1.00001]])).tolist() == [[0, 1, 1.00001]]
+@pytest.mark.parametrize(
+    ("largest", "divisor"),
+    [(1, 1), (1.00001, 1), (1.5, 1), (2, 1), (16, 1), (16.5, 255), (254.5, 255), (255, 255)],
+)
+def test_the_largest_number_tells_bytes(largest: float, divisor: float) -> None:
+    for low in (0, 0.5):
+        numbers = np.array([[low, 1.0, largest]])
+        np.testing.assert_array_equal(from_text(numbers), numbers / divisor)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
+def test_bytes_that_are_not_whole_and_bright_whole_numbers(name: str, tmp_path: Path) -> None:
+    faces = {"a.obj": "f 1 2 3", "a.off": "3 0 1 2", "a.ply": "3 0 1 2"}[name]
+    head = {
+        "a.obj": "",
+        "a.off": "COFF\n3 1 0\n",
+        "a.ply": "ply\nformat ascii 1.0\nelement vertex 3\n"
+        + "".join(f"property float {each}\n" for each in ("x", "y", "z", "red", "green", "blue"))
+        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n",
+    }[name]
+    for red, green, expected in ((127.5, 255, [0.5, 1]), (2, 1, [2, 1])):
+        text = "".join(f"{'v ' * (not head)}{n} {n * n} 0 {red} {green} 0\n" for n in range(3))
+        (tmp_path / name).write_text(f"{head}{text}{faces}\n")
+        np.testing.assert_allclose(colours(read(tmp_path / name))[:, :2], [expected] * 3)
 
 
 def test_bytes_stay_bytes_in_arrays() -> None:
@@ -121,13 +140,13 @@ def test_warnings_say_what_is_lost_and_no_more(name: str, odd: float, told: str,
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("a.obj", "v 0 0 0 1e300 0 0.5\nv 1 0 0 0 0 0\nv 0 1 0 0 0 0\nf 1 2 3\n"),
-        ("a.off", "COFF\n3 1 0\n0 0 0 1e300 0 0.5\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n"),
+        ("a.obj", "v 0 0 0 1e300 0 0\nv 1 0 0 0 0 0\nv 0 1 0 0 0 0\nf 1 2 3\n"),
+        ("a.off", "COFF\n3 1 0\n0 0 0 1e300 0 0\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n"),
     ],
 )
 def test_colours_beyond_single_precision_are_very_bright(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
-    assert colours(read(tmp_path / name))[0].tolist() == [np.inf, 0, 0.5, 1]
+    assert colours(read(tmp_path / name))[0].tolist() == [np.inf, 0, 0, 1]
 
 
 def test_what_is_not_written_is_not_lost(tmp_path: Path) -> None:
