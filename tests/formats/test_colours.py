@@ -6,6 +6,7 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io import read, write
 from mixseq_io.colours import as_bytes, from_text, nearest_bytes, of_bytes, with_alpha, within_one
+from mixseq_io.numbered.colour_words import colours_of_words
 from mixseq_io.surface_arrays import surface_arrays
 from tests.formats.conftest import painted
 from tests.meshes import bar
@@ -180,6 +182,42 @@ def test_colours_that_come_or_go_are_told(suffix: str, tmp_path: Path) -> None:
         write(tmp_path / f"a_1.{suffix}", second)
         with pytest.warns(MixseqWarning, match="colours that change over time"):
             read(tmp_path / f"a_#.{suffix}")
+
+
+@pytest.mark.parametrize("first", [" 1 0 0", ""], ids=["colours", "none"])
+@pytest.mark.parametrize("suffix", ["obj", "off"])
+def test_colours_that_cannot_be_read_later_are_others(suffix: str, first: str, tmp_path: Path) -> None:
+    for frame, colour in enumerate((first, first, " 1 red 0", " x x x")):
+        rows = "".join(f"{'v ' * (suffix == 'obj')}{n} {n * n} {frame}{colour}\n" for n in range(3))
+        text = f"{rows}f 1 2 3\n" if suffix == "obj" else f"COFF\n3 1 0\n{rows}3 0 1 2\n"
+        (tmp_path / f"a_{frame}.{suffix}").write_text(text)
+    with pytest.warns(MixseqWarning) as caught:
+        got = read(tmp_path / f"a_#.{suffix}")
+    (told,) = (str(each.message) for each in caught)
+    assert f"a_2.{suffix} (frame 2) has others" in told
+    assert got.points[:, 0, 2].tolist() == [0, 1, 2, 3]
+    assert (got.surface.colours is None) == (first == "")
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off"])
+def test_colours_are_parsed_no_more_often_than_needed(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not where their text is that of the first frame, and not after the warning."""
+    ramp = np.array([[n / 8, 0, 0, 1] for n in range(4)])
+    for frame, values in enumerate((ramp, ramp, ramp[::-1], ramp[[1, 1, 1, 1]], ramp)):
+        write(tmp_path / f"a_{frame}.{suffix}", square(values))
+    parsed = []
+
+    def logged(file: Path, *rest: Any) -> FloatArray:
+        parsed.append(file.name)
+        return colours_of_words(file, *rest)
+
+    for parser in ("obj_parser", "off"):
+        monkeypatch.setattr(f"mixseq_io.numbered.{parser}.colours_of_words", logged)
+    with pytest.warns(MixseqWarning, match=rf"a_2.{suffix} \(frame 2\) has others"):
+        read(tmp_path / f"a_#.{suffix}")
+    assert parsed == [f"a_0.{suffix}", f"a_2.{suffix}"]
 
 
 @pytest.mark.parametrize("name", ["a.usda", "a.npz", "a.h5", "a.abc"])
