@@ -20,7 +20,7 @@ from pathlib import Path
 
 from mixseq.errors import OutputError
 from mixseq.interrupts import held, raise_swallowed
-from mixseq_io.temporary import put_away, temporary_name
+from mixseq_io.temporary import temporary_name
 
 
 @contextmanager
@@ -94,14 +94,17 @@ def replacing_many(pattern: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Iterator[Path]:
-    """Yield a temporary folder to write files to; it becomes `path` if the block ends without an exception.
+    """Yield a temporary folder to write files to; they move into `path` if the block ends without an exception.
+
+    A folder that exists stays the same one, for whoever is in it, with all that others put there. Its files change
+    places one after the other, as in `replacing_many`; if one cannot, all go back.
 
     Parameters
     ----------
     path : path-like
-        The folder to make or replace. A symbolic link is followed, not replaced.
+        The folder to make or to fill. A symbolic link is followed, not replaced.
     own : container of str
-        Names of the writer's files: those that are not written again go. What else was in the folder stays in it.
+        Names of the writer's files: those that are not written again go.
 
     Raises
     ------
@@ -112,33 +115,39 @@ def replacing_folder(path: str | os.PathLike[str], own: Container[str]) -> Itera
     with _explaining(target):
         _check_parent(target)
         with temporary_name(target.parent) as name:
-            temporary, old = Path(f"{name}.new"), put_away(name, target)
+            temporary = Path(f"{name}.new")
             temporary.mkdir()
             yield temporary
-            if target.exists():
-                _keep_others(target, temporary, own)
-                shutil.copymode(target, temporary)
             for file in temporary.iterdir():
-                if file.is_file() and os.access(file, os.W_OK):
-                    _flush(file)
+                _flush(file)
+            _flush_folder(temporary)
             raise_swallowed()
             with held():
                 if target.exists():
-                    target.rename(old)  # it comes back if the next line fails
-                temporary.rename(target)
+                    _exchange(temporary, target, own, Path(f"{name}.old"))
+                else:
+                    temporary.rename(target)
+        _flush_folder(target)
         _flush_folder(target.parent)
 
 
-def _keep_others(source: Path, target: Path, own: Container[str]) -> None:
-    """Copy what is in a folder, but for what its writer calls its own, or has written."""
-    for entry in source.iterdir():
-        copy = target / entry.name
-        if entry.name in own or copy.exists():
-            continue
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.copytree(entry, copy, symlinks=True)
-        else:
-            shutil.copy2(entry, copy, follow_symlinks=False)
+def _exchange(source: Path, target: Path, own: Container[str], old: Path) -> None:
+    """Move all files of a folder into another, and what they replace, or is the writer's own, away; or nothing."""
+    old.mkdir()
+    written = sorted(file.name for file in source.iterdir())
+    stale = [file.name for file in target.iterdir() if file.name in own and file.name not in written]
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for name in (*written, *stale):
+            for start, end in ((target / name, old / name), (source / name, target / name)):
+                if os.path.lexists(start):
+                    start.rename(end)
+                    moved.append((start, end))
+    except OSError:
+        for start, end in reversed(moved):
+            with suppress(OSError):  # the others can go back
+                end.rename(start)
+        raise
 
 
 def _check_target(target: Path) -> None:

@@ -12,8 +12,12 @@ from mixseq.arrays import FloatArray
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import WHITE
 
-_LARGEST = 255
+LARGEST_BYTE = 255
 """The byte that stands for 1."""
+
+# Ours. Of numbers from 0 to 255 only a nearly black mesh has none above it, and lit colours, of which 1 is white, are
+# rarely so bright.
+_BRIGHTEST = 16
 
 
 def with_alpha(colours: FloatArray) -> FloatArray:
@@ -24,25 +28,24 @@ def with_alpha(colours: FloatArray) -> FloatArray:
 
 
 def from_text(numbers: FloatArray) -> FloatArray:
-    """Return the colours that texts tell: numbers from 0 to 255 if all are whole and one is above 1, else as they are.
+    """Return the colours that texts tell: numbers from 0 to 255 if the largest is above 16, else as they are.
 
     Examples
     --------
     >>> from_text(np.array([[0.0, 51.0, 255.0]])).tolist(), from_text(np.array([[0.0, 0.2, 1.5]])).tolist()
     ([[0.0, 0.2, 1.0]], [[0.0, 0.2, 1.5]])
     """
-    known = numbers[np.isfinite(numbers)]
-    return numbers / (_LARGEST if known.max(initial=0) > 1 and (known == np.rint(known)).all() else 1)
+    return numbers / (LARGEST_BYTE if numbers[np.isfinite(numbers)].max(initial=0) > _BRIGHTEST else 1)
 
 
 def of_bytes(values: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return bytes as numbers from 0 to 1."""
-    return (values / np.float32(_LARGEST)).astype(np.float32)
+    return (values / np.float32(LARGEST_BYTE)).astype(np.float32)
 
 
 def nearest_bytes(values: FloatArray) -> NDArray[np.uint8]:
     """Return the bytes that `of_bytes` makes the nearest numbers of."""
-    return np.rint(_LARGEST * within_one(values)).astype(np.uint8)
+    return np.rint(LARGEST_BYTE * within_one(values)).astype(np.uint8)
 
 
 def as_bytes(values: FloatArray) -> NDArray[np.uint8] | None:

@@ -112,15 +112,17 @@ def check_origin(path: Path, header: SequenceHeader) -> None:
     """Refuse to write over the file that a sequence once came from."""
     origin = header.surface.origin
     if origin is not None and _replaces(path, Path(origin.path)):
+        lost = origin.path if path.is_dir() else path
         raise OutputError(
-            f"{path} is the file that the sequence came from, which would be lost; give another name"
+            f"{lost} is the file that the sequence came from, which would be lost; give another name"
         )
 
 
 def check_target(path: Path, source: Path) -> None:
     """Refuse a file that could not be written or would replace the source, before the work and not after it."""
     if _replaces(path, source) or _share_files(path, source):
-        raise OutputError(f"{path} is the source itself and would be lost; give another name")
+        lost = source if path.is_dir() else path
+        raise OutputError(f"{lost} is the source itself and would be lost; give another name")
     check_place(path)
 
 
@@ -136,10 +138,16 @@ def check_place(path: Path) -> None:
 
 
 def _replaces(target: Path, source: Path) -> bool:
-    """Whether a target is a source that exists, or the folder that it is in."""
+    """Whether a target is a source that exists, or a folder of textures of which the source is one of the files."""
     if not (target.exists() and source.exists()):
         return False
-    return target.samefile(source) or (target.is_dir() and target.resolve() in source.resolve().parents)
+    if not (target.is_dir() and target.suffix.lower() == VAT):
+        return target.samefile(source)
+    from mixseq_io.vat.writer import OWN
+
+    folder = target.resolve()
+    names = (source.parent.resolve() / source.name, source.resolve())  # of a link, and of what it leads to
+    return any(name.parent == folder and name.name in OWN for name in names)
 
 
 def _share_files(target: Path, source: Path) -> bool:

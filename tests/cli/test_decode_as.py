@@ -249,13 +249,40 @@ def test_textures_replace_those_of_an_older_run(
     failed = run("decode", "model.h5", "bar.vat", "--max-error", "1e-9", "--overwrite")
     assert "rounding to 16 bits alone" in failed.stderr
     lost = run("decode", "bar.vat/mesh.glb", "bar.vat", "--overwrite")
-    assert "bar.vat is the source itself and would be lost" in lost.stderr
+    assert "mesh.glb is the source itself and would be lost" in lost.stderr
     assert contents() == before
     for option in ("--overwrite", "--quiet"):
         succeed(run("decode", "model.h5", "bar.vat", option))
     assert json.loads(Path("bar.vat/vat.json").read_text())["kind"] == "plain"
     assert Path("bar.vat/points.png.import").read_text() == "an engine's"
     assert not Path("bar.vat/coefficients.png").exists()
+
+
+def test_only_files_of_textures_are_lost(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:
+    """What else is in the folder, or below it, may be the source, or what the sequence came from."""
+    succeed(run("decode", "model.h5", "bar.vat"))
+    Path("bar.vat/deep").mkdir()
+    Path("bar.npz").rename("bar.vat/bar.npz")
+    mixseq.write("bar.vat/deep/mesh.glb", mixseq.read("bar.vat/bar.npz"))
+    succeed(run("convert", "bar.vat/deep/mesh.glb", "copy.h5"))
+    kept = {name: contents()[name] for name in ("bar.vat/bar.npz", "bar.vat/deep/mesh.glb")}
+    for source in ("bar.vat/bar.npz", "bar.vat/deep/mesh.glb", "copy.h5"):
+        succeed(run("decode", source, "bar.vat"))
+    assert kept.items() <= contents().items()
+
+    mixseq.write("bar.vat/mesh.glb", mixseq.read("bar.vat/bar.npz"))
+    Path("link.glb").symlink_to("bar.vat/mesh.glb")
+    succeed(run("convert", "bar.vat/mesh.glb", "of_mesh.h5"))
+    before = contents()
+    for source, message in (
+        ("bar.vat/mesh.glb", "mesh.glb is the source itself and would be lost; give another name"),
+        ("link.glb", "link.glb is the source itself and would be lost"),
+        ("of_mesh.h5", "mesh.glb is the file that the sequence came from, which would be lost"),
+    ):
+        refused = run("decode", source, "bar.vat")
+        assert refused.exit_code == 2
+        assert message in refused.stderr
+    assert contents() == before
 
 
 def test_a_file_is_no_folder_of_textures(run: Run, contents: Callable[[], dict[str, bytes | None]]) -> None:

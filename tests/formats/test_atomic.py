@@ -87,7 +87,7 @@ def listed(folder: Path) -> dict[str, str]:
     return {str(file.relative_to(folder)): file.read_text() for file in folder.rglob("*") if file.is_file()}
 
 
-def test_a_folder_is_replaced_and_what_others_put_there_stays(tmp_path: Path) -> None:
+def test_files_in_a_folder_are_replaced_and_what_others_put_there_stays(tmp_path: Path) -> None:
     target = tmp_path / "a.vat"
     for text in ("first", "second"):
         with replacing_folder(target, {"one", "two"}) as folder:
@@ -96,6 +96,23 @@ def test_a_folder_is_replaced_and_what_others_put_there_stays(tmp_path: Path) ->
         (target / "deep" / "notes").write_text("mine")
         (target / "one.import").write_text("mine")
     assert listed(tmp_path) == {"a.vat/two": "second", "a.vat/deep/notes": "mine", "a.vat/one.import": "mine"}
+
+
+def test_a_folder_stays_the_same_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So whoever is in it sees the new files, and what is added while they are written is not lost."""
+    target = tmp_path / "a.vat"
+    target.mkdir()
+    for name in ("one", "two", "mine"):
+        (target / name).write_text("old")
+    before = [(each, each.stat().st_ino) for each in (target, target / "mine")]
+    monkeypatch.chdir(target)
+    with replacing_folder(target, {"one", "two"}) as folder:
+        (folder / "one").write_text("new")
+        (target / "one.meta").write_text("an engine's")
+        assert listed(target) == {"one": "old", "two": "old", "mine": "old", "one.meta": "an engine's"}
+    assert listed(Path()) == {"one": "new", "mine": "old", "one.meta": "an engine's"}
+    assert [(each, each.stat().st_ino) for each, _ in before] == before
+    assert list(tmp_path.iterdir()) == [target]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
@@ -113,26 +130,33 @@ def test_a_folder_stays_as_it_was_after_an_error(tmp_path: Path, error: type[Bas
     assert listed(tmp_path) == {"a.vat/one": "old"}
 
 
-def test_a_folder_comes_back_if_the_new_one_cannot_take_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("refused", ["old/one", "new/one", "old/three", "new/three", "old/two"])
+def test_files_in_a_folder_go_back_if_one_cannot_take_its_place(
+    refused: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     target = tmp_path / "a.vat"
     target.mkdir()
-    (target / "one").write_text("old")
+    for name in ("one", "two", "three", "mine"):
+        (target / name).write_text("old")
     rename = Path.rename
+    kind, refused_name = refused.split("/")
+    asked: list[Path] = []
 
     def refuse(self: Path, to: Path) -> Path:
-        if self.suffix == ".new":
+        if self.name == refused_name and (self.parent == target) == (kind == "old") and not asked:
+            asked.append(self)
             raise PermissionError(13, "no")
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", refuse)
     with (
         pytest.raises(OutputError, match=r"cannot write .*a\.vat: Permission denied; choose"),
-        replacing_folder(target, {"one"}) as folder,
+        replacing_folder(target, {"one", "two", "three"}) as folder,
     ):
-        (folder / "one").write_text("new")
-    assert listed(tmp_path) == {"a.vat/one": "old"}
+        for name in ("one", "three"):
+            (folder / name).write_text("new")
+    assert asked
+    assert listed(tmp_path) == {f"a.vat/{name}": "old" for name in ("one", "two", "three", "mine")}
 
 
 def test_long_names(tmp_path: Path) -> None:

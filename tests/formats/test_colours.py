@@ -6,6 +6,7 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io import read, write
 from mixseq_io.colours import as_bytes, from_text, nearest_bytes, of_bytes, with_alpha, within_one
+from mixseq_io.numbered.colour_words import colours_of_words
 from mixseq_io.surface_arrays import surface_arrays
 from tests.formats.conftest import painted
 from tests.meshes import bar
@@ -77,11 +79,30 @@ def test_alpha_and_texts() -> None:
     assert from_text(np.array([[np.nan, 255, 51]]))[0, 1:].tolist() == [1, 0.2]
 
 
-@pytest.mark.parametrize("largest", [1.00001, 1.5, 254.5])
-def test_only_whole_numbers_are_bytes(largest: float) -> None:
-    numbers = np.array([[0.5, 1.0, largest]])
-    np.testing.assert_array_equal(from_text(numbers), numbers)
-    assert from_text(np.array([[0, 1, 1.00001]])).tolist() == [[0, 1, 1.00001]]
+@pytest.mark.parametrize(
+    ("largest", "divisor"),
+    [(1, 1), (1.00001, 1), (1.5, 1), (2, 1), (16, 1), (16.5, 255), (254.5, 255), (255, 255)],
+)
+def test_the_largest_number_tells_bytes(largest: float, divisor: float) -> None:
+    for low in (0, 0.5):
+        numbers = np.array([[low, 1.0, largest]])
+        np.testing.assert_array_equal(from_text(numbers), numbers / divisor)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.ply"])
+def test_bytes_that_are_not_whole_and_bright_whole_numbers(name: str, tmp_path: Path) -> None:
+    faces = {"a.obj": "f 1 2 3", "a.off": "3 0 1 2", "a.ply": "3 0 1 2"}[name]
+    head = {
+        "a.obj": "",
+        "a.off": "COFF\n3 1 0\n",
+        "a.ply": "ply\nformat ascii 1.0\nelement vertex 3\n"
+        + "".join(f"property float {each}\n" for each in ("x", "y", "z", "red", "green", "blue"))
+        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n",
+    }[name]
+    for red, green, expected in ((127.5, 255, [0.5, 1]), (2, 1, [2, 1])):
+        text = "".join(f"{'v ' * (not head)}{n} {n * n} 0 {red} {green} 0\n" for n in range(3))
+        (tmp_path / name).write_text(f"{head}{text}{faces}\n")
+        np.testing.assert_allclose(colours(read(tmp_path / name))[:, :2], [expected] * 3)
 
 
 def test_bytes_stay_bytes_in_arrays() -> None:
@@ -121,13 +142,13 @@ def test_warnings_say_what_is_lost_and_no_more(name: str, odd: float, told: str,
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("a.obj", "v 0 0 0 1e300 0 0.5\nv 1 0 0 0 0 0\nv 0 1 0 0 0 0\nf 1 2 3\n"),
-        ("a.off", "COFF\n3 1 0\n0 0 0 1e300 0 0.5\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n"),
+        ("a.obj", "v 0 0 0 1e300 0 0\nv 1 0 0 0 0 0\nv 0 1 0 0 0 0\nf 1 2 3\n"),
+        ("a.off", "COFF\n3 1 0\n0 0 0 1e300 0 0\n1 0 0 0 0 0\n0 1 0 0 0 0\n3 0 1 2\n"),
     ],
 )
 def test_colours_beyond_single_precision_are_very_bright(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
-    assert colours(read(tmp_path / name))[0].tolist() == [np.inf, 0, 0.5, 1]
+    assert colours(read(tmp_path / name))[0].tolist() == [np.inf, 0, 0, 1]
 
 
 def test_what_is_not_written_is_not_lost(tmp_path: Path) -> None:
@@ -161,6 +182,42 @@ def test_colours_that_come_or_go_are_told(suffix: str, tmp_path: Path) -> None:
         write(tmp_path / f"a_1.{suffix}", second)
         with pytest.warns(MixseqWarning, match="colours that change over time"):
             read(tmp_path / f"a_#.{suffix}")
+
+
+@pytest.mark.parametrize("first", [" 1 0 0", ""], ids=["colours", "none"])
+@pytest.mark.parametrize("suffix", ["obj", "off"])
+def test_colours_that_cannot_be_read_later_are_others(suffix: str, first: str, tmp_path: Path) -> None:
+    for frame, colour in enumerate((first, first, " 1 red 0", " x x x")):
+        rows = "".join(f"{'v ' * (suffix == 'obj')}{n} {n * n} {frame}{colour}\n" for n in range(3))
+        text = f"{rows}f 1 2 3\n" if suffix == "obj" else f"COFF\n3 1 0\n{rows}3 0 1 2\n"
+        (tmp_path / f"a_{frame}.{suffix}").write_text(text)
+    with pytest.warns(MixseqWarning) as caught:
+        got = read(tmp_path / f"a_#.{suffix}")
+    (told,) = (str(each.message) for each in caught)
+    assert f"a_2.{suffix} (frame 2) has others" in told
+    assert got.points[:, 0, 2].tolist() == [0, 1, 2, 3]
+    assert (got.surface.colours is None) == (first == "")
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off"])
+def test_colours_are_parsed_no_more_often_than_needed(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not where their text is that of the first frame, and not after the warning."""
+    ramp = np.array([[n / 8, 0, 0, 1] for n in range(4)])
+    for frame, values in enumerate((ramp, ramp, ramp[::-1], ramp[[1, 1, 1, 1]], ramp)):
+        write(tmp_path / f"a_{frame}.{suffix}", square(values))
+    parsed = []
+
+    def logged(file: Path, *rest: Any) -> FloatArray:
+        parsed.append(file.name)
+        return colours_of_words(file, *rest)
+
+    for parser in ("obj_parser", "off"):
+        monkeypatch.setattr(f"mixseq_io.numbered.{parser}.colours_of_words", logged)
+    with pytest.warns(MixseqWarning, match=rf"a_2.{suffix} \(frame 2\) has others"):
+        read(tmp_path / f"a_#.{suffix}")
+    assert parsed == [f"a_0.{suffix}", f"a_2.{suffix}"]
 
 
 @pytest.mark.parametrize("name", ["a.usda", "a.npz", "a.h5", "a.abc"])

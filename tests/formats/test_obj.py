@@ -422,6 +422,6 @@ def test_colours_follow_the_coordinates(tmp_path: Path, red: str) -> None:
 def test_weights_are_no_colours(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n")
     assert read(tmp_path / "a.obj").surface.colours is None
-    (tmp_path / "a.obj").write_text("v 0 0 0 1 red 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(FormatError, match=r"line 1: .* is not a vertex"):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0 1 red 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FormatError, match=r"a.obj, vertex 1: the colour '1 red 0' is not 3 numbers"):
         read(tmp_path / "a.obj")

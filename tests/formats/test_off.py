@@ -112,5 +112,7 @@ def test_colours(tmp_path: Path, colour: str, expected: list[float] | None) -> N
 def test_colours_that_are_no_numbers(tmp_path: Path, colour: str) -> None:
     white = " ".join("1" for _ in colour.split())
     (tmp_path / "bad.off").write_text(f"COFF\n3 1 0\n0 0 0 {white}\n1 0 0 {colour}\n0 1 0 {white}\n3 0 1 2\n")
-    with pytest.raises(FormatError, match=rf"bad.off, vertex 1: '1 0 0 {colour}' has no colour of numbers"):
+    with pytest.raises(
+        FormatError, match=rf"bad.off, vertex 1: the colour '{colour}' is not {len(colour.split())} num"
+    ):
         read(tmp_path / "bad.off")

@@ -7,7 +7,7 @@ all later files: where their faces are written in the same bytes, they need not 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,10 @@ class MeshFile:
         Name of the mesh, "" if the file has none.
     surface : Surface
         What else is on the mesh; in later frames only the colours.
+    colour_text : bytes
+        The colours as a text file has them, by which the parser sees that another file has the same.
+    told : bool
+        Of the first frame: a warning has told that colours change, and those of later frames need not be read.
     """
 
     points: FloatArray
@@ -48,6 +52,8 @@ class MeshFile:
     source: Any
     name: str = ""
     surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
+    colour_text: bytes = b""
+    told: bool = False
 
 
 Parser = Callable[[Path, MeshFile | None], MeshFile]
@@ -106,7 +112,6 @@ class _FilesReader(SequenceReader):
         self._files = files
         self._first = first
         self._parse = parse
-        self._told = False
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
@@ -128,8 +133,8 @@ class _FilesReader(SequenceReader):
                 f"{where} has other faces than {first}; every frame needs the same faces in "
                 "the same order (export with the vertex order kept)"
             )
-        if not self._told and not _alike(mesh.surface.colours, self.header.surface.colours):
-            self._told = True
+        if not self._first.told and not _alike(mesh.surface.colours, self.header.surface.colours):
+            self._first = replace(self._first, told=True)
             warn(
                 f"{self.path}: colours that change over time stay as they are in the first frame; {where} has others"
             )
@@ -137,7 +142,7 @@ class _FilesReader(SequenceReader):
 
 
 def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
-    if colours is None or first is None:
+    if colours is first or colours is None or first is None:
         return colours is first
     return np.array_equal(colours.at_corners, first.at_corners, equal_nan=True)
 

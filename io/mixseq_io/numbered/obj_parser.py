@@ -14,7 +14,7 @@ from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import WHITE, CornerValues, Surface
 from mixseq_io.blocks import warn
-from mixseq_io.colours import from_text
+from mixseq_io.numbered.colour_words import colours_of_words
 from mixseq_io.numbered.frame_files import MeshFile, excerpt
 from mixseq_io.numbered.obj_groups import Statement, grouped
 from mixseq_io.reader import read_whole, reading
@@ -32,8 +32,8 @@ _LEFT_OUT = frozenset(
     b"mtllib shadow_obj trace_obj ctech stech usemap maplib call csh res bsp bzp cdc cdp".split()
 )
 """Statements of the specification, of its older versions too, that say nothing about a polygon mesh."""
-_WITH_COLOUR = 6
-"""Numbers of a vertex with a colour; four are a point and a weight."""
+_COLOUR = 3
+"""Numbers behind a point that are a colour; a single one is a weight."""
 _LARGEST = 2**31 - 1
 _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
@@ -56,14 +56,14 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
     InvalidSequenceError
         If a face has less than three corners.
     """
-    lines = _read_lines(file, whole=like is None)
+    lines = _read_lines(file, like)
     faces = (lines.faces, lines.vertices_before)
     if like is not None and len(lines.points) == len(like.points) and faces == like.source:
-        surface = Surface(colours=_colours(like.polygons, lines.colours, len(lines.points)))
+        surface = Surface(colours=_colours(file, like.polygons, lines, like))
         return MeshFile(points=lines.points, polygons=like.polygons, source=faces, surface=surface)
     counts, corners = _parse_faces(file, lines)
     polygons = Polygons(counts, corners[:, 0])
-    colours = _colours(polygons, lines.colours, len(lines.points))
+    colours = _colours(file, polygons, lines, like)
     if like is not None:
         return MeshFile(
             points=lines.points, polygons=polygons, source=faces, surface=Surface(colours=colours)
@@ -76,7 +76,14 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
         face_sets=face_sets,
         objects=objects,
     )
-    return MeshFile(points=lines.points, polygons=polygons, source=faces, name=name, surface=surface)
+    return MeshFile(
+        points=lines.points,
+        polygons=polygons,
+        source=faces,
+        name=name,
+        surface=surface,
+        colour_text=lines.colour_text,
+    )
 
 
 @dataclass
@@ -84,7 +91,7 @@ class _Lines:
     """The lines of a file by their kinds, faces not yet parsed."""
 
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    colours: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    behind_points: list[bytes] = field(default_factory=list)
     uvs: list[tuple[float, ...]] = field(default_factory=list)
     normals: list[tuple[float, ...]] = field(default_factory=list)
     faces: list[bytes] = field(default_factory=list)
@@ -92,9 +99,14 @@ class _Lines:
     others_before: list[tuple[int, int]] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
 
+    @property
+    def colour_text(self) -> bytes:
+        return b"\n".join(self.behind_points)
 
-def _read_lines(file: Path, whole: bool) -> _Lines:
-    """Sort the lines of a file, `whole` or only vertices and faces."""
+
+def _read_lines(file: Path, like: MeshFile | None) -> _Lines:
+    """Sort the lines of a file, those of a first frame, or only vertices and faces."""
+    whole, colours = like is None, like is None or not like.told
     with reading(file, "an OBJ file"):
         lines = read_whole(file, text=True).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
     if lines and lines[0].startswith(FIRST_LINE) and lines[-1] != LAST_LINE:
@@ -107,12 +119,10 @@ def _read_lines(file: Path, whole: bool) -> _Lines:
         kind, rest = words if len(words) == 2 else (line.strip(), b"")
         try:
             if kind == b"v":
-                numbers = rest.split()
-                x, y, z = numbers[:3]
+                x, y, z, *behind = rest.split(None, 3)
                 coordinates += (float(x), float(y), float(z))
-                if len(numbers) == _WITH_COLOUR:
-                    red, green, blue = map(float, numbers[3:])
-                    found.colours[len(coordinates) // 3 - 1] = (red, green, blue)
+                if colours:
+                    found.behind_points += behind or (b"",)
             elif kind in _FACES:
                 found.faces.append(rest)
                 found.vertices_before.append(len(coordinates) // 3)
@@ -204,12 +214,16 @@ def _uvs(
     return uvs.welded(polygons.indices)
 
 
-def _colours(polygons: Polygons, found: dict[int, tuple[float, ...]], count: int) -> CornerValues | None:
+def _colours(file: Path, polygons: Polygons, lines: _Lines, like: MeshFile | None) -> CornerValues | None:
     """Return the colours that follow the coordinates of vertices; vertices without are white."""
+    if like is not None and lines.colour_text == like.colour_text:
+        return like.surface.colours
+    words = (text.split() for text in lines.behind_points)
+    found = {vertex: each for vertex, each in enumerate(words) if len(each) == _COLOUR}
     if not found:
         return None
-    values = np.tile(WHITE, (count, 1))
-    values[list(found), :3] = from_text(np.array(list(found.values())))
+    values = np.tile(WHITE, (len(lines.points), 1))
+    values[list(found), :_COLOUR] = colours_of_words(file, list(found), list(found.values()), like)
     return CornerValues(values, polygons.indices)
 
 

@@ -21,8 +21,9 @@ from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import CornerValues, Surface
-from mixseq_io.colours import colours_of_vertices, from_text, with_alpha
+from mixseq_io.colours import colours_of_vertices, with_alpha
 from mixseq_io.losses import lost_colours, lost_surface
+from mixseq_io.numbered.colour_words import colours_of_words
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
 from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 
@@ -73,28 +74,26 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
         ours = data.removeprefix(b"C").startswith(b"OFF\n" + _COMMENT + b"float32")
         vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
         faces = np.asarray(mesh["faces"]).reshape(-1, 3)
-        numbers = _colours(file, of_vertices) if lines[0].startswith(b"C") else None
+        coloured = lines[0].startswith(b"C") and not (like is not None and like.told)
+        texts = [b"".join(line.split(None, 3)[3:]) for line in of_vertices] if coloured else []
+        colour_text = b"\n".join(texts)
+        same = like is not None and colour_text == like.colour_text
+        numbers = None if same else _colours(file, texts, like)
     with naming(file):
         polygons = Polygons.from_triangles(faces.astype(np.int64))
         colours = None if numbers is None else CornerValues(numbers, polygons.indices)
-        return MeshFile(points=vertices, polygons=polygons, source=None, surface=Surface(colours=colours))
+        surface = like.surface if like is not None and same else Surface(colours=colours)
+        return MeshFile(
+            points=vertices, polygons=polygons, source=None, surface=surface, colour_text=colour_text
+        )
 
 
-def _colours(file: Path, lines: list[bytes]) -> FloatArray | None:
+def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArray | None:
     """Return the colours ``(V, 4)`` of vertices, if all have three or all have four numbers."""
-    rows = [line.split()[3:] for line in lines]
+    rows = [text.split() for text in texts]
     if not rows or len(rows[0]) not in (3, 4) or any(len(row) != len(rows[0]) for row in rows):
         return None
-    numbers = np.empty((len(rows), len(rows[0])))
-    for vertex, row in enumerate(rows):
-        try:
-            numbers[vertex] = [float(word) for word in row]
-        except ValueError:
-            raise FormatError(
-                f"{file}, vertex {vertex}: {excerpt(lines[vertex])} has no colour of numbers; three or four of them "
-                "are expected after the coordinates"
-            ) from None
-    return with_alpha(from_text(numbers))
+    return with_alpha(colours_of_words(file, range(len(rows)), rows, like))
 
 
 def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:

@@ -33,7 +33,7 @@ from mixseq.polygons import Polygons
 from mixseq.sequence import DEFAULT_FPS, SequenceHeader
 from mixseq.surface import NO_UV, WHITE, CornerValues, Surface
 from mixseq_io.blocks import warn
-from mixseq_io.colours import as_bytes, from_text, with_alpha, within_one
+from mixseq_io.colours import LARGEST_BYTE, as_bytes, from_text, with_alpha, within_one
 from mixseq_io.losses import lost_colours, lost_surface
 from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
 from mixseq_io.numbered.ply_elements import Column, Columns, read_elements
@@ -182,13 +182,19 @@ def _colour_rows(columns: Columns) -> FloatArray | None:
 
 
 def _from_zero_to_one(columns: Sequence[Column]) -> list[FloatArray]:
-    """Return numbers of colours from 0 to 1: integers by the largest of their type, floats by all of them."""
+    """Return numbers of colours from 0 to 1: integers by what stands for 1 in their type, floats by all of them."""
     floats = [each.values for each in columns if each.type.kind == "f"]
     shares = iter(from_text(np.stack(floats)) if floats else ())
     return [
-        next(shares) if each.type.kind == "f" else each.values / np.float64(np.iinfo(each.type).max)
+        next(shares) if each.type.kind == "f" else each.values / np.float64(_one_of(each.type, columns))
         for each in columns
     ]
+
+
+def _one_of(kind: np.dtype[Any], columns: Sequence[Column]) -> int:
+    """Return the integer that stands for 1: the largest of its type, or of bytes, which wider types often hold."""
+    largest = max(each.values.max(initial=0) for each in columns if each.type == kind)
+    return LARGEST_BYTE if kind.itemsize > 1 and largest <= LARGEST_BYTE else int(np.iinfo(kind).max)
 
 
 def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> NDArray[np.float32]:

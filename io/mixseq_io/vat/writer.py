@@ -32,10 +32,11 @@ VAT_EXTENSION = ".vat"
 TextureName = Literal["png16", "exr"]
 TEXTURES: tuple[TextureName, ...] = get_args(TextureName)
 
-_OWN = {
+OWN = {
     *("vat.json", "mesh.glb", *SHADERS),
     *(f"{name}.{suffix}" for name in ("points", "normals", "coefficients") for suffix in ("png", "exr")),
 }
+"""Names of the files that are written, or removed where they are of an older run."""
 
 _TRIES = 6
 _CAUTION = 0.98
@@ -130,7 +131,7 @@ def write_vat(
     else:
         textures, report = _bounded(sequence, frames, texels, kind, max_error, progress)
     texels.add_vertices(np.asarray(sequence.points[0]), len(textures.images["points"].pixels) // texels.rows)
-    with replacing_folder(folder, _OWN) as temporary:
+    with replacing_folder(folder, OWN) as temporary:
         report = replace(report, file_bytes=sum(_write_images(temporary, textures, texture)))
         mesh = temporary / "mesh.glb"
         with writing_buffer(mesh, mesh, texels.layout):

@@ -1,0 +1,47 @@
+"""Colours behind the coordinates of vertices, as words of a text file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mixseq.arrays import FloatArray
+from mixseq.errors import FormatError
+from mixseq_io.colours import from_text
+from mixseq_io.numbered.frame_files import MeshFile, excerpt
+
+
+def colours_of_words(
+    file: Path, vertices: Sequence[int], rows: Sequence[Sequence[bytes]], like: MeshFile | None
+) -> FloatArray:
+    """Return the colours of some vertices, all of which have three, or all four words.
+
+    In frames after the first, those that cannot be read are no numbers, and so others than in the first.
+
+    Raises
+    ------
+    FormatError
+        If in the first frame a word is no number.
+    """
+    try:
+        return from_text(np.array(rows, dtype=np.float64))
+    except ValueError:
+        if like is not None:
+            return np.full((len(rows), len(rows[0])), np.nan)
+        vertex, row = next(
+            each for each in zip(vertices, rows, strict=True) if not all(map(_is_number, each[1]))
+        )
+        raise FormatError(
+            f"{file}, vertex {vertex}: the colour {excerpt(b' '.join(row))} is not {len(row)} numbers, which are "
+            "expected after the coordinates"
+        ) from None
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
