@@ -99,6 +99,11 @@ class Watched:
             self._complaints.append(f"a request to {request.url}")
 
 
+def own_port() -> int:
+    """A port that no other process of this run has: tests of a module may run in several."""
+    return 8300 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+
+
 @pytest.fixture
 def new_page(browser: Browser) -> Iterator[NewPage]:
     """Opens pages for one test, which fails at its end if something went wrong on them."""

@@ -18,7 +18,7 @@ from mixseq.creature import walk_cycle
 from mixseq.scene.colours import SceneColours
 from mixseq.scene.items import Scene, SceneItem
 from mixseq.signals import Model
-from tests.viewing.conftest import NewPage
+from tests.viewing.conftest import NewPage, own_port
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -56,7 +56,7 @@ def save(path: Path, model: Model, replace: bool) -> str:
 @pytest.fixture
 def running(model: Model, tmp_path: Path) -> Iterator[Viewer]:
     scene = Scene((SceneItem("fox.h5", model),))
-    settings = ViewSettings(port=8300, folder=tmp_path, threads=1, material="toon5")
+    settings = ViewSettings(port=own_port(), folder=tmp_path, threads=1, material="toon5")
     with viewer(SceneColours(scene), settings, save) as started:
         yield started
 

@@ -15,7 +15,7 @@ from mixseq.arrays import Float
 from mixseq.correspondence.markers import Markers
 from mixseq_io.correspondence.markers import write_markers
 from tests.correspondence.foxes import seen_from_left, short, tall
-from tests.viewing.conftest import Keep, NewPage
+from tests.viewing.conftest import Keep, NewPage, own_port
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -97,7 +97,7 @@ def running(tmp_path: Path) -> Iterator[MarkingViewer]:
 
     nothing = Markers.of(np.zeros((0, 2), np.int64))
     meshes = MarkedMeshes(FOXES[0].mesh, FOXES[1].mesh, ("short.obj", "tall.obj"), nothing, "pairs.txt")
-    with marking_viewer(meshes, ViewSettings(port=8320, material="toon5"), save) as started:
+    with marking_viewer(meshes, ViewSettings(port=own_port(), material="toon5"), save) as started:
         yield started
 
 
