@@ -68,7 +68,7 @@ def fit_skin(
         in the first frame, in its pose, place and unit.
     max_error : float, optional
         Largest distance of a vertex from the sequence, in diagonals, that bones alone shall reach: there are as few as
-        it takes, to within a tenth, and at most 128. It takes the time of about two fits.
+        it takes, to within a tenth, and at most 128. It takes the time of two or three fits.
     kg : float, optional
         The same for the KG error, in percent.
 

@@ -26,7 +26,7 @@ from mixseq.coding.bitstream.revision_1 import residuals as older_residuals
 from mixseq.coding.bitstream.signal_coder import Reader, Writer
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph
 from mixseq.errors import FormatError
-from mixseq.mapping import on_threads
+from mixseq.mapping import on_two_threads
 from mixseq.pickling import PickledWithoutCaches
 
 Residuals = tuple[Index, Index]
@@ -145,8 +145,8 @@ class CodedResidualLayer(PickledWithoutCaches):
 def write_residuals(residuals: Callable[[int], Index], frames: range, graph: SignalGraph) -> bytes:
     """Code the residuals of consecutive frames, ``(V, 3)`` each; nothing at all if there are none.
 
-    Runs of `RUN` frames are coded by themselves, each on a thread of its own, so that one frame can be decoded without
-    many others: first the lengths of all runs in bytes, four bytes each, then the runs.
+    Runs of `RUN` frames are coded by themselves, two at a time, so that one frame can be decoded without many others:
+    first the lengths of all runs in bytes, four bytes each, then the runs.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def write_residuals(residuals: Callable[[int], Index], frames: range, graph: Sig
         Of the mesh.
     """
     parts = (frames[start : start + RUN] for start in range(0, len(frames), RUN))
-    runs = list(on_threads()(_write_run, (residuals, graph), parts))
+    runs = list(on_two_threads()(_write_run, (residuals, graph), parts))
     if not any(runs):
         return b""
     return np.array([len(run) for run in runs], dtype="<u4").tobytes() + b"".join(runs)

@@ -74,7 +74,7 @@ class Signal(NamedTuple):
 
     @classmethod
     def of(cls, contexts: Contexts, numbers: Index, values: Index) -> Signal:
-        """Make one of 16 bytes a node, if its numbers are not too large for that."""
+        """Make one of 20 bytes a node, if its numbers are not too large for that."""
         known, neighbours, counts, activity, around, before = contexts
         sizes = _small(activity), _small(around), _small(before)
         return cls(known, neighbours, counts, sizes, _small(numbers), _small(values))
