@@ -51,7 +51,10 @@ def fewest_bones(
     while few < most and (best is None or enough - few > _margin(enough)):
         last = enough - _margin(enough) if best else most
         count = min(
-            last, max(_promising(roughly, few, last, wanted / left), few + (1 if best else _margin(few)))
+            last,
+            max(
+                _promising(roughly, few, last, wanted / max(left, _NONE)), few + (1 if best else _margin(few))
+            ),
         )
         if tries >= _GUESSED:
             count = (few + enough) // 2 if best else min(2 * few, most)

@@ -112,3 +112,10 @@ def test_what_bones_do_not_reach_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
     ):
         fit_skin(skinned_bar(), max_error=0.001)
     np.testing.assert_array_equal(skin.weights[:, 0], 1)
+
+
+def test_bones_that_are_exact_are_as_few_as_can_be() -> None:
+    found, error = fewest_bones(
+        lambda count: 4 / count, lambda _: 0.0, lambda count: (cast(Any, count), 0.0), 1.0, 128
+    )
+    assert (cast(int, found), error) == (1, 0.0)
