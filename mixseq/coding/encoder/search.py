@@ -114,7 +114,7 @@ class Search:
         return [
             trial
             if trial.candidate.share == 1
-            else self._try(ways.whole(way), _next_step(trial, error / trial.error))
+            else self._try(ways.whole(way), _next_step(trial.step, error / trial.error, _slope(trial)))
             for size, way, trial in found[:2]
             if size <= NEARLY * found[0][0]
         ]
@@ -188,9 +188,9 @@ def _lowest(value: Callable[[Way], float], numbers: list[Way], start: Way) -> No
             break
 
 
-def _next_step(trial: Trial, room: float) -> float:
-    """Return the step that should make an error that is larger by a factor."""
-    return trial.step * float(np.clip((room / (1 + CLOSE / 3)) ** (1 / _slope(trial)), 0.05, 20.0))
+def _next_step(step: float, room: float, slope: float) -> float:
+    """Return the step that should use up the room, which is about the power -`slope` of steps."""
+    return step * float(np.clip((room / (1 + CLOSE / 3)) ** (1 / slope), 0.05, 20.0))
 
 
 def _closest(
@@ -218,7 +218,7 @@ def _closest(
                 slope = float(measured)
         before = step, left
         del last
-        last = try_with(candidate, step * float(np.clip((left / (1 + CLOSE / 3)) ** (1 / slope), 0.05, 20.0)))
+        last = try_with(candidate, _next_step(step, left, slope))
         if last.step == step:  # there is no finer one
             break
     return best
