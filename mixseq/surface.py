@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 from mixseq.arrays import FloatArray, Index, IntArray
 from mixseq.errors import InvalidSequenceError
 from mixseq.polygons import Polygons, as_indices, frozen
-from mixseq.renamed import renamed_attributes
 
 SUBDIVISIONS = ("none", "catmullClark", "loop", "bilinear")
 
@@ -198,7 +197,6 @@ class Origin:
     path: str
 
 
-@renamed_attributes(creases="hard_edges")
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Surface:
     """What a mesh has besides its faces.

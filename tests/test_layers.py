@@ -30,7 +30,7 @@ LAYERS = (
         "threads",
         "version",
     ),
-    ("compiled", "dask_executor", "mapping", "polygons", "renamed", "disk_array", "warned"),
+    ("compiled", "dask_executor", "mapping", "polygons", "disk_array", "warned"),
     ("cluster", "polygon_matching", "surface"),
     ("sequence_header",),
     ("sequence",),

@@ -241,7 +241,6 @@ def space_options(command: Command) -> Command:
     )
     @setting(
         "--stretch-tolerance",
-        renamed_from="shrink",
         type=click.FloatRange(min=0, min_open=True),
         metavar="X",
         help="Let joints go on inside parts where blending shortens edges by more than this share.",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,7 @@ from mixseq.cli.frames import FrameChoice, frames_option
 from mixseq.cli.options import FILE, examples, quiet_option, reader_options
 from mixseq.cli.overwriting import Claim, overwrite_option
 from mixseq.cli.settings import CommandWithSettings
-from mixseq.errors import MixseqWarning, SettingsError
-
-
-def _as_kind(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
-    """Take the old name of the embedding, for one more version."""
-    if value != "layout":
-        return value
-    warnings.warn("the picture layout is now embedding", MixseqWarning, stacklevel=2)
-    return "embedding"
+from mixseq.errors import SettingsError
 
 
 @click.command(
@@ -42,9 +33,7 @@ def _as_kind(context: click.Context, option: click.Parameter, value: str | None)
 @click.argument("files", metavar="MODEL TARGET | --video FILM FILES...", nargs=-1, type=FILE)
 @click.option(
     "--kind",
-    type=click.Choice([*PICTURES, "layout"]),
-    callback=_as_kind,
-    metavar=f"[{'|'.join(PICTURES)}]",
+    type=click.Choice(PICTURES),
     help="One picture only.  [default: all of them on one page]",
 )
 @click.option(

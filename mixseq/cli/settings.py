@@ -6,31 +6,18 @@ lists settings apart from options.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import click
 
-from mixseq.errors import MixseqWarning
-
 ON = ("yes", "true", "on", "1")
 OFF = ("no", "false", "off", "0")
 
 
 class Setting(click.Option):
-    """An option that is listed among the settings.
-
-    Attributes
-    ----------
-    renamed_from : str, optional
-        Its old name, which works for one more version, with a warning.
-    """
-
-    def __init__(self, *args: Any, renamed_from: str | None = None, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.renamed_from = renamed_from
+    """An option that is listed among the settings."""
 
     @property
     def key(self) -> str:
@@ -87,31 +74,20 @@ class CommandWithSettings(click.Command):
         for arg in rest:
             option, given, text = arg.partition("=")
             if option != "--set":
-                old = option.removeprefix("--").replace("-", "_") if option.startswith("--") else ""
-                yield arg.replace(option, self._renamed(old).opts[-1], 1) if old in self._old_names else arg
+                yield arg
                 if arg == "--":
                     yield from rest
                 continue
             if not given:
                 text = next(rest, "")
             name, given, value = text.partition("=")
-            name = name.replace("-", "_")
-            found = self._renamed(name) if name in self._old_names else self.settings.get(name)
+            found = self.settings.get(name.replace("-", "_"))
             if found is None or not given:
                 names = ", ".join(self.settings)
                 raise click.BadParameter(
                     f"{text!r} is not NAME=VALUE with one of: {names}", ctx=ctx, param_hint="'--set'"
                 )
             yield from found.spelled(value)
-
-    @property
-    def _old_names(self) -> dict[str, Setting]:
-        return {each.renamed_from: each for each in self.settings.values() if each.renamed_from}
-
-    def _renamed(self, old: str) -> Setting:
-        found = self._old_names[old]
-        warnings.warn(f"the setting {old} is now {found.key}", MixseqWarning, stacklevel=2)
-        return found
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and after them the settings."""

@@ -29,7 +29,6 @@ from mixseq.mapping import Executor, on_threads
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.progress import Progress, Stages, silent
 from mixseq.public import public
-from mixseq.renamed import moved, renamed
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.shells.fitting import ShellReport
 from mixseq.signals.detail import encode
@@ -68,7 +67,6 @@ class PoseInterpolator(PickledWithoutCaches):
     vectors: Float
 
     @classmethod
-    @renamed(motion="segmentation", shrink="stretch_tolerance")
     def of(
         cls,
         poses: Frames,
@@ -156,7 +154,6 @@ class PoseInterpolator(PickledWithoutCaches):
             return np.concatenate([weights @ shapes, placement])[None]
 
 
-@renamed(motion="segmentation", shrink="stretch_tolerance")
 @public
 def interpolate(
     poses: Frames,
@@ -267,6 +264,3 @@ def checked_weights(weights: ArrayLike, count: int) -> Float:
             else "weights add up to 0 and must add up to 1; raise one of them"
         )
     return np.asarray(numbers / total)
-
-
-__getattr__ = moved(__name__, Blend=f"{__name__}:PoseInterpolator")

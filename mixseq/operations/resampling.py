@@ -21,7 +21,6 @@ from mixseq.mapping import Executor
 from mixseq.operations.retiming import Retiming
 from mixseq.progress import Progress, silent
 from mixseq.public import public
-from mixseq.renamed import renamed
 from mixseq.sequence import Frames, MeshSequence, collect
 from mixseq.sequence_header import MOST_FRAMES, SequenceHeader
 from mixseq.signals.decoding import FRAMES
@@ -119,7 +118,6 @@ def _frame_times(start: float, end: float, fps: float, slack: float) -> Float:
     return np.asarray(np.arange(int(first), int(last) + 1) / fps)
 
 
-@renamed(model="source")
 @public
 def resample(
     source: Model | Frames,

@@ -19,7 +19,6 @@ from mixseq.plots.models import check_settings, plot_model
 from mixseq.plots.sheet_layout import DPI, Target
 from mixseq.plots.sheets import contact_sheet
 from mixseq.plots.two_sides import draw_segmentation
-from mixseq.renamed import moved
 from mixseq.scene.camera import Limits, View, shared_limits, three_quarter_view
 from mixseq.scene.palettes import CLAY, INK, JOINT_RED, part_colours, segmentation_colours
 
@@ -53,5 +52,3 @@ __all__ = [
     "three_quarter_view",
     "vertex_errors",
 ]
-
-__getattr__ = moved(__name__, draw_layout="mixseq.plots:draw_embedding")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -94,7 +93,6 @@ def plot_model(
         If matplotlib is not installed.
     """
     chosen = picture_format(target, file_format)
-    kind = known_picture(kind)
     check_settings(kind, against is not None, frames, tolerance, camera)
     with chart_style():
         content = _content(model, kind, against, frames, tolerance, camera, progress)
@@ -102,14 +100,6 @@ def plot_model(
         page = new_page(content.width, content.height + _HEADING, title)
         content.draw(page)
         save_page(page, target, chosen)
-
-
-def known_picture(kind: str | None) -> PictureKind | None:
-    """Return a kind of picture by its name; layout, the old name of the embedding, works with a warning."""
-    if kind == "layout":
-        warnings.warn("the picture layout is now embedding", DeprecationWarning, stacklevel=3)
-        return "embedding"
-    return cast("PictureKind | None", kind)  # `check_settings` refuses others
 
 
 def summary(model: Model) -> str:

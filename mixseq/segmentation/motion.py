@@ -21,7 +21,6 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.geometry.rigid import bend
-from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.boundaries import Rim
 from mixseq.segmentation.clusters import Clusters, moments_of, tally
 from mixseq.segmentation.elements import Elements
@@ -37,7 +36,6 @@ LARGE = 160_000
 """Meshes with more faces are clustered by cells alone: their borders are off by no more than an edge. Ours."""
 
 
-@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class MotionSettings:
     """Settings of `segment_by_motion`.

@@ -31,7 +31,6 @@ import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.errors import SettingsError
-from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.deformation import some_frames, vertex_bending, vertex_strain
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
@@ -39,7 +38,6 @@ from mixseq.segmentation.growing import check_parts, flood
 from mixseq.topology import Topology
 
 
-@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class SilhouetteSettings:
     """Settings of `segment_by_silhouettes`. The quantities N, K and K' are the paper's, all values are ours.

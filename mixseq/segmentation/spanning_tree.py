@@ -23,7 +23,6 @@ import numpy as np
 
 from mixseq.arrays import FloatArray, Index
 from mixseq.errors import SettingsError
-from mixseq.renamed import renamed_attributes
 from mixseq.segmentation.deformation import some_frames, vertex_bending
 from mixseq.segmentation.diffusion import Diffusion
 from mixseq.segmentation.elements import face_areas
@@ -31,7 +30,6 @@ from mixseq.segmentation.growing import check_parts, flood
 from mixseq.topology import Topology
 
 
-@renamed_attributes(crumb="small_region")
 @dataclass(frozen=True)
 class SpanningTreeSettings:
     """Settings of `segment_by_spanning_tree`. The values are ours; the paper gives none.

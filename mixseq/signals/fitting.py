@@ -14,7 +14,6 @@ from mixseq.frame_store import frame_store
 from mixseq.mapping import Executor, on_threads
 from mixseq.progress import Progress, Stages, silent
 from mixseq.public import public
-from mixseq.renamed import renamed
 from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, build, encode
@@ -47,7 +46,6 @@ class FitOptions(SpaceOptions, total=False):
     pose: PoseForm
 
 
-@renamed(motion="segmentation", shrink="stretch_tolerance")
 @public
 def fit(
     sequence: Frames,

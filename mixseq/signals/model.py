@@ -11,7 +11,6 @@ Where the parts of the shape are in the world is no matter of shape: the **place
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -23,7 +22,6 @@ from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.polygons import frozen
-from mixseq.renamed import renamed_attributes
 from mixseq.sequence_header import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.decoding import Decodable, ResidualLayer
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
     from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
-@renamed_attributes(corrections="residual_layer")
 @dataclass(frozen=True, eq=False)
 class Model(Decodable, PickledWithoutCaches):
     """A mesh sequence as signals in a shape space, continuous in time. Make it with `mixseq.fit` or `mixseq.load`.
@@ -218,11 +215,6 @@ class Model(Decodable, PickledWithoutCaches):
         origin, axes, _ = self.plane if plane is None else self.known(plane)
         weights = self.pose.weights(self.time(self.inside(times)))
         return np.asarray((weights - origin) @ axes)
-
-    def layout(self, times: ArrayLike, plane: Plane | None = None) -> Float:
-        """Do what `embedding` does: its old name, which works for one more version."""
-        warnings.warn("Model: layout is now embedding", DeprecationWarning, stacklevel=2)
-        return self.embedding(times, plane)
 
     def known(self, plane: Plane) -> Plane:
         """Return a plane as it is, if it can be one of this model; raises what `Plane.checked` does."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar
@@ -54,11 +53,6 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def dim(self) -> int:
         """Length D of a vector."""
 
-    def prepare(self) -> None:
-        """Do what `prepared` does: its old name, which works for one more version."""
-        warnings.warn("prepare is now prepared", DeprecationWarning, stacklevel=2)
-        self.prepared()
-
     @property
     @abstractmethod
     def weights(self) -> Float:
@@ -78,12 +72,6 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     def embedding_weights(self) -> Float:
         """Weights ``(S,)`` of the same where poses are to be told apart: embeddings, and what is similar."""
         return self.shape_weights
-
-    @property
-    def layout_weights(self) -> Float:
-        """The same by its old name, which works for one more version."""
-        warnings.warn("layout_weights is now embedding_weights", DeprecationWarning, stacklevel=2)
-        return self.embedding_weights
 
     @property
     def rotation_count(self) -> int:

@@ -11,7 +11,6 @@ import numpy as np
 from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.polygons import frozen
 from mixseq.progress import Progress, silent
-from mixseq.renamed import renamed_attributes
 from mixseq.spaces.base import Carry, ShapeSpace, unchanged
 from mixseq.threads import one_blas_thread
 
@@ -22,7 +21,6 @@ MOST_BLOCKS = 128
 """Bases that fall into more pieces than a compressed sequence has parts are taken as one."""
 
 
-@renamed_attributes(fields="basis")
 @dataclass(frozen=True, eq=False)
 class BasisSpace(ShapeSpace):
     r"""Vectors are coefficients :math:`c_k \in R^3` of a spatial basis: :math:`x(v) = \sum_k b_k(v)\, c_k`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict
@@ -90,15 +89,13 @@ class SpaceOptions(TypedDict, total=False):
     shell: ShellSettings | None
 
 
-def space_settings(name: SpaceName, edge: EdgeSettings | None = None, **given: Any) -> SpaceSettings:
+def space_settings(name: SpaceName, **given: Any) -> SpaceSettings:
     """Make the settings of a space of what users chose, by the names of the settings.
 
     Parameters
     ----------
     name : str
         Name of the space.
-    edge : EdgeSettings, optional
-        Deprecated: settings of the edge space together.
     **given
         Settings by name. Those of other spaces are allowed as long as they are what they are by default.
 
@@ -108,9 +105,6 @@ def space_settings(name: SpaceName, edge: EdgeSettings | None = None, **given: A
         If the name is none of `SPACES`, or the space has no use for a setting.
     """
     _check_name(name)
-    if edge is not None:
-        warnings.warn("edge=EdgeSettings('dso') is now projection='dso'", DeprecationWarning, stacklevel=5)
-        given |= {name: value for name, value in vars(edge).items() if value is not None}
     known = _defaults(name)
     for setting, value in given.items():
         owners = [other for other in SPACES if setting in _defaults(other)]

@@ -7,24 +7,18 @@ that they are given at, counted from each mesh's first one, and starts again aft
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.frame_rates import exact_rate
-from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor
 from mixseq.progress import Progress, Stages, silent
-from mixseq.scene import Colouring, SceneItem
 from mixseq.sequence import SequenceHeader
-from mixseq.signals import Model
 from mixseq.version import __version__
 from mixseq.viewing.compressing import PageItemReport, page_mesh
 from mixseq.viewing.gathering import Gathered, PageItem, gather, page_items
@@ -207,46 +201,3 @@ def _tops(items: Sequence[PageItem]) -> dict[str, float]:
             if not colouring.constant:
                 tops[name] = max(tops.get(name, 0.0), colouring.top)
     return tops
-
-
-# Former names, for one more version -----------------------------------------------------------------------
-
-Poses = Callable[[Float], Iterable[FloatArray]]
-"""Takes times ``(n,)`` since the first frame, yields points ``(B, V, 3)`` in blocks."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Given(SceneItem):
-    """A mesh whose poses and times are what a caller of `Exported` gave."""
-
-    given: Poses
-    times: Float
-
-    @property
-    def elapsed(self) -> Float:
-        """The times that were given."""
-        return self.times
-
-    def poses(self, elapsed: Float, workers: Executor | None = None) -> Iterator[FloatArray]:
-        """Yield what was given."""
-        yield from self.given(elapsed)
-
-
-def Exported(  # noqa: N802 - a class before
-    name: str,
-    header: SequenceHeader,
-    poses: Poses,
-    elapsed: Float,
-    colourings: Mapping[str, Colouring],
-    signals: Mapping[str, Any] | None = None,
-) -> PageItem:
-    """Make a `PageItem` as `Exported` was made before."""
-    warnings.warn("Exported is now PageItem(SceneItem(name, motion), colourings)", DeprecationWarning, 2)
-    motion = FrameStore(header, np.zeros((0, header.vertex_count, 3)))
-    return PageItem(_Given(name, motion, poses, elapsed), colourings, signals)
-
-
-def poses_of(motion: Model | FrameStore, workers: Executor | None = None) -> Poses:
-    """Return `SceneItem.poses` of a motion, as it was called before."""
-    warnings.warn("poses_of(motion) is now SceneItem(name, motion).poses", DeprecationWarning, 2)
-    return partial(SceneItem("", motion).poses, workers=workers)

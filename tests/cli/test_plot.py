@@ -179,8 +179,3 @@ def test_an_error_while_writing(run: Run, contents: Contents, monkeypatch: pytes
     assert result.exit_code == 2
     assert re.search("cannot write .*No space left on device; free some space", result.stderr)
     assert contents() == before
-
-
-def test_the_embedding_was_called_layout(run: Run) -> None:
-    result = run("plot", "model.h5", "new.png", "--kind", "layout")
-    assert (result.exit_code, "the picture layout is now embedding" in result.stderr) == (0, True)

@@ -11,7 +11,6 @@ from click.testing import CliRunner
 import mixseq
 from mixseq.cli import main
 from mixseq.cli.settings import CommandWithSettings, setting
-from mixseq.errors import MixseqWarning
 from mixseq.spaces import MixedSpace
 from tests.cli.conftest import Run
 
@@ -19,7 +18,7 @@ from tests.cli.conftest import Run
 @click.command("try", cls=CommandWithSettings)
 @click.argument("words", nargs=-1)
 @click.option("--loud", is_flag=True, help="Loudly.")
-@setting("--how-often", renamed_from="often", type=int, metavar="N", help="So often.")
+@setting("--how-often", type=int, metavar="N", help="So often.")
 @setting("--polite/--rude", default=True, help="Say please.")
 @setting("--all", "everything", is_flag=True, help="All of it.")
 def tried(words: tuple[str, ...], loud: bool, how_often: int | None, polite: bool, everything: bool) -> None:
@@ -40,12 +39,6 @@ def told(*arguments: str) -> str:
 )
 def test_settings_are_options_by_name(arguments: tuple[str, ...]) -> None:
     assert told(*arguments) == "a|False|3|False|True"
-
-
-@pytest.mark.parametrize("arguments", [("--often", "3"), ("--often=3",), ("--set", "often=3")])
-def test_old_names_work_with_a_warning(arguments: tuple[str, ...]) -> None:
-    with pytest.warns(MixseqWarning, match="the setting often is now how_often"):
-        assert told(*arguments) == "|False|3|True|False"
 
 
 def test_what_is_off_stays_off() -> None:

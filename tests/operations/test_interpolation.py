@@ -231,9 +231,3 @@ def test_a_fox_comes_back_from_its_file(data: Path, space: SpaceName, tmp_path: 
     mixseq.save(tmp_path / "fox.h5", mixseq.fit(some, exact=True, space=space))
     decoded = mixseq.load(tmp_path / "fox.h5").sample()
     assert np.linalg.norm(decoded.points - some.points, axis=2).max() < 1e-6 * some.diagonal
-
-
-def test_the_old_name_works() -> None:
-    with pytest.warns(DeprecationWarning, match="Blend is now .*PoseInterpolator"):
-        from mixseq.operations.interpolation import Blend
-    assert Blend is PoseInterpolator

@@ -108,14 +108,3 @@ def test_docstrings_say_the_same(name: str) -> None:
         r"The residual layer is\s+(kept|left out|retimed|encoded)", getattr(operations, name).__doc__
     )
     assert told is not None and told[1] == documented()[name]
-
-
-def test_the_old_name_works() -> None:
-    layer = Rising(3)
-    with pytest.warns(DeprecationWarning, match="Model: corrections is now residual_layer") as told:
-        model = replace(bar_motion(), corrections=layer)  # type: ignore[call-arg]
-    assert told[0].filename.endswith("dataclasses.py")
-    assert model.residual_layer is layer
-    with pytest.warns(DeprecationWarning, match="Model: corrections is now residual_layer") as told:
-        assert model.corrections is layer  # type: ignore[attr-defined]
-    assert told[0].filename == __file__

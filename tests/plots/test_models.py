@@ -167,8 +167,3 @@ def test_very_short_sequences(frames: int, kind: PictureKind, bent_bar: MeshSequ
     short = MeshSequence.from_arrays(bent_bar.points[:frames], bent_bar.faces, fps=10)
     against = short if kind == "error-frames" else None
     assert picture(fit(short, exact=True, space="vertex"), kind, against=against)
-
-
-def test_the_embedding_was_called_layout(bar_model: Model) -> None:
-    with pytest.warns(DeprecationWarning, match="layout is now embedding"):
-        assert picture(bar_model, "layout") == picture(bar_model, "embedding")  # type: ignore[arg-type]

@@ -127,15 +127,6 @@ def test_settings_of_the_edge_space_are_used() -> None:
     assert (space.shell, space.settings) == (shell, EdgeSettings("dso", shell=shell))
 
 
-def test_settings_of_the_edge_space_may_come_together() -> None:
-    with pytest.warns(DeprecationWarning, match="edge=.* is now projection=") as heard:
-        together = EdgeSettings("dso", volume=0.5, shell=ShellSettings(bending=0.7))
-        space = fit(SMALL, exact=True, space="edge", edge=together).space  # type: ignore[call-arg]
-    assert heard[0].filename == __file__
-    assert isinstance(space, EdgeSpace)
-    assert space.settings == together
-
-
 @pytest.mark.parametrize("space", ["vertex", "gradient", "lri", "edge"])
 def test_other_spaces_have_no_parts(space: SpaceName) -> None:
     with pytest.raises(

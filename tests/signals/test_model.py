@@ -179,10 +179,6 @@ def test_no_times_give_nothing() -> None:
     model = fit(bar(sides=5, rings=9, frames=3), exact=True)
     assert model.curve([]).shape == model.rates([]).shape == (0, model.space.dim)
     assert model.embedding([]).shape == (0, 2)
-    with pytest.warns(DeprecationWarning, match="layout is now embedding"):
-        assert model.layout([]).shape == (0, 2)
-    with pytest.warns(DeprecationWarning, match="layout_weights is now embedding_weights"):
-        np.testing.assert_array_equal(model.space.layout_weights, model.space.embedding_weights)
 
 
 def test_repr_tells_what_it_is() -> None:

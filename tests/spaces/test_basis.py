@@ -99,14 +99,6 @@ def test_it_is_a_space() -> None:
     np.testing.assert_array_equal(copy.decode(some_vectors(1)), SPACE.decode(some_vectors(1)))
 
 
-def test_the_old_name_of_the_basis_works_with_a_warning() -> None:
-    with pytest.warns(DeprecationWarning, match="fields is now basis"):
-        np.testing.assert_array_equal(SPACE.fields, SPACE.basis)  # type: ignore[attr-defined]
-    with pytest.warns(DeprecationWarning, match="fields is now basis"):
-        again = BasisSpace(fields=VECTORS, scale=2.5)  # type: ignore[call-arg]
-    np.testing.assert_array_equal(again.basis, SPACE.basis)
-
-
 def test_vectors_of_parts_are_as_all_of_them() -> None:
     """Where vectors are zero on each other's vertices, only those of a vertex's part are added; some have none."""
     basis = np.zeros((6, 31))

@@ -7,7 +7,6 @@ import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from html import unescape
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from mixseq.coding.bitstream.compressed_sequence import to_model
 from mixseq.coding.encoder.compress import compress
 from mixseq.coding.encoder.numbering import cheapest_numbering
 from mixseq.errors import InvalidSequenceError, SettingsError
-from mixseq.frame_store import FrameStore, frame_store
+from mixseq.frame_store import FrameStore
 from mixseq.mapping import Executor
 from mixseq.scene import SceneItem
 from mixseq.scene.camera import View, shared_limits, three_quarter_view, y_up
@@ -457,35 +456,3 @@ def test_meshes_without_colours_are_refused(tmp_path: Path) -> None:
 def test_other_poses_are_refused(tmp_path: Path, blocks: list[FloatArray], words: str) -> None:
     with pytest.raises(InvalidSequenceError, match=words):
         export_page(tmp_path / "a.html", [given_poses(exported(bar()), blocks)])
-
-
-# Former names ---------------------------------------------------------------------------------------------
-
-
-def test_former_names_make_the_same_page_with_a_warning(tmp_path: Path) -> None:
-    from mixseq.viewing.export import Exported, poses_of
-
-    sequence = bar()
-    item = exported(sequence)
-    with pytest.warns(DeprecationWarning, match=r"now SceneItem\(name, motion\)\.poses"):
-        poses = poses_of(frame_store(sequence))
-    with pytest.warns(DeprecationWarning, match="Exported is now PageItem"):
-        former = Exported("bar", sequence.header, poses, item.mesh.elapsed, item.colourings)
-    for name, given_ in (("new", item), ("former", former)):
-        export_page(tmp_path / f"{name}.html", [given_])
-    assert (tmp_path / "new.html").read_bytes() == (tmp_path / "former.html").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("module", "name", "new"),
-    [
-        ("mixseq.plots.video", "Shown", "SceneItem"),
-        ("mixseq.viewing.colouring", "colourings_of", "colourings_of"),
-        ("mixseq.viewing.colouring", "Colouring", "Colouring"),
-    ],
-)
-def test_names_that_moved_to_the_scene(module: str, name: str, new: str) -> None:
-    import mixseq.scene
-
-    with pytest.warns(DeprecationWarning, match=rf"{module}\.{name} is now mixseq\.scene"):
-        assert getattr(import_module(module), name) is getattr(mixseq.scene, new)

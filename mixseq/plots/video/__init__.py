@@ -7,7 +7,6 @@ in which file (encoding; gif, h264, av1 with mp4).
 from mixseq.choices import COLOURS, Colour
 from mixseq.plots.video.encoding import FILM_FORMATS, FilmFormat, check_film, film_format
 from mixseq.plots.video.film import FilmSettings, film
-from mixseq.renamed import moved
 
 __all__ = [
     "COLOURS",
@@ -19,5 +18,3 @@ __all__ = [
     "film",
     "film_format",
 ]
-
-__getattr__ = moved(__name__, Shown="mixseq.scene:SceneItem")
