@@ -54,7 +54,7 @@ def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = No
     Parameters
     ----------
     path : path-like
-        A file that `save` wrote, of this version or an older one; its signals may have been edited.
+        A file that `save` wrote; its signals may have been edited.
     salvage : bool
         Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
         accuracy. Other files are loaded as usual.
@@ -68,7 +68,7 @@ def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = No
     Raises
     ------
     FormatError
-        If the file is missing, damaged, not a model, or written by a newer mixseq, if its signals contradict
+        If the file is missing, damaged, not a model, or written by another version of mixseq, if its signals contradict
         each other, or if it takes more than `max_memory`.
     """
     with memory_limit(max_memory):

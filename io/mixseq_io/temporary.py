@@ -24,7 +24,7 @@ from mixseq.interrupts import held
 _OLD = 24 * 3600.0  # seconds
 _HOST = re.sub(r"[^\w-]", "-", platform.node())[:32] or "host"
 _AWAY = ".old."
-_NAME = re.compile(r"\.mixseq(?:\.([\w-]+))?\.[^.]{8}(?=\.|$)")  # those of earlier versions have no host
+_NAME = re.compile(r"\.mixseq\.([\w-]+)\.[^.]{8}(?=\.|$)")
 
 
 @contextmanager

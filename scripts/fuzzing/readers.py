@@ -74,7 +74,7 @@ _NUMBERED = "*_0001.*"
 
 READERS: Mapping[str, Reader] = {
     "h5": Reader(
-        uses.convert, (Sample("h5", "walk.h5"), Sample("sequence-v2", "model.h5")), _H5, checksums=True
+        uses.convert, (Sample("h5", "walk.h5"), Sample("sequence-v1", "model.h5")), _H5, checksums=True
     ),
     "model": Reader(
         uses.decode,
@@ -85,27 +85,10 @@ READERS: Mapping[str, Reader] = {
             "model-gradient",
             "model-lri",
             "model-edge",
-            "model-v6",
+            "model-v1",
         ),
         _H5,
         checksums=True,
-    ),
-    # before version 2, and 6 of models, names and axes had no checksum
-    "older": Reader(
-        uses.convert,
-        (
-            Sample("sequence-v1", "model.h5"),
-            *_models(
-                "model-v1",
-                "model-v2",
-                "model-v2-rank",
-                "model-v2-vertex",
-                "model-v3-edge",
-                "model-v3-gradient",
-            ),
-            *_models("model-v3-lri", "model-v5", "model-v5-edge", "model-v5-free", "model-v5-lri"),
-        ),
-        _H5,
     ),
     "compressed": Reader(
         uses.decode_compressed,

@@ -111,6 +111,7 @@ ELSEWHERE: dict[str, tuple[Spoil, str]] = {
     "crowd": (crowd, f"has more than {MOST_OBJECTS} objects"),
     "reference": (reference, "/polygons, attribute note, has the type reference"),
     "attribute without value": (attribute(h5py.Empty("f8")), "attribute note, has no value"),
+    "attribute of any length": (attribute("text"), "attribute note, has strings of any length"),
     "attribute of lists": (lists, "attribute note, has the type list"),
     "large attribute": (attribute(np.zeros(1 << 18)), "attribute note, is too large"),
     "many attributes": (many_attributes, "/polygons has 101 attributes"),
@@ -121,7 +122,7 @@ ELSEWHERE: dict[str, tuple[Spoil, str]] = {
 def file(request: pytest.FixtureRequest, tmp_path: Path, plain: MeshSequence) -> Path:
     path = tmp_path / "strange.h5"
     if request.param == "model":
-        shutil.copy(GOLDEN / "model-v5-edge.h5", path)
+        shutil.copy(GOLDEN / "model-v1-edge.h5", path)
     else:
         mixseq.write(path, plain)
     # What a link would find.

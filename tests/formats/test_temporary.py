@@ -59,10 +59,8 @@ def test_what_is_being_written_is_left_alone(tmp_path: Path) -> None:
     assert names(tmp_path) == ["a.npz", "b_1.obj", "c.npz"]
 
 
-@pytest.mark.parametrize(
-    "name", ["another.01234567.usdc", "another.01234567.lock", "01234567.usdc", "abcd_f12"]
-)
-def test_those_of_other_hosts_and_versions_are_cleared_when_they_are_old(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["another.01234567.usdc", "another.01234567.lock"])
+def test_those_of_other_hosts_are_cleared_when_they_are_old(tmp_path: Path, name: str) -> None:
     left = tmp_path / f".mixseq.{name}"
     left.mkdir()
     (left / "1.obj").touch()

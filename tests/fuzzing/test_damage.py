@@ -27,7 +27,7 @@ JSON = b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "walk.bin", "byteLeng
 def sound(name: str) -> bytes:
     if name == "rig.usda":
         return RIG.read_bytes()
-    return JSON if name == "walk.gltf" else (GOLDEN / f"sequence-v2{Path(name).suffix}").read_bytes()
+    return JSON if name == "walk.gltf" else (GOLDEN / f"sequence-v1{Path(name).suffix}").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Read HDF5 files in a process of their own: attributes and arrays come from there as plain values.
 
-One flipped bit in a string of any length lets HDF5 search for ever, deaf to Ctrl-C, and a crafted file can crash it.
+One flipped bit can let HDF5 search for ever, deaf to Ctrl-C, and a crafted file can crash it.
 So HDF5 reads no file in the user's process, which does not even import it: see `mixseq_io.isolation`, and
 `mixseq_io.hdf5.unpacking` for the other side.
 """
@@ -44,12 +44,12 @@ class Contents:
     @property
     def kind(self) -> str | None:
         """The root attribute `format`."""
-        return self.text("format") if isinstance(self.attrs.get("format"), bytes | str) else None
+        return self.text("format") if isinstance(self.attrs.get("format"), bytes) else None
 
     def text(self, name: str, group: str = "") -> str:
-        """Return an attribute as text, whether it was stored with a fixed length or, as formerly, with any."""
-        value = self.attributes[group][name]
-        return value.decode("utf-8", "surrogateescape") if isinstance(value, bytes) else str(value)
+        """Return an attribute as text."""
+        text: str = self.attributes[group][name].decode("utf-8", "surrogateescape")
+        return text
 
 
 def read_attributes(path: Path) -> Contents:

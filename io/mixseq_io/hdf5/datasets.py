@@ -145,28 +145,19 @@ def write_settings(file: h5py.File, settings: Mapping[str, Mapping[str, Any]]) -
 
 
 def read_settings(path: Path, file: Contents, about: str, known: Collection[str]) -> dict[str, Any]:
-    """Read settings of what they are about, which are among those that are known."""
-    found: dict[str, Any] = _all_settings(file)[about]
-    unknown = sorted(set(found) - set(known))
-    if unknown:
-        raise FormatError(f"{path}: this mixseq does not know the setting {unknown[0]!r}; upgrade it")
+    """Read all settings of what they are about."""
+    found: dict[str, Any] = json.loads(file.text("settings"))[about]
+    others = sorted(set(found) ^ set(known))
+    if others:
+        raise FormatError(f"{path}: the setting {others[0]!r} is missing or not known; it is damaged")
     return found
-
-
-def _all_settings(file: Contents) -> dict[str, dict[str, Any]]:
-    settings: dict[str, dict[str, Any]] = json.loads(file.text("settings"))
-    return settings
 
 
 def read_shell(path: Path, file: Contents) -> ShellSettings:
     """Read the settings of fits to lengths and angles."""
-    shell = read_settings(path, file, "shell", ShellSettings.__dataclass_fields__)
-    return ShellSettings(**{"accuracy": 0.0, **shell})  # older files were checked without it
+    return ShellSettings(**read_settings(path, file, "shell", ShellSettings.__dataclass_fields__))
 
 
 def read_relaxation(path: Path, file: Contents) -> Relaxation:
-    """Read how lengths and angles are made to agree; older models, where they were fitted to, do as new ones."""
-    if "relaxation" not in _all_settings(file):
-        read_shell(path, file)
-        return Relaxation()
+    """Read how lengths and angles are made to agree."""
     return Relaxation(**read_settings(path, file, "relaxation", Relaxation.__dataclass_fields__))

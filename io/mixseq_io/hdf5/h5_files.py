@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixseq.errors import FormatError
 from mixseq.sequence import Polygons, SequenceHeader
 from mixseq_io.hdf5.contents import Contents
-from mixseq_io.reader import refuse_newer
 from mixseq_io.surface_arrays import SURFACE_ARRAYS, surface_of_arrays
 
 MODEL_FORMAT = "mixseq-model"
@@ -18,8 +18,13 @@ MODEL_FORMAT = "mixseq-model"
 
 
 def check_version(path: Path, file: Contents, known: int) -> None:
-    """Refuse a file that a newer mixseq wrote."""
-    refuse_newer(path, int(file.attrs["version"]), known)
+    """Refuse a file of another version of its format."""
+    version = int(file.attrs["version"])
+    if version != known:
+        raise FormatError(
+            f"{path} has version {version} of its format, and this mixseq reads version {known}; "
+            "it was written by another version of mixseq: make it again with this one"
+        )
 
 
 def read_header(path: Path, file: Contents, vertex_count: int, times: NDArray[np.float64]) -> SequenceHeader:

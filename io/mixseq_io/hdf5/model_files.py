@@ -2,7 +2,7 @@
 
 ::
 
-    /                          format = "mixseq-model", version = 6 (2 to 5 before), created_by, settings (JSON), space,
+    /                          format = "mixseq-model", version = 1, created_by, settings (JSON), space,
                                name, fps, up_axis, metres_per_unit, vertex_count
     /polygons/                 counts, indices
     /segmentation/             part_of_face, widths                         (mixed space)
@@ -34,11 +34,9 @@ from mixseq_io.hdf5.datasets import increasing
 from mixseq_io.hdf5.h5_files import MODEL_FORMAT, check_version, read_header
 from mixseq_io.hdf5.h5_writing import put_text, write_header
 from mixseq_io.hdf5.model_signals import read_signals, write_signals
-from mixseq_io.hdf5.older_models import is_old_anchored, read_anchored, read_v1
 from mixseq_io.hdf5.stored_space import read_space, storable, write_space
 
-VERSION = 6
-"""Since 6 all texts have a fixed length, and so a checksum."""
+VERSION = 1
 
 
 def write_model(file: h5py.File, model: Model) -> None:
@@ -54,23 +52,17 @@ def write_model(file: h5py.File, model: Model) -> None:
 
 
 def read_model(path: Path, file: Contents) -> Model:
-    """Make a model of what is in a file, of this version or an older one.
+    """Make a model of what is in a file.
 
     Raises
     ------
     FormatError
-        If it is damaged, or written by a newer mixseq.
+        If it is damaged, or written by another version of mixseq.
     """
     check_version(path, file, VERSION)
     try:
-        return read_v1(path, file) if int(file.attrs["version"]) == 1 else _read(path, file)
+        frames = increasing(path, file, "signals/time/frames")
+        header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
+        return read_signals(path, file, header, read_space(path, file, header))
     except (InvalidSequenceError, SettingsError, ReconstructionError, IndexError) as error:
         raise FormatError(f"{path}: {error}; it is damaged") from error
-
-
-def _read(path: Path, file: Contents) -> Model:
-    frames = increasing(path, file, "signals/time/frames")
-    header = read_header(path, file, int(file.attrs["vertex_count"]), frames)
-    if is_old_anchored(path, file):
-        return read_anchored(path, file, header)
-    return read_signals(path, file, header, read_space(path, file, header))

@@ -9,20 +9,13 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.errors import FormatError, SettingsError
-from mixseq.geometry.rotations import continued, matrices, quaternions
 from mixseq.sequence import SequenceHeader
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, increasing, put
-from mixseq_io.hdf5.stored_space import (
-    FIRST_WITH_QUATERNIONS,
-    Blocks,
-    StoredSpace,
-    placement_blocks,
-    shape_blocks,
-)
+from mixseq_io.hdf5.stored_space import Blocks, StoredSpace, placement_blocks, shape_blocks
 
 _UNIT = 0.5  # quaternions are far from zero, which is no rotation
 
@@ -47,16 +40,16 @@ def read_signals(path: Path, file: Contents, header: SequenceHeader, space: Stor
     FormatError
         If a dataset is missing or damaged, or signals contradict each other.
     """
-    pose = read_pose(path, file)
+    pose = _read_pose(path, file)
     knots = increasing(path, file, "signals/time/times")
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
-    shapes = read_shapes(path, file, shape_blocks(space), len(pose.offset))
+    shapes = _get_blocks(path, file, "signals/shape", shape_blocks(space), len(pose.offset))
     placement = _read_placement(path, file, space)
-    check_frames(path, header, time=time, placement=placement)
+    _check_frames(path, header, time=time, placement=placement)
     return Model(header, space, time, pose, shapes, placement)
 
 
-def check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
+def _check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
     """Refuse frames that are outside the knots of a curve, by the names of the signals."""
     first, last = header.times[0], header.times[-1]
     for name, curve in curves.items():
@@ -67,32 +60,15 @@ def check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
             )
 
 
-def read_shapes(path: Path, file: Contents, blocks: Blocks, count: int) -> Float:
-    """Read key shapes ``(count, S)`` that consist of some of `shape_blocks`."""
-    return _get_blocks(path, file, "signals/shape", blocks, count)
-
-
-def read_placements(path: Path, file: Contents, space: StoredSpace, count: int) -> Float:
-    """Read placements ``(count, P)``: quaternions, then centres. Before version 5 rotations were rotation vectors."""
-    blocks = placement_blocks(space)
-    if space.rotation_count and int(file.attrs["version"]) < FIRST_WITH_QUATERNIONS:
-        blocks["rotations"] = (space.rotation_count, 3)
-        old = _get_blocks(path, file, "signals/placement", blocks, count)
-        turns, centres = np.split(old, [3 * space.rotation_count], axis=1)
-        turned = quaternions(matrices(turns.reshape(count, -1, 3)))
-        return np.concatenate([continued(turned).reshape(count, -1), centres], axis=1)
-    placements = _get_blocks(path, file, "signals/placement", blocks, count)
+def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
+    knots = increasing(path, file, "signals/placement/times")
+    placements = _get_blocks(path, file, "signals/placement", placement_blocks(space), len(knots))
     norms = np.linalg.norm(space.poses(placements).rotations, axis=2)
     if (norms < _UNIT).any():
         raise FormatError(
             f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"
         )
-    return placements
-
-
-def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
-    knots = increasing(path, file, "signals/placement/times")
-    return Curve(knots, read_placements(path, file, space, len(knots)))
+    return Curve(knots, placements)
 
 
 def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:
@@ -112,7 +88,7 @@ def _get_blocks(path: Path, file: Contents, group: str, blocks: Blocks, count: i
     return np.concatenate(columns, axis=1)
 
 
-def read_pose(path: Path, file: Contents) -> PoseMap:
+def _read_pose(path: Path, file: Contents) -> PoseMap:
     """Read the pose signal."""
     offset = floats(path, file, "signals/pose/offset", (None,))
     matrix = floats(path, file, "signals/pose/matrix", (None, len(offset)))

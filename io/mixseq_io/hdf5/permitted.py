@@ -88,8 +88,7 @@ class _Inspection:
             attribute = h5a.open(found, index=number)
             what = f"{name or '/'}, attribute {attribute.name.decode('utf-8', 'replace')},"
             kind, space = attribute.get_type(), attribute.get_space()
-            # Strings of any length are what older mixseqs wrote.
-            self._type(kind, what, any_length=True)
+            self._type(kind, what)
             if space.get_simple_extent_type() == h5py.h5s.NULL or space.get_simple_extent_ndims() > _RANK:
                 raise self._refusal(what, "has no value, or too many axes")
             if space.get_simple_extent_npoints() * kind.get_size() > _ATTRIBUTE_BYTES:
@@ -108,7 +107,7 @@ class _Inspection:
             if code not in _FILTERS:
                 raise self._refusal(name, f"is stored with the filter {code}")
         kind, space = found.get_type(), found.get_space()
-        self._type(kind, name, any_length=False)
+        self._type(kind, name)
         if space.get_simple_extent_type() == h5py.h5s.NULL:
             raise self._refusal(name, "has no shape")
         shape = space.get_simple_extent_dims()
@@ -116,12 +115,11 @@ class _Inspection:
             raise self._refusal(name, f"has {len(shape)} axes")
         self._size(found, name, shape, storage.get_chunk() if layout == h5d.CHUNKED else ())
 
-    def _type(self, kind: h5t.TypeID, name: str, any_length: bool) -> None:
+    def _type(self, kind: h5t.TypeID, name: str) -> None:
         if isinstance(kind, h5t.TypeStringID):
-            if not kind.is_variable_str() or any_length:
-                return
-            raise self._refusal(name, "has strings of any length")
-        if kind.get_class() not in _NUMBERS or kind.get_size() > np.dtype(np.float64).itemsize:
+            if kind.is_variable_str():
+                raise self._refusal(name, "has strings of any length")
+        elif kind.get_class() not in _NUMBERS or kind.get_size() > np.dtype(np.float64).itemsize:
             raise self._refusal(name, f"has the type {_told(kind)}")
 
     def _size(self, found: h5d.DatasetID, name: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> None:

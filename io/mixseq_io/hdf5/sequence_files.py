@@ -2,8 +2,8 @@
 
 ::
 
-    /                    format = "mixseq-sequence", version = 2 (1 before),
-                         name, fps, up_axis, metres_per_unit
+    /                    format = "mixseq-sequence", version = 1, name, fps,
+                         up_axis, metres_per_unit
     /points              (T, V, 3) float32 or float64, in chunks of whole frames
     /velocities          as points, units per second; optional
     /times               (T,) float64, seconds
@@ -36,8 +36,7 @@ from mixseq_io.model_reader import ModelReader
 from mixseq_io.reader import SequenceReader, brief, naming
 
 FORMAT = "mixseq-sequence"
-VERSION = 2
-"""Since 2 all texts have a fixed length, and so a checksum."""
+VERSION = 1
 
 _BY_FRAME = ("points", "velocities")
 """Datasets that are read as frames are asked for."""
@@ -52,7 +51,7 @@ def open_h5(path: Path) -> SequenceReader:
     Raises
     ------
     FormatError
-        If the file is of another kind, damaged, or written by a newer mixseq.
+        If the file is of another kind, damaged, or written by another version of mixseq.
     """
     found = read_attributes(path)
     if found.kind == MODEL_FORMAT:

@@ -66,10 +66,10 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
     FormatError
         If something in it is missing, damaged or contradicts the rest.
     """
-    if read_placement(path, file) == "free":
-        return read_free(path, file, header)
+    if _read_placement(path, file) == "free":
+        return _read_free(path, file, header)
     topology, scale = Topology(header.faces, header.vertex_count), read_scale(path, file)
-    decomposition = read_segmentation(path, file, topology)
+    decomposition = _read_segmentation(path, file, topology)
     shapes = diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
     reference = diagonals(path, file, "space/reference", (header.vertex_count, 3))
     shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
@@ -93,7 +93,7 @@ def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np
     return marks
 
 
-def read_placement(path: Path, file: Contents) -> str:
+def _read_placement(path: Path, file: Contents) -> str:
     """Read how parts are placed."""
     placement = file.text("placement", "space")
     if placement not in PLACEMENTS:
@@ -101,10 +101,10 @@ def read_placement(path: Path, file: Contents) -> str:
     return placement
 
 
-def read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
-    """Read a mixed space in the free placement, of any version."""
+def _read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
+    """Read a mixed space in the free placement."""
     topology = Topology(header.faces, header.vertex_count)
-    decomposition = read_segmentation(path, file, topology)
+    decomposition = _read_segmentation(path, file, topology)
     space = FreeSpace(
         topology=topology,
         decomposition=decomposition,
@@ -139,7 +139,7 @@ def _write_segmentation(file: h5py.File, decomposition: Decomposition) -> None:
     put_lists(file, "segmentation/joints", "faces", [joint.face_ids for joint in decomposition.joints])
 
 
-def read_segmentation(path: Path, file: Contents, topology: Topology) -> Decomposition:
+def _read_segmentation(path: Path, file: Contents, topology: Topology) -> Decomposition:
     """Read the parts and joints of a mesh."""
     faces, vertices = len(topology.faces), topology.vertex_count
     parts = get_lists(path, file, "segmentation/parts", "vertices", vertices)

@@ -41,14 +41,8 @@ StoredSpace = MixedSpace | VertexSpace | GradientSpace | LRISpace | EdgeSpace | 
 Blocks = dict[str, tuple[int, ...]]
 """Names of datasets, in the order of the vector, and the shape of each."""
 
-FIRST_WITH_QUATERNIONS = 5
-"""Version from which on rotations in placements are quaternions; before they were rotation vectors."""
-
 EDGE = ("projection", "volume")
 """Settings of the edge space in the group of that name; those of the fits have their own."""
-
-GONE = ("coarse", "steps")
-"""Settings of the edge space in older files: of a coarse mesh, whose lengths and angles are not read any more."""
 
 KNOWN = (*SPACES, BasisSpace.name)
 """Names of the spaces that files can hold."""
@@ -89,9 +83,7 @@ def shape_blocks(space: StoredSpace) -> Blocks:
 
 def placement_blocks(space: StoredSpace) -> Blocks:
     """Return what a placement consists of: datasets of `signals/placement`."""
-    turning = space.rotation_count
-    # Where nothing turns there are no rotations, as older mixseqs know it.
-    return {"rotations": (turning, 4 if turning else 3), "translations": (space.centre_count, 3)}
+    return {"rotations": (space.rotation_count, 4), "translations": (space.centre_count, 3)}
 
 
 def write_space(file: h5py.File, space: StoredSpace) -> None:
@@ -159,15 +151,5 @@ def _read_edge_space(
     lengths = diagonals(path, file, "space/reference_lengths", (len(topology.edges),))
     if (lengths < 0).any():
         raise FormatError(f"{path}: space/reference_lengths has lengths below zero")
-    return EdgeSpace(topology, scale, reference, lengths, _edge_settings(path, file))
-
-
-def _edge_settings(path: Path, file: Contents) -> EdgeSettings:
-    """Read the settings of the edge space; projections that are no more were ways to what steps find."""
-    known = {*EDGE, *GONE}
-    found = {
-        name: value for name, value in read_settings(path, file, "edge", known).items() if name not in GONE
-    }
-    projection = found.pop("projection", "dso")  # what it was where nobody chose one
-    shell = read_shell(path, file)
-    return EdgeSettings("steps" if projection == "msgi" else projection, **found, shell=shell)
+    settings = EdgeSettings(**read_settings(path, file, "edge", EDGE), shell=read_shell(path, file))
+    return EdgeSpace(topology, scale, reference, lengths, settings)
