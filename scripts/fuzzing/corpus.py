@@ -20,7 +20,7 @@ from mixseq.surface import CornerValues, FaceSet, MeshObject, Surface
 
 GOLDEN = Path(__file__).parents[2] / "tests" / "formats" / "golden"
 PACKED = GOLDEN.parent / "gltf" / "packed"
-"""Files of all versions."""
+"""Files of all kinds."""
 
 Maker = Callable[[Path], None]
 
