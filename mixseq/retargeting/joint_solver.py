@@ -18,7 +18,7 @@ from mixseq.geometry.rigid import kabsch
 from mixseq.geometry.rotations import turned
 from mixseq.retargeting.solved_joints import HarmonicSkin, SolvedJoints
 from mixseq.segmentation.joints import Decomposition, Joint
-from mixseq.shells.fitting import UNCONSTRAINED, ShellReport, ShellSettings, SoftConstraint
+from mixseq.shells.fitting import ShellReport, ShellSettings, SoftConstraint
 from mixseq.shells.patch import Patch
 from mixseq.shells.reconstruction import rebuild
 from mixseq.topology import Topology
@@ -36,7 +36,7 @@ class JointFrame(NamedTuple):
     rotations, translations : (p, 3, 3), (p, 3) float64
         Poses of the parts.
     offsets : (F, 3) float64
-        Offsets of the free vertices from where the parts carry them; none if empty.
+        Offsets of the free vertices from where the parts carry them.
     offset_weights : (F,) float64
         How much the offsets count: weights of soft position constraints.
     """
@@ -167,8 +167,5 @@ def _expected(
     skin: HarmonicSkin, moves: Float, shifts: Float, frame: JointFrame, free: slice
 ) -> tuple[Float, SoftConstraint]:
     """Where the free vertices ``(f, 3)`` of a joint are to begin with, and the soft constraint that offsets give."""
-    carried = skin.place(moves, shifts)
-    if not frame.offset_weights.size:
-        return carried, UNCONSTRAINED
-    places = carried + turned(frame.rotations[skin.nearest], frame.offsets[free])
+    places = skin.place(moves, shifts) + turned(frame.rotations[skin.nearest], frame.offsets[free])
     return places, SoftConstraint(places, frame.offset_weights[free])
