@@ -1,13 +1,14 @@
 r"""Drag: a place on the curve that a motion is in the plane is moved, and the motion next to it follows.
 
-The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Of all changes
-of a point that move it by :math:`\Delta y` in the plane, the one that changes the shape least in the shape space is
-along the two principal directions P of the plane (`mixseq.signals.mds_embedding`),
+Frames of the model say what pose belongs to a place: :math:`c^*(y)` interpolates the pulled point and frames that are
+spread over the plane, as a sketch does (`mixseq.operations.sketch`), so a point that is pulled to a frame becomes that
+frame. The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where
+the interpolated pose misses the place by :math:`\Delta y`, the change that changes the shape least is along the two
+principal directions P of the plane (`mixseq.signals.mds_embedding`),
 
-.. math:: \delta = P\, (A^T P)^+ \Delta y = G^+ A\, (A^T G^+ A)^+ \Delta y,
+.. math:: \delta = c^*(y) - c(t_0) + P\, (A^T P)^+ \Delta y .
 
-with the Gram matrix G of the steps that coordinates of pose space are in the shape space; P needs no inverse of it,
-and does not know of coordinates that are rounding errors. The change fades out on both sides,
+The change fades out on both sides,
 
 .. math:: c(t) \to c(t) + w(t)\, \delta, \qquad w(t_0) = 1, \qquad w(t) = 0 \text{ for } |t - t_0| \ge \text{reach},
 
@@ -27,6 +28,7 @@ from mixseq.errors import SettingsError
 from mixseq.frame_numbers import Seconds
 from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
+from mixseq.operations.sketch import cardinal_weights, farthest_points
 from mixseq.operations.splines import between, breakpoints, sites_of
 from mixseq.public import public
 from mixseq.signals.curve import Curve
@@ -39,6 +41,9 @@ REACH = 1 / 8
 FRAMES = 2
 """Shortest default reach, in frames. Ours."""
 
+SPREAD_FRAMES = 64
+"""Frames, spread over the plane, that say what poses belong to places."""
+
 
 @public
 def drag(
@@ -46,7 +51,8 @@ def drag(
 ) -> Model:
     """Return the model with its curve in the embedding pulled to a place.
 
-    Shapes change, by as little as possible; where parts are does not. The residual layer is kept.
+    The pose becomes the one that frames near that place have; where bodies are does not change. The residual layer
+    is kept.
 
     Parameters
     ----------
@@ -83,16 +89,41 @@ def drag(
         raise SettingsError(
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"
         )
-    along = (model.pose.rates(plane.directions.T) @ plane.axes).T  # A^T P: 1, but for rounding and for lines
-    move = np.linalg.pinv(along, rcond=1e-6) @ (place - model.embedding([time], plane)[0])
-    change = plane.directions @ move
+    change = _change(model, time, place, plane)
 
     ends = np.array([model.time.start, model.time.end])
     knots = np.concatenate([breakpoints(model.time), time + reach * np.linspace(-1.0, 1.0, 7)])
     sites = sites_of(ends, between(knots, *ends))
     sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
     weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
-    return replace(model, time=Curve(sites, model.time(sites) + weight[:, None] * change))
+    return replace(
+        model,
+        time=Curve(sites, model.time(sites) + weight[:, None] * change),
+        correction=_faded(model, time, reach),
+    )
+
+
+def _change(model: Model, time: float, place: Float, plane: Plane) -> Float:
+    """Return the change in pose space ``(k,)`` of the point at a time that is pulled to a place ``(2,)``."""
+    here = model.embedding([time], plane)
+    frames = model.times[farthest_points(model.embedding(model.times, plane), here[0], SPREAD_FRAMES)]
+    places = np.concatenate([here, model.embedding(frames, plane)])
+    points = np.concatenate([model.time([time]), model.time(frames)])
+    change = (cardinal_weights(places)(place[None]) @ points)[0] - points[0]
+    along = (model.pose.rates(plane.directions.T) @ plane.axes).T  # A^T P: 1, but for rounding and for lines
+    there = here[0] + model.pose.rates(change[None])[0] @ plane.axes
+    return np.asarray(change + plane.directions @ np.linalg.pinv(along, rcond=1e-6) @ (place - there))
+
+
+def _faded(model: Model, time: float, reach: float) -> Curve:
+    """Return the correction without what it is at the time: it belongs to the pose that was there."""
+    if not model.correction.values.any():
+        return model.correction
+    ends = np.array([model.correction.start, model.correction.end])
+    knots = np.concatenate([model.correction.times, time + reach * np.linspace(-1.0, 1.0, 7)])
+    sites = sites_of(ends, between(knots, *ends))
+    weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
+    return Curve(sites, (1.0 - weight[:, None]) * model.correction(sites))
 
 
 def default_reach(model: Model) -> float:

@@ -1,12 +1,9 @@
-r"""More or less of a motion: what parts do in their joints and how their shape changes, about the mean.
+r"""More or less of a motion: how parts stand to each other and how their shape changes, about the mean.
 
-.. math::
+.. math:: c(t) \to \bar c + \text{gain}\, (c(t) - \bar c)
 
-    c(t) \to \bar c + \text{gain}\, (c(t) - \bar c), \qquad
-    \tau(t) \to \bar\tau + \text{gain}\, (\tau(t) - \bar\tau)
-
-with the time signal c and the stances :math:`\tau` of parts, how they are turned and placed against what they hang on
-(`mixseq.operations.joint_tree`).
+with the time signal c, whose mean is over the frames. In the mixed shape space a point of pose space is a pose of the
+whole character, wherever it stands.
 """
 
 from __future__ import annotations
@@ -16,10 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mixseq.arrays import Float
 from mixseq.errors import SettingsError
-from mixseq.operations.joint_tree import JointTree
-from mixseq.operations.splines import ACCURACY, placement_measure, sampled, sites_within
 from mixseq.public import public
 from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
@@ -30,13 +24,10 @@ LARGEST_GAIN = 1000.0
 
 @public
 def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) -> Model:
-    r"""Return the model with its motion exaggerated or damped: all parts in their joints, and the change of shape.
+    """Return the model with its motion exaggerated or damped.
 
-    Everything is scaled about its mean over the frames, as `exaggerate_part` does for one part. The part as seen from
-    which the others move least, such as a trunk, stays where it is, so a body goes where it went. Where parts have no
-    poses of their own, in all spaces but the mixed one with anchored parts, only shape is scaled, which bends joints.
-    No part is turned by more than half a turn from its mean for it: what spins, spins as before.
-    The residual layer is kept.
+    The time signal is scaled about its mean over the frames. A body goes and turns where it did; how its parts stand
+    to each other, and their shape, change by more or less. The residual layer is kept.
 
     Parameters
     ----------
@@ -45,8 +36,7 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     gain : float
         1 changes nothing, 0 freezes all at the mean, more than 1 exaggerates, less damps.
     modes : sequence of int, optional
-        Scale these coordinates of pose space alone, from 0 on, in a model that was fitted the modes, the largest first;
-        parts stay where they are.
+        Scale these coordinates of pose space alone, from 0 on: in a model that was fitted the modes, the largest first.
 
     Raises
     ------
@@ -63,38 +53,10 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     gains[list(wanted)] = gain
     mean = model.time(model.times).mean(axis=0)
     values = np.where(gains == 1.0, model.time.values, mean + gains * (model.time.values - mean))
-    whole = modes is None and gain != 1.0 and model.space.posed_parts
-    placement = _exaggerated(model, gain) if whole else model.placement
-    return replace(model, time=Curve(model.time.times, values), placement=placement)
+    return replace(model, time=Curve(model.time.times, values))
 
 
 def check_gain(gain: float) -> None:
     """Refuse what no motion survives."""
     if not abs(gain) <= LARGEST_GAIN:
         raise SettingsError(f"gain is {gain}; a number is expected, at most {LARGEST_GAIN:g} in size")
-
-
-def _exaggerated(model: Model, gain: float) -> Curve:
-    """Return the placement of a model whose stances are scaled about their means over the frames."""
-    space = model.space.anchored()
-    placement = model.placement
-    tree = JointTree.of(space, space.poses(placement(model.times)))
-
-    def stances(times: Float) -> Float:
-        # Turns are unwrapped along the knots, so that whole turns count, whatever times are asked for.
-        known, asked = np.unique(np.concatenate([placement.times, times]), return_inverse=True)
-        return tree.stances(space.poses(placement(known)))[asked[len(placement.times) :]]
-
-    frames = stances(model.times)
-    mean = frames.mean(axis=0)
-    furthest = np.linalg.norm((frames - mean)[..., :3], axis=2).max(axis=0)
-    most = np.maximum(np.pi / np.maximum(furthest, np.pi / LARGEST_GAIN), 1.0)
-    gains = np.clip(gain, -most, most)[:, None]
-
-    def moved(times: Float) -> Float:
-        before = stances(times)
-        after = mean + gains * (before - mean)
-        return space.placements(tree.moved(space.poses(placement(times)), before, after))
-
-    sites = sites_within(model, model.start, model.end)
-    return sampled(moved, sites, ACCURACY, placement_measure(model))

@@ -63,6 +63,7 @@ def smooth(model: Model, seconds: Seconds) -> Model:
     return model.with_motion(
         smoothed(model.time, model.times, seconds),
         smoothed(model.placement, model.times, seconds, SteadyTurn.of(model.space, model.placement)),
+        smoothed(model.correction, model.times, seconds),
     )
 
 

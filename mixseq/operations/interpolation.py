@@ -102,11 +102,12 @@ class PoseInterpolator(PickledWithoutCaches):
             frames = frame_store(poses, stages.at(0))
             if isinstance(chosen, MixedSettings):
                 topology = Topology(frames.header.faces, frames.header.vertex_count)
-                chosen = replace(chosen, parts=part_of_faces(frames, chosen, topology), settling_from=0.0)
+                chosen = replace(chosen, parts=part_of_faces(frames, chosen, topology), purpose="blends")
             some = FrameStore(frames.header.with_times(np.arange(len(blended))), frames.points[blended])
             made = make_space(some, space, chosen, work, stages.at(1, MAKING))
             encoded = encode(some, made, workers=work, progress=stages.at(1 + MAKING))
             vectors = np.concatenate([encoded.shapes[:], encoded.placement], axis=1)
+            vectors = np.pad(vectors, ((0, 0), (0, made.correction_dim)))
         return cls(frames.header, made, vectors)
 
     @property
@@ -149,9 +150,7 @@ class PoseInterpolator(PickledWithoutCaches):
 
     def _blended(self, weights: Float) -> Float:
         with one_blas_thread():
-            shapes, placements = np.split(self.vectors, [self.space.shape_dim], axis=1)
-            placement = self.space.blended_placements(weights, placements)
-            return np.concatenate([weights @ shapes, placement])[None]
+            return np.asarray(weights @ self.vectors)[None]
 
 
 @public

@@ -159,9 +159,8 @@ def affine(model: Model, scale: float, offset: float) -> Model:
     """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
     times = scale * model.times + offset
     return model.with_motion(
-        moved(model.time, scale, offset),
-        moved(model.placement, scale, offset),
-        model.header.with_times(times if scale > 0 else times[::-1]),
+        *(moved(curve, scale, offset) for curve in model.curves),
+        header=model.header.with_times(times if scale > 0 else times[::-1]),
     )
 
 
@@ -181,6 +180,7 @@ def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Mod
     return first.with_motion(
         join([CurveSection(model.time, start, end) for model, start, end in sections], seams),
         join(placements, seams),
+        join([CurveSection(model.correction, start, end) for model, start, end in sections], seams),
         first.header.with_times(frames_of(sections)),
     )
 
@@ -216,7 +216,7 @@ def snapped(model: Model, time: float, name: str = "time") -> float:
             f"{name} is {time:g} s; the model is from {span_text(model.start, model.end, fps)}, give a time within"
             f"{seconds_meant(time, model.start, model.end, fps)}"
         )
-    known = np.concatenate([[model.start, model.end], model.times, model.time.times, model.placement.times])
+    known = np.concatenate([[model.start, model.end], model.times, *(curve.times for curve in model.curves)])
     nearest = float(known[np.abs(known - time).argmin()])
     return nearest if abs(nearest - time) <= slack else float(time)
 

@@ -29,7 +29,7 @@ from mixseq.operations.limb_joints import Limb, limb_of
 from mixseq.operations.sculpt import smoothstep
 from mixseq.operations.splines import (
     ACCURACY,
-    placement_measure,
+    correction_measure,
     sampled,
     shape_measure,
     sites_within,
@@ -72,10 +72,10 @@ def exaggerate_part(model: Model, part: int, gain: float) -> Model:
     """
     limb = limb_of(model, part)
     check_gain(gain)
-    mean = limb.stance(model.placement, model.times).mean(axis=0)
+    mean = limb.stance(model, model.times).mean(axis=0)
     sites = sites_within(model, model.start, model.end)
-    placement = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
-    return replace(model, placement=placement, shapes=_scaled_joint(model, limb, gain))
+    correction = _moved(model, limb, sites, lambda _, stance: mean + gain * (stance - mean))
+    return replace(model, correction=correction, shapes=_scaled_joint(model, limb, gain))
 
 
 @public
@@ -122,8 +122,8 @@ def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, f
     first, last = max(start - fade, model.start), min(end + fade, model.end)
     knots = np.concatenate([np.linspace(start - fade, start, 4), np.linspace(end, end + fade, 4)])
     sites = sites_within(model, first, last, knots)
-    still = limb.stance(model.placement, np.array([time]))
-    placement = _moved(model, limb, sites, lambda times, stance: stance + rest(times) * (still - stance))
+    still = limb.stance(model, np.array([time]))
+    correction = _moved(model, limb, sites, lambda times, stance: stance + rest(times) * (still - stance))
     wider, resting = _with_rest(model, limb)
     here = model.time([time])
 
@@ -136,18 +136,17 @@ def hold(model: Model, part: int, time: Seconds, start: Seconds, end: Seconds, f
     return replace(
         wider,
         time=_spliced(wider, wider.time, signal),
-        placement=_spliced(wider, model.placement, placement),
+        correction=_spliced(wider, model.correction, correction),
     )
 
 
 def _moved(model: Model, limb: Limb, sites: Float, change: Change) -> Curve:
-    """Return the whole placement with another stance of a limb, between the first of the sites and the last."""
-    whole = model.placement
+    """Return the whole correction with another stance of a limb, between the first of the sites and the last."""
 
     def moved(times: Float) -> Float:
-        return limb.moved(whole, times, change(times, limb.stance(whole, times)))
+        return limb.corrections(model, times, change(times, limb.stance(model, times)))
 
-    return sampled(moved, sites, ACCURACY, placement_measure(model))
+    return sampled(moved, sites, ACCURACY, correction_measure(model))
 
 
 def _spliced(model: Model, curve: Curve, inside: Curve) -> Curve:

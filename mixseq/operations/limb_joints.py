@@ -3,13 +3,16 @@ r"""Limbs: a part with all that hangs on it, and what it takes to move it in its
 The parts of a component are a tree by their boundaries: the root is the largest part, every other part hangs on its
 *parent*, one boundary nearer to the root. The *stance* of a limb is how the part stands to its parent: a turn
 :math:`\tau` from how it stands in the reference frame, and a gap g at the pivot, the middle of their boundary there,
-which is p in either part's coordinates,
+which is p from either part's centre,
 
-.. math:: R_i^T R_j = \bar Q \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i .
+.. math:: R_i^T R_j = \exp(\tau), \qquad R_j p_j + t_j = R_i (p_i + g) + t_i ,
+
+for poses as seen from the body, rotations since the reference frame.
 
 Another stance moves the part, from :math:`(R, t)` to :math:`(R', t')`, and the whole limb with it as one rigid body,
-:math:`x \to R' R^T (x - t) + t'`. Turns are unwrapped along the knots of a placement, so whole turns count; quaternions
+:math:`x \to R' R^T (x - t) + t'`. Turns are unwrapped along the knots of a model, so whole turns count; quaternions
 follow from turns, :math:`\exp(\tau') \exp(\tau)^{-1}`, so that their signs do not jump however far apart times are.
+Poses are changed by the model's correction.
 """
 
 from __future__ import annotations
@@ -32,9 +35,8 @@ from mixseq.geometry.rotations import (
     turned,
 )
 from mixseq.prediction.poses import Poses
-from mixseq.signals.curve import Curve
 from mixseq.signals.model import Model
-from mixseq.spaces.mixed import AnchoredSpace
+from mixseq.spaces.mixed import MixedSpace, as_mixed
 
 STRIPS = 4
 """Over so many edges the coordinates of a joint pass from one border of parts to another."""
@@ -46,7 +48,7 @@ class Limb:
 
     Attributes
     ----------
-    space : AnchoredSpace
+    space : MixedSpace
         Tells of parts and where they meet.
     part, parent : int
         The part, and the one that it hangs on.
@@ -54,47 +56,41 @@ class Limb:
         The part and what hangs on it.
     """
 
-    space: AnchoredSpace
+    space: MixedSpace
     part: int
     parent: int
     parts: Mask
 
     @cached_property
     def _pivots(self) -> tuple[Float, Float]:
-        """The middle of the boundary ``(3,)``, seen from the centre of the parent and of the part."""
-        pairs = self.space.neighbours.parts
-        pair = [
-            np.flatnonzero((pairs == ends).all(axis=1))[0]
+        """The middle of the boundary ``(3,)``, from the centre of the parent and of the part."""
+        articulation = self.space.articulation
+        near, far = (
+            articulation.pivots[np.flatnonzero((articulation.pairs == ends).all(axis=1))[0]]
             for ends in ((self.part, self.parent), (self.parent, self.part))
-        ]
-        return self.space.neighbours.pivots[pair[0]], self.space.neighbours.pivots[pair[1]]
+        )
+        return near, far
 
-    @cached_property
-    def _rest(self) -> Float:
-        """How the part is turned against its parent in the reference frame: a quaternion ``(4,)``."""
-        rest = self.space.frames.rest.rotations[0]
-        return product(inverse(rest[self.parent]), rest[self.part])
+    def stance(self, model: Model, times: Float) -> Float:
+        """Return turns and gaps ``(N, 6)`` of the limb in a model at times ``(N,)``, turns unwrapped.
 
-    def stance(self, placement: Curve, times: Float) -> Float:
-        """Return turns and gaps ``(N, 6)`` of the limb in a placement at times ``(N,)``, turns unwrapped.
-
-        The first knot of the placement has the shortest turn, whatever the times.
+        The first frame has the shortest turn, whatever the times.
         """
-        known, asked = np.unique(np.concatenate([placement.times, times]), return_inverse=True)
-        poses = self.space.poses(placement(known))
+        known, asked = np.unique(np.concatenate([model.time.times, times]), return_inverse=True)
+        poses = part_poses(model, known)
         near, far = self._pivots
         rotations = rotations_of(poses.rotations)
         back = np.swapaxes(rotations[:, self.parent], -1, -2)
-        turns = continuous_vectors(rotations_of(self._rest).T @ back @ rotations[:, self.part])
+        turns = continuous_vectors(back @ rotations[:, self.part])
         pivots = rotations[:, self.part] @ far + poses.centres[:, self.part]
         gaps = turned(back, pivots - poses.centres[:, self.parent]) - near
-        return np.concatenate([turns, gaps], axis=1)[asked[len(placement.times) :]]
+        return np.concatenate([turns, gaps], axis=1)[asked[len(model.time.times) :]]
 
-    def moved(self, placement: Curve, times: Float, stance: Float) -> Float:
-        """Return placements ``(N, P)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb."""
-        before, poses = self.stance(placement, times), self.space.poses(placement(times))
+    def corrections(self, model: Model, times: Float, stance: Float) -> Float:
+        """Return the corrections ``(N, C)`` at times ``(N,)`` with another stance ``(N, 6)`` of the limb."""
+        before, poses = self.stance(model, times), part_poses(model, times)
         near, far = self._pivots
-        base = product(normalised(poses.rotations[:, self.parent]), self._rest)
+        base = normalised(poses.rotations[:, self.parent])
         change = product(exponentials(stance[:, :3]), inverse(exponentials(before[:, :3])))
         turn = product(product(base, change), inverse(base))
         rotations, centres = poses.rotations.copy(), poses.centres.copy()
@@ -103,7 +99,8 @@ class Limb:
         place = turned(parent, near + stance[:, 3:]) + centres[:, self.parent] - part @ far
         away = centres[:, self.parts] - centres[:, [self.part]]
         centres[:, self.parts] = turned(rotations_of(turn)[:, None], away) + place[:, None]
-        return self.space.placements(Poses(rotations, centres))
+        targets = np.concatenate([each.reshape(len(times), -1) for each in (rotations, centres)], axis=1)
+        return self.space.corrections(_blended_poses(model, times), targets)
 
     def joint(self) -> Float:
         """Return how much ``(S,)`` coordinates of key shapes belong to the joints between limb and body.
@@ -119,18 +116,16 @@ class Limb:
         closer = np.where(np.isfinite(own), other, 0.0) - np.where(np.isfinite(own), own, np.inf)
         near = np.clip(0.5 + closer / STRIPS, 0.0, 1.0)
         along = near[topology.edges].mean(axis=1)
-        vertices = np.where(space.frames.alone >= 0, 0.0, near)
-        faces = near[space.seams.faces].mean(axis=1)
+        vertices = np.where(space.only_part >= 0, 0.0, near)
         hinges = topology.hinge_edges[space.hinge_ids]
         return np.concatenate(
-            [along[space.edge_ids], along[hinges], np.repeat(vertices, 3), np.repeat(faces, 6)]
+            [along[space.edge_ids], along[hinges], np.repeat(vertices, 3), np.zeros(space.pose_dim)]
         )
 
     def own_shape(self) -> Float:
         """Return 1 for the coordinates ``(S,)`` of key shapes that follow the part alone, 0 elsewhere."""
-        before, after = sum(self.space.sizes[:2]), self.space.sizes[3]
-        own = np.repeat(self.space.frames.alone == self.part, 3).astype(np.float64)
-        return np.pad(own, (before, after))
+        own = np.repeat(self.space.only_part == self.part, 3).astype(np.float64)
+        return np.pad(own, (sum(self.space.sizes[:2]), self.space.pose_dim))
 
     def _away(self, hinges: Mask) -> Float:
         """How many edges all vertices ``(V,)`` are away from hinges."""
@@ -142,6 +137,17 @@ class Limb:
         return np.asarray(csgraph.dijkstra(graph, indices=start, unweighted=True, min_only=True))
 
 
+def part_poses(model: Model, times: Float) -> Poses:
+    """Return the poses ``(N, p)`` of all parts as seen from their bodies, at times ``(N,)``."""
+    return as_mixed(model.space).corrected_poses(_blended_poses(model, times), model.correction(times))
+
+
+def _blended_poses(model: Model, times: Float) -> Float:
+    """Return the pose columns ``(N, pose_dim)`` of blended shapes."""
+    columns = model.shapes[:, model.space.shape_dim - model.space.pose_dim :]
+    return np.asarray(model.pose.weights(model.time(times)) @ columns)
+
+
 def limb_of(model: Model, part: int) -> Limb:
     """Return the limb of a part.
 
@@ -150,13 +156,17 @@ def limb_of(model: Model, part: int) -> Limb:
     SettingsError
         If the parts of the model have no poses of their own, the part is none of them, or hangs on no other.
     """
-    space, count = model.space.anchored(), len(model.decomposition.parts)
+    space, count = as_mixed(model.space), len(model.decomposition.parts)
+    if space.placement == "free":
+        raise SettingsError(
+            "the free placement ignores poses of parts; fit a model with placement='anchored'"
+        )
     if not 0 <= part < count:
         raise SettingsError(f"there is no part {part}; the model has {count}, from 0 on")
-    above = space.parents
+    above = space.articulation.parents
     parent = int(above[part])
     if parent < 0:
-        linked = bool((space.neighbours.parts == part).any())
+        linked = bool((space.articulation.pairs == part).any())
         why = "is the root, which others hang on" if linked else "has no neighbours"
         raise SettingsError(f"part {part} {why}; give a part that hangs on another one")
     parts = np.zeros(count, dtype=bool)

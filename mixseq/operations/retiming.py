@@ -26,6 +26,7 @@ from mixseq.operations.joining import SLACK
 from mixseq.operations.splines import (
     between,
     breakpoints,
+    correction_measure,
     placement_measure,
     sampled,
     shape_measure,
@@ -208,9 +209,10 @@ def retime(model: Model, keys: ArrayLike, smooth: bool = True) -> Model:
     dense = np.zeros(0) if smooth else _near_kinks(outputs, sources)
     time = _composed(model, model.time, retiming, dense, shape_measure(model))
     placement = _composed(model, model.placement, retiming, dense, placement_measure(model))
+    correction = _composed(model, model.correction, retiming, dense, correction_measure(model))
     layer = model.residual_layer
     retimed = None if layer is None else RetimedLayer(layer, retiming)
-    return model.with_motion(time, placement, model.header.with_times(frames), retimed)
+    return model.with_motion(time, placement, correction, model.header.with_times(frames), retimed)
 
 
 def _composed(model: Model, curve: Curve, retiming: Retiming, dense: Float, measure: Measure) -> Curve:

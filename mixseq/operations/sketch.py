@@ -29,7 +29,7 @@ from scipy.spatial.distance import cdist
 from mixseq.arrays import Float, Index
 from mixseq.errors import MixseqWarning, SettingsError
 from mixseq.frame_numbers import Seconds
-from mixseq.operations.splines import placement_measure, sampled, shape_measure
+from mixseq.operations.splines import correction_measure, placement_measure, sampled, shape_measure
 from mixseq.public import public
 from mixseq.sequence_header import frame_times
 from mixseq.signals.curve import Curve
@@ -100,7 +100,8 @@ def sketch(model: Model, curve: ArrayLike, duration: Seconds, plane: Plane | Non
 
     time = sampled(blended(model.time(times)), drawn.times, ACCURACY, shape_measure(model))
     placement = sampled(blended(model.placement(times)), drawn.times, ACCURACY, placement_measure(model))
-    return model.with_motion(time, placement, header)
+    correction = sampled(blended(model.correction(times)), drawn.times, ACCURACY, correction_measure(model))
+    return model.with_motion(time, placement, correction, header)
 
 
 def cardinal_weights(places: Float) -> Callable[[Float], Float]:
@@ -132,6 +133,20 @@ def cardinal_weights(places: Float) -> Callable[[Float], Float]:
         return np.asarray(raw + (1.0 - raw.sum(axis=1, keepdims=True)) / count)  # rounding, far away
 
     return weights
+
+
+def farthest_points(places: Float, start: Float, count: int) -> Index:
+    """Return at most `count` of places ``(M, 2)`` that are spread widely: each the farthest from a start and others.
+
+    Places that coincide with one of these are left out.
+    """
+    nearest = np.linalg.norm(places - start, axis=1)
+    least = SAME * float(nearest.max(initial=0.0))
+    chosen: list[int] = []
+    while len(chosen) < min(count, len(places)) and nearest.max() > least:
+        chosen.append(int(nearest.argmax()))
+        np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1), out=nearest)
+    return np.array(chosen, dtype=np.int64)
 
 
 def _drawn(curve: ArrayLike, duration: float) -> Curve:

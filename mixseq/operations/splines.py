@@ -8,7 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.signals.curve import Curve
-from mixseq.signals.curve_fitting import Measure
+from mixseq.signals.curve_fitting import Measure, largest
 from mixseq.signals.model import Model
 
 ACCURACY = 1e-5
@@ -57,7 +57,7 @@ def sites_within(model: Model, start: float, end: float, knots: Float | None = N
     """Return sites from one time to another, with the frames of a model, breakpoints of its signals, and knots."""
     if start == end:
         return np.array([start])
-    times = [breakpoints(model.placement), breakpoints(model.time), model.times]
+    times = [*(breakpoints(curve) for curve in model.curves), model.times]
     inner = np.concatenate(times if knots is None else [*times, knots])
     return sites_of(np.array([start, end]), between(inner, start, end))
 
@@ -116,5 +116,9 @@ def shape_measure(model: Model, metric: Float | None = None) -> Measure:
 
 def placement_measure(model: Model) -> Measure:
     """Return how large changes ``(N, P)`` of a placement are ``(N,)``: the largest number, in diagonals."""
-    metric = model.space.weights[model.space.shape_dim :]
-    return lambda changes: np.abs(changes * metric).max(axis=1, initial=0.0)
+    return largest(model.space.weights[model.space.shape_dim :][: model.space.placement_dim])
+
+
+def correction_measure(model: Model) -> Measure:
+    """Return how large changes ``(N, C)`` of a correction are ``(N,)``: the largest number, in diagonals."""
+    return largest(model.space.weights[model.space.shape_dim + model.space.placement_dim :])

@@ -240,5 +240,6 @@ def _mix(
     return a.with_motion(
         mixed(a.time, b.time, mean),
         mixed(a.placement, goes_on, partial(mean_placements, a.space)),
+        mixed(a.correction, b.correction, mean),
         a.header.with_times(frames_of([ModelSection(a, start, end)])),
     )

@@ -6,7 +6,7 @@ correspond to it. The target's vertices are those whose gradients are closest (`
 .. math:: \min_x \sum_{f'} A_{f'}\, | \nabla x - G J_{f(f')} G^T |^2 .
 
 Gradients tell nothing of where a piece is. The largest moves as the points of the source do that it corresponds to, on
-average; every other piece is attached to the vertex next to it (`mixseq.retargeting.attachments`), which it
+average; every other piece is attached to the vertex next to it (`mixseq.geometry.attachments`), which it
 turns with:
 
 .. math:: x_a = x_b + R_b (y_a - y_b) + s G (g_t - \bar R_b\, g_0)
@@ -27,10 +27,10 @@ from scipy import sparse
 from mixseq.arrays import Float, FloatArray, Index
 from mixseq.correspondence.dense import Correspondence
 from mixseq.correspondence.triangle_mesh import TriangleMesh
+from mixseq.geometry.attachments import Attachments, attach
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.retargeting.alignment import Alignment, align
-from mixseq.retargeting.attachments import Attachments, attach
 from mixseq.sequence import bounding_diagonal
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.topology import Topology

@@ -32,8 +32,8 @@ import numpy as np
 from scipy import sparse
 
 from mixseq.arrays import Float, Index
+from mixseq.geometry.attachments import Attachments
 from mixseq.retargeting.articulated_body import ArticulatedBody
-from mixseq.retargeting.attachments import Attachments
 from mixseq.retargeting.gradient_transfer import GradientTransfer
 from mixseq.retargeting.part_correspondence import vertex_parts
 from mixseq.segmentation.boundaries import Boundaries

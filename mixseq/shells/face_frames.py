@@ -88,19 +88,26 @@ class Hinges:
     hinge_faces: Index
 
     @cached_property
-    def _sides(self) -> tuple[Index, Float]:
-        """Side ``(h, 2)`` of both faces that a hinge's edge is, and half a turn where it runs against the edge."""
+    def _ends(self) -> tuple[Index, Index]:
+        """Corners ``(h, 2)`` of both faces where a hinge's edge starts and ends."""
         faces = self.faces[self.hinge_faces]  # (h, 2, 3)
-        start = (faces == self.hinges[:, None, :1]).argmax(axis=2)
-        end = (faces == self.hinges[:, None, 1:2]).argmax(axis=2)
-        forward = (start + 1) % 3 == end
-        return np.where(forward, start, end), np.where(forward, 0.0, np.pi)
+        return tuple((faces == self.hinges[:, None, end : end + 1]).argmax(axis=2) for end in (0, 1))
 
     @cached_property
-    def _reversed(self) -> Float:
-        """Half a turn where both faces run along the edge alike: their normals are on opposite sides."""
-        _, back = self._sides
-        return np.where(back[:, 1] == 0.0, np.pi, 0.0)
+    def backward(self) -> Mask:
+        """Whether the sides ``(h, 2)`` of both faces run against the hinge's edge."""
+        start, end = self._ends
+        return np.asarray((start + 1) % 3 != end)
+
+    @cached_property
+    def sides(self) -> Index:
+        """Side ``(h, 2)`` of both faces that a hinge's edge is."""
+        return np.where(self.backward, self._ends[1], self._ends[0])
+
+    @cached_property
+    def reversed_normals(self) -> Float:
+        """Half a turn ``(h,)`` where both faces run along the edge alike: their normals are on opposite sides."""
+        return np.where(self.backward[:, 1], 0.0, np.pi)
 
     def turns(self, flat: Float, angles: Float) -> Float:
         """Return the rotations T ``(h, 4)`` across all hinges.
@@ -114,9 +121,8 @@ class Hinges:
         """
         side = np.roll(flat, -1, axis=1) - flat
         directions = np.arctan2(side[..., 1], side[..., 0])
-        which, back = self._sides
-        seen = directions[self.hinge_faces, which] + back
-        return np.asarray(kernels.transitions(seen[:, 0], seen[:, 1], angles + self._reversed))
+        seen = directions[self.hinge_faces, self.sides] + np.where(self.backward, np.pi, 0.0)
+        return np.asarray(kernels.transitions(seen[:, 0], seen[:, 1], angles + self.reversed_normals))
 
 
 class _Layers(NamedTuple):

@@ -185,23 +185,24 @@ class Shell(PickledWithoutCaches):
         return np.square(SHRUNK * self._normals[self.topology.hinge_faces])
 
     @cached_property
-    def _side_weights(self) -> Float:
+    def side_weights(self) -> Float:
         """Weights ``(F, 3)`` of the sides of faces: those of an edge add up to that of its length, squared."""
         weights = np.square(self.stretch)
         weights = np.where(weights > 0, weights, np.square(1.0 / max(float(self.typical.max()), NO_LENGTH)))
         return np.asarray((weights / self.topology.edge_face_counts)[self.topology.face_edges])
 
     @cached_property
-    def _tie_weight(self) -> float:
-        return float(np.median(self._side_weights)) if len(self._side_weights) else 1.0
+    def tie_weight(self) -> float:
+        """Typical weight of a side."""
+        return float(np.median(self.side_weights)) if len(self.side_weights) else 1.0
 
     @cached_property
     def factor(self) -> Factor:
         """Factor of the Laplacian."""
         i = np.concatenate([self._faces.reshape(-1), self.ties[:, 0]])
         j = np.concatenate([np.roll(self._faces, -1, axis=1).reshape(-1), self.ties[:, 1]])
-        weights = np.concatenate([self._side_weights.reshape(-1), np.full(len(self.ties), self._tie_weight)])
-        return factored_laplacian(np.stack([i, j], axis=1), weights, self._tie_weight * self.position_weights)
+        weights = np.concatenate([self.side_weights.reshape(-1), np.full(len(self.ties), self.tie_weight)])
+        return factored_laplacian(np.stack([i, j], axis=1), weights, self.tie_weight * self.position_weights)
 
     def integrated(self, sides: Float, tied: Float, expected: Float) -> Float:
         """Return the vertices ``(V, 3)`` whose sides come closest to given ones.
@@ -215,10 +216,10 @@ class Shell(PickledWithoutCaches):
         expected : (V, 3) float64
             Where the vertices are expected that are held.
         """
-        right = (self._tie_weight * self.position_weights)[:, None] * expected
-        kernels.gathered(self._faces, self._side_weights, sides, right)
-        np.add.at(right, self.ties[:, 1], self._tie_weight * tied)
-        np.add.at(right, self.ties[:, 0], -self._tie_weight * tied)
+        right = (self.tie_weight * self.position_weights)[:, None] * expected
+        kernels.gathered(self._faces, self.side_weights, sides, right)
+        np.add.at(right, self.ties[:, 1], self.tie_weight * tied)
+        np.add.at(right, self.ties[:, 0], -self.tie_weight * tied)
         return self.factor.solve(right)
 
     def relaxed(self, start: Float, lengths: Float, angles: Float, steps: int) -> Relaxed:

@@ -14,6 +14,11 @@ Measure = Callable[[Float], Float]
 """From the deviations ``(T, k)`` of a curve to how large they are ``(T,)``."""
 
 
+def largest(weights: Float) -> Measure:
+    """Return the measure of the largest coordinate, with weights ``(k,)``."""
+    return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
+
+
 def fit_curve(times: Float, values: Float, tolerance: float, measure: Measure) -> Curve:
     """Find a curve with few knots that stays near values.
 

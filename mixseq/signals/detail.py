@@ -16,15 +16,16 @@ from mixseq.errors import SettingsError
 from mixseq.frame_store import FrameStore, blocks_of
 from mixseq.geometry.rotations import continued
 from mixseq.mapping import Executor, serially
-from mixseq.prediction.operator import Rows, chosen, with_middles
+from mixseq.prediction.operator import Operator, Rows, chosen, with_middles
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.signals.curve import Curve
-from mixseq.signals.curve_fitting import Measure, fit_curve, least_squares_curve
+from mixseq.signals.curve_fitting import Measure, fit_curve, largest, least_squares_curve
 from mixseq.signals.key_shapes import choose_keys, key_map
 from mixseq.signals.model import Model
 from mixseq.signals.modes import Modes, principal_modes
+from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
 
 SAMPLED = 256
@@ -32,20 +33,24 @@ SAMPLED = 256
 
 
 class Between(NamedTuple):
-    """Frames and the middles between them, as predicted: cubic splines through both go as the prediction goes.
+    """Frames and times between them, as predicted: cubic splines through all go as the prediction goes.
 
     Attributes
     ----------
     times : (2T - 1,) float64
-        Times in seconds.
+        Frames and the middles between them, in seconds.
     rows : Rows
         Weights of the frames there.
-    placement : (2T - 1, P) float64
-        Placements.
+    quarters : (4T - 3,) float64
+        Frames and the quarters between them, in seconds.
+    targets, placement : (4T - 3, ...), (4T - 3, P) float64
+        How parts stand to each other at the quarters, and placements.
     """
 
     times: Float
     rows: Rows
+    quarters: Float
+    targets: Float
     placement: Float
 
 
@@ -67,6 +72,8 @@ class Encoded:
         Coordinates of some vertices, which tell what operator in time predicts the sequence best.
     pose : {"modes", "keys"}
         What key shapes shall be.
+    in_body : bool
+        Whether poses of parts are predicted as seen from their bodies, too.
     """
 
     header: SequenceHeader
@@ -75,6 +82,22 @@ class Encoded:
     placement: Float
     samples: Float
     pose: PoseForm = "modes"
+    in_body: bool = False
+
+    @cached_property
+    def operator(self) -> Operator:
+        """The temporal operator that predicts the samples best."""
+        return chosen(self.header.times, self.samples)
+
+    @cached_property
+    def poses(self) -> Float:
+        """How parts stand to each other at the frames ``(T, pose_dim)``."""
+        return np.asarray(self.shapes[:, self.pose_columns])
+
+    @property
+    def pose_columns(self) -> slice:
+        """Columns of shapes that say how parts stand to each other."""
+        return slice(self.space.shape_dim - self.space.pose_dim, self.space.shape_dim)
 
     @cached_property
     def modes(self) -> Modes:
@@ -84,10 +107,10 @@ class Encoded:
     @cached_property
     def between(self) -> Between:
         """What is predicted between the frames."""
-        operator = chosen(self.header.times, self.samples)
         times = with_middles(self.header.times)
-        placement = self.space.predicted_placements(operator, self.placement, times)
-        return Between(times, operator.at(times), placement)
+        quarters = with_middles(times)
+        found = self.space.predicted_poses(self.operator, self.poses, self.placement, quarters, self.in_body)
+        return Between(times, self.operator.at(times), quarters, *found)
 
     @cached_property
     def shape_measure(self) -> Measure:
@@ -98,8 +121,12 @@ class Encoded:
     @cached_property
     def placement_measure(self) -> Measure:
         """How far deviations of the placement are: the largest coordinate, in diagonals."""
-        weights = self.space.weights[self.space.shape_dim :]
-        return lambda deviations: np.asarray(np.abs(deviations * weights).max(axis=1, initial=0.0))
+        return largest(self.space.weights[self.space.shape_dim :][: self.space.placement_dim])
+
+    @cached_property
+    def correction_measure(self) -> Measure:
+        """How far deviations of corrections are: the largest coordinate, in diagonals."""
+        return largest(self.space.weights[self.space.shape_dim + self.space.placement_dim :])
 
 
 def encode(
@@ -130,6 +157,7 @@ def encode(
         If there is no room for the vectors, neither in memory nor in a temporary file.
     """
     count, size = len(sequence.points), space.shape_dim
+    placed = slice(size, size + space.placement_dim)
     shapes = new_large_array((count, size))
     placement = np.empty((count, space.placement_dim))
     some = evenly(sequence.header.vertex_count, SAMPLED)
@@ -138,7 +166,7 @@ def encode(
     for apart, sampled in workers(_encoded, (space, some), blocks_of(sequence.points)):
         vectors = space.unwrap(apart, previous)
         rows = slice(done, done + len(vectors))
-        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, size:], sampled
+        shapes[rows], placement[rows], samples[rows] = vectors[:, :size], vectors[:, placed], sampled
         previous, done = vectors[-1], rows.stop
         progress(done, count, "encoding frames")
     turns, centres = space.poses(placement)
@@ -166,11 +194,14 @@ class Detail:
         through them all.
     knots : int or (n,) array_like, optional
         Inner knots of all curves, instead of those that slack chooses.
+    step : float
+        Key shapes are rounded to multiples of this number, a power of two, so that they take few bytes; zero not to.
     """
 
     rank: int | None = None
     slack: float = 0.0
     knots: int | ArrayLike | None = None
+    step: float = 0.0
 
 
 def build(encoded: Encoded, detail: Detail) -> Model:
@@ -190,17 +221,61 @@ def build(encoded: Encoded, detail: Detail) -> Model:
         frames = choose_keys(modes.scores)
         pose = key_map(modes.scores[frames])
         shapes = encoded.shapes[frames]
+    if detail.step:
+        shapes = np.round(shapes / detail.step) * detail.step
+    signals = Signals(encoded, pose, shapes[:, encoded.pose_columns])
     if detail.knots is not None:
-        inner = _inner_knots(detail.knots, times)
-        time = least_squares_curve(times, modes.scores, inner)
-        placement = least_squares_curve(times, encoded.placement, inner)
+        curves = signals.with_knots(modes.scores, _inner_knots(detail.knots, times))
     else:
-        sites, rows, whole = encoded.between
-        time, placement = Curve(sites, rows.of(modes.scores)), Curve(sites, whole)
-        if detail.slack > 0:
-            time = fit_curve(sites, time.values, detail.slack, encoded.shape_measure)
-            placement = fit_curve(sites, whole, detail.slack, encoded.placement_measure)
-    return Model(encoded.header, encoded.space, time, pose, shapes, placement)
+        curves = signals.within(modes.scores, detail.slack)
+    return Model(encoded.header, encoded.space, curves[0], pose, shapes, *curves[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Makes the curves of a model.
+
+    Attributes
+    ----------
+    encoded : Encoded
+        The sequence.
+    pose : PoseMap
+        From pose space to weights of the key shapes.
+    key_poses : (K, pose_dim) float64
+        How parts stand in the key shapes.
+    """
+
+    encoded: Encoded
+    pose: PoseMap
+    key_poses: Float
+
+    def with_knots(self, scores: Float, inner: Float) -> tuple[Curve, Curve, Curve]:
+        """Return curves of time, placement and correction with inner knots ``(n,)``."""
+        encoded, times = self.encoded, self.encoded.header.times
+        time = least_squares_curve(times, scores, inner)
+        placement = least_squares_curve(times, encoded.placement, inner)
+        parts, _ = encoded.space.predicted_poses(
+            encoded.operator, encoded.poses, encoded.placement, times, in_body=False
+        )
+        return time, placement, least_squares_curve(times, self._corrections(time, times, parts), inner)
+
+    def within(self, scores: Float, slack: float) -> tuple[Curve, Curve, Curve]:
+        """Return curves of time, placement and correction that stay within slack of frames and predictions."""
+        encoded = self.encoded
+        sites, rows, quarters, targets, placed = encoded.between
+        time = _curve(sites, rows.of(scores), slack, encoded.shape_measure)
+        placement = _curve(quarters, placed, slack, encoded.placement_measure)
+        corrections = self._corrections(time, quarters, targets)
+        return time, placement, _curve(quarters, corrections, slack, encoded.correction_measure)
+
+    def _corrections(self, time: Curve, times: Float, targets: Float) -> Float:
+        """What blended shapes lack at times ``(N,)`` of the poses of their parts ``(N, ...)``."""
+        blended = self.pose.weights(time(times)) @ self.key_poses
+        return self.encoded.space.corrections(blended, targets)
+
+
+def _curve(times: Float, values: Float, slack: float, measure: Measure) -> Curve:
+    return fit_curve(times, values, slack, measure) if slack > 0 else Curve(times, values)
 
 
 def _rank(encoded: Encoded, detail: Detail) -> int:

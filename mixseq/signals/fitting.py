@@ -18,7 +18,8 @@ from mixseq.sequence import Frames, check_frames
 from mixseq.shells.fitting import ShellSettings
 from mixseq.signals.detail import Detail, build, encode
 from mixseq.signals.model import Model
-from mixseq.signals.tolerance import EXACT, LOSSLESS_TO_THE_EYE, ROUNDS, made_sure, within
+from mixseq.signals.tolerance import EXACT, EXACT_STEP, LOSSLESS_TO_THE_EYE, ROUNDS, made_sure, within
+from mixseq.signals.tuning import tuned
 from mixseq.spaces.edge.edge_space import EdgeSettings
 from mixseq.spaces.making import (
     MAKING,
@@ -27,7 +28,6 @@ from mixseq.spaces.making import (
     make_space,
     space_settings,
 )
-from mixseq.spaces.mixed import FAR
 from mixseq.threads import one_blas_thread
 
 __all__ = ["SPACES", "SpaceName", "fit"]
@@ -151,8 +151,8 @@ def fit(
     wanted = LOSSLESS_TO_THE_EYE if tolerance is None else float(tolerance)
     few = rank is not None or knots is not None  # numbers: they do not tell lengths and angles well enough
     match chosen:
-        case MixedSettings() if not few:
-            chosen = replace(chosen, settling_from=FAR)
+        case MixedSettings() if few:
+            chosen = replace(chosen, purpose="few numbers")
         case EdgeSettings(projection="dso", shell=None):
             chosen = replace(chosen, shell=ShellSettings(accuracy=wanted / _MARGIN))
     rounds = 1 if exact else 0 if few else ROUNDS
@@ -161,9 +161,9 @@ def fit(
     with one_blas_thread():
         frames = frame_store(sequence, stages.at(0))
         shape_space = make_space(frames, space, chosen, work, stages.at(1, MAKING))
-        encoded = encode(frames, shape_space, pose, work, stages.at(1 + MAKING))
+        encoded = tuned(encode(frames, shape_space, pose, work, stages.at(1 + MAKING)), frames.points)
         if exact:
-            return made_sure(build(encoded, Detail()), frames, EXACT, work, stages.at(STAGES))
+            return made_sure(build(encoded, Detail(step=EXACT_STEP)), frames, EXACT, work, stages.at(STAGES))
         if few:
             return build(encoded, Detail(rank=rank, knots=knots))
         return within(encoded, frames, wanted, stages.at(STAGES, ROUNDS), work)

@@ -28,11 +28,11 @@ from mixseq.signals.decoding import Decodable, ResidualLayer
 from mixseq.signals.mds_embedding import Plane, plane_of
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
+from mixseq.spaces.mixed import MixedSpace, as_mixed
 from mixseq.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
-    from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,10 @@ class Model(Decodable, PickledWithoutCaches):
     shapes : (K, S) float64
         The shape signal: key shapes without their placement, ``S = space.shape_dim``.
     placement : Curve
-        Where the parts are: a curve of `ShapeSpace.placement_dim` coordinates.
+        Where the bodies are: a curve of `ShapeSpace.placement_dim` coordinates.
+    correction : Curve, optional
+        What blended shapes lack between frames, and at frames in a model of few modes: a curve of
+        `ShapeSpace.correction_dim` coordinates; by default nothing.
     residual_layer : ResidualLayer, optional
         Displacements that the signals alone do not reproduce: with them a compressed sequence is within its bound.
         They belong to this motion: `dataclasses.replace` keeps them, `with_motion` does not.
@@ -69,6 +72,7 @@ class Model(Decodable, PickledWithoutCaches):
     pose: PoseMap
     shapes: Float
     placement: Curve
+    correction: Curve = None  # type: ignore[assignment]  # set below where it is not given
     residual_layer: ResidualLayer | None = None
 
     def __post_init__(self) -> None:
@@ -84,17 +88,32 @@ class Model(Decodable, PickledWithoutCaches):
             raise SettingsError(
                 f"the placement has {self.placement.dim} coordinates; {self.space.placement_dim} are expected"
             )
-        for curve in (self.time, self.placement):
+        if self.correction is None:
+            ends = np.unique(self.placement.times[[0, -1]])
+            object.__setattr__(
+                self, "correction", Curve(ends, np.zeros((len(ends), self.space.correction_dim)))
+            )
+        if self.correction.dim != self.space.correction_dim:
+            raise SettingsError(
+                f"the correction has {self.correction.dim} coordinates; {self.space.correction_dim} are expected"
+            )
+        for curve in self.curves:
             if curve.start > self.times[0] or curve.end < self.times[-1]:
                 raise SettingsError(
                     f"frames are from {self.times[0]:g} to {self.times[-1]:g} s, a signal only from "
                     f"{curve.start:g} to {curve.end:g} s"
                 )
 
+    @property
+    def curves(self) -> tuple[Curve, Curve, Curve]:
+        """Time, placement and correction."""
+        return self.time, self.placement, self.correction
+
     def with_motion(
         self,
         time: Curve,
         placement: Curve,
+        correction: Curve,
         header: SequenceHeader | None = None,
         residual_layer: ResidualLayer | None = None,
     ) -> Model:
@@ -102,7 +121,7 @@ class Model(Decodable, PickledWithoutCaches):
 
         Parameters
         ----------
-        time, placement : Curve
+        time, placement, correction : Curve
             Its signals.
         header : SequenceHeader, optional
             Tells the times of its frames, if they are others.
@@ -111,18 +130,23 @@ class Model(Decodable, PickledWithoutCaches):
             would do harm.
         """
         return replace(
-            self, header=header or self.header, time=time, placement=placement, residual_layer=residual_layer
+            self,
+            header=header or self.header,
+            time=time,
+            placement=placement,
+            correction=correction,
+            residual_layer=residual_layer,
         )
 
     @property
     def start(self) -> float:
         """First time of the model in seconds."""
-        return max(self.time.start, self.placement.start)
+        return max(curve.start for curve in self.curves)
 
     @property
     def end(self) -> float:
         """Last time of the model in seconds."""
-        return min(self.time.end, self.placement.end)
+        return min(curve.end for curve in self.curves)
 
     @property
     def decomposition(self) -> Decomposition:
@@ -144,7 +168,7 @@ class Model(Decodable, PickledWithoutCaches):
         SettingsError
             If it is another one, which has no parts.
         """
-        return self.space.mixed()
+        return as_mixed(self.space)
 
     def __repr__(self) -> str:
         return (
@@ -157,13 +181,14 @@ class Model(Decodable, PickledWithoutCaches):
         """Return the vectors ``(N, D)`` of the space at times ``(N,)`` in seconds; see `__call__`."""
         inside = self.inside(times)
         shapes = self._blended(self.pose.weights(self.time(inside)))
-        return np.concatenate([shapes, self.placement(inside)], axis=1)
+        return np.concatenate([shapes, self.placement(inside), self.correction(inside)], axis=1)
 
     def rates(self, times: ArrayLike) -> Float:
         """Return the derivatives ``(N, D)`` of `curve` by time, per second."""
         inside = self.inside(times)
         shapes = self._blended(self.pose.rates(self.time.derivative(inside)))
-        return np.concatenate([shapes, self.placement.derivative(inside)], axis=1)
+        others = self.placement.derivative(inside), self.correction.derivative(inside)
+        return np.concatenate([shapes, *others], axis=1)
 
     def _blended(self, weights: Float) -> Float:
         """Return sums of key shapes ``(N, S)``, one by one: a frame is the same whatever is asked with it."""

@@ -24,6 +24,12 @@ LOSSLESS_TO_THE_EYE = 5e-4
 EXACT = 1e-8
 """What an exact model may be off by in diagonals: rounding. Near the origin it is off by some 1e-15."""
 
+EXACT_STEP = 2.0**-38
+"""Step to which key shapes of exact models are rounded, in diagonals: frames are off by some 1e-11."""
+
+STEPS = 128
+"""Key shapes of other models are rounded to the tolerance over this, or less."""
+
 ENOUGH = 0.6
 """A model is not made coarser if its error is above this fraction of the tolerance."""
 
@@ -68,10 +74,11 @@ def within(
     """
     low, high, slack = 0.0, np.inf, tolerance / 4
     best: Model | None = None
+    step = 2.0 ** np.floor(np.log2(tolerance / STEPS))
     errors: dict[bytes, float] = {}  # of what was tried: short sequences have few models
     for number in range(ROUNDS):
         progress(number, ROUNDS, "choosing modes and knots")
-        model = build(encoded, Detail(slack=slack))
+        model = build(encoded, Detail(slack=slack, step=step))
         signals = _digest(model)
         if signals not in errors:
             errors[signals] = largest_error(model, sequence, 2 * tolerance, workers)
@@ -85,13 +92,16 @@ def within(
         scaled = slack * float(np.clip(0.8 * tolerance / max(error, tolerance / 100), 0.1, 10.0))
         slack = scaled if low < scaled < high else float(np.sqrt(max(low, high / 100) * high))
     progress(ROUNDS, ROUNDS, "choosing modes and knots")
-    return made_sure(build(encoded, Detail()), sequence, tolerance, workers) if best is None else best
+    if best is not None:
+        return best
+    finest = build(encoded, Detail(step=min(step, EXACT_STEP)))
+    return made_sure(finest, sequence, tolerance, workers)
 
 
 def _digest(model: Model) -> bytes:
     """Tell models of one sequence from each other, by their curves over time."""
     digest = blake2b()
-    for curve in (model.time, model.placement):
+    for curve in model.curves:
         digest.update(curve.times.data)
         digest.update(np.ascontiguousarray(curve.values).data)
     return digest.digest()

@@ -11,20 +11,19 @@ if TYPE_CHECKING:
     from mixseq.spaces.gradient import GradientSpace
     from mixseq.spaces.lri import LRISpace
     from mixseq.spaces.making import MixedSettings, NoSettings, SpaceSettings, make_space, space_settings
-    from mixseq.spaces.mixed import AnchoredSpace, FreeSpace, MixedSpace, mixed_space
+    from mixseq.spaces.mixed import MixedSpace, Projection, mixed_space
     from mixseq.spaces.vertex import VertexSpace
 
 __all__ = [
     "SPACES",
-    "AnchoredSpace",
     "EdgeSettings",
     "EdgeSpace",
-    "FreeSpace",
     "GradientSpace",
     "LRISpace",
     "MixedSettings",
     "MixedSpace",
     "NoSettings",
+    "Projection",
     "ShapeSpace",
     "SpaceName",
     "SpaceSettings",
@@ -37,15 +36,14 @@ __all__ = [
 __getattr__ = forwarded(
     __name__,
     {
-        "AnchoredSpace": "mixseq.spaces.mixed",
         "EdgeSettings": "mixseq.spaces.edge.edge_space",
         "EdgeSpace": "mixseq.spaces.edge.edge_space",
-        "FreeSpace": "mixseq.spaces.mixed",
         "GradientSpace": "mixseq.spaces.gradient",
         "LRISpace": "mixseq.spaces.lri",
         "MixedSettings": "mixseq.spaces.making",
         "MixedSpace": "mixseq.spaces.mixed",
         "NoSettings": "mixseq.spaces.making",
+        "Projection": "mixseq.spaces.mixed",
         "ShapeSpace": "mixseq.spaces.base",
         "SpaceSettings": "mixseq.spaces.making",
         "VertexSpace": "mixseq.spaces.vertex",

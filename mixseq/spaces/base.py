@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.arrays import Float, FloatArray
 from mixseq.errors import SettingsError
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.operator import Operator
-from mixseq.prediction.poses import Neighbours, Poses, predicted_alone
+from mixseq.prediction.poses import Poses, predicted_alone
 from mixseq.progress import Progress, silent
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
     from mixseq.shells.gauss_newton import ShellReport
-    from mixseq.spaces.mixed.anchored import AnchoredSpace
-    from mixseq.spaces.mixed.mixed_space import MixedSpace
 
 Carry = Callable[[Float], Float]
 """From shapes ``(K, S)`` in one space to the same shapes in another one."""
@@ -34,9 +32,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     For every space and all frames x of the sequence it was made for ``decode(encode(x)) = x``, and an affine
     combination of vectors (weights that add up to one) is a vector of the space.
 
-    A vector may end with a *placement*: numbers that say where the shape, or each of its parts, is. First a quaternion
-    for everything that has a rotation, then a centre for everything that has a place. They have no part in distances
-    between shapes, and are combined as accurately as they are known.
+    A vector is ``[shape | placement | correction]``. The *placement* says where the shape, or each of its bodies, is:
+    first a quaternion for everything that has a rotation, then a centre for everything that has a place. It has no part
+    in distances between shapes. *Corrections* are zero in every encoded frame; between frames they make up for what
+    blended shapes lack.
     """
 
     name: str
@@ -45,8 +44,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
     scale: float
     """Length of the unit of the space, in the units of the sequence."""
 
-    posed_parts: ClassVar[bool] = False
-    """Whether every part has a pose of its own, so that limbs can be moved in their joints."""
+    vertex_count: int
+    """Number V of vertices of the mesh."""
 
     @property
     @abstractmethod
@@ -60,12 +59,22 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
     @property
     def shape_dim(self) -> int:
-        """How many numbers S of a vector are its shape: all but the placement."""
-        return self.dim - self.placement_dim
+        """How many numbers S of a vector are its shape: all but placement and correction."""
+        return self.dim - self.placement_dim - self.correction_dim
+
+    @property
+    def correction_dim(self) -> int:
+        """How many numbers C at the end of a vector are its correction."""
+        return 0
+
+    @property
+    def pose_dim(self) -> int:
+        """How many numbers at the end of a shape say how parts stand to each other."""
+        return 0
 
     @property
     def shape_weights(self) -> Float:
-        """Weights ``(S,)`` of a vector without its placement."""
+        """Weights ``(S,)`` of a shape."""
         return self.weights[: self.shape_dim]
 
     @property
@@ -89,43 +98,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         return None
 
     @property
-    def neighbours(self) -> Neighbours:
-        """Which of the poses in a placement see each other; here none do."""
-        return Neighbours(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), np.ones(self.rotation_count))
-
-    @property
-    def parents(self) -> Index:
-        """The part ``(r,)`` that the part of each pose hangs on, -1 for roots; here all are."""
-        return np.full(self.rotation_count, -1, dtype=np.int64)
-
-    @property
-    def bodies(self) -> Index:
-        """The body ``(r,)`` that each pose is of: poses of one body turn the same way round. Here each is one."""
-        return np.arange(self.rotation_count)
-
-    def anchored(self) -> AnchoredSpace:
-        """Return the space, if its parts have poses of their own, so that they can be moved one by one.
-
-        Raises
-        ------
-        SettingsError
-            If they have none.
-        """
-        raise SettingsError(f"the {self.name} space has no parts; fit a model with space='mixed'")
-
-    def mixed(self) -> MixedSpace:
-        """Return the space, if it is the mixed shape space.
-
-        Raises
-        ------
-        SettingsError
-            If it is another one, which has no parts.
-        """
-        raise SettingsError(f"the {self.name} space has no parts; fit a model with space='mixed'")
-
-    @property
     def placement_dim(self) -> int:
-        """How many numbers at the end of a vector are its placement."""
+        """How many numbers P of a vector, after its shape, are its placement."""
         return 4 * self.rotation_count + 3 * self.centre_count
 
     def poses(self, placements: Float) -> Poses:
@@ -140,19 +114,35 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """Return the placements ``(T, placement_dim)`` of quaternions and centres; the inverse of `poses`."""
         return np.concatenate([block.reshape(len(block), -1) for block in poses], axis=1)
 
-    def predicted_placements(self, operator: Operator, placements: Float, times: Float) -> Float:
-        """Return placements ``(N, placement_dim)`` at times ``(N,)`` from those ``(T, placement_dim)`` at the frames.
+    def predicted_poses(
+        self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
+    ) -> tuple[Float, Float]:
+        """Predict how parts stand, and placements, between frames.
 
-        Rotations are chained and centres are weighted sums, see `mixseq.prediction`. Spaces that know more say so.
+        Parameters
+        ----------
+        operator : Operator
+            The temporal operator of the sequence.
+        poses, placements : (T, pose_dim), (T, P) float64
+            How parts stand, and placements, at the frames.
+        times : (N,) float64
+            When.
+        in_body : bool
+            Whether parts are predicted as seen from their bodies, too.
+
+        Returns
+        -------
+        targets : (N, ...) float64
+            Poses of the parts as seen from their bodies, which `corrections` takes.
+        placements : (N, P) float64
+            Here rotations are chained and centres are weighted sums, see `mixseq.prediction`; there are no parts.
         """
-        return self.placements(predicted_alone(operator.at(times), self.poses(placements)))
+        placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
+        return np.zeros((len(times), 0)), placed
 
-    def blended_placements(self, weights: Float, placements: Float) -> Float:
-        """Return the placement ``(placement_dim,)`` of a blend of T poses, with weights ``(T,)`` that add up to one.
-
-        Here that is the weighted sum. Spaces that know more say so.
-        """
-        return np.asarray(weights @ placements)
+    def corrections(self, poses: Float, targets: Float) -> Float:
+        """Return the corrections ``(N, C)`` that shapes with poses ``(N, pose_dim)`` need to have targets."""
+        return np.zeros((len(poses), 0))
 
     def with_shape(self, points: Float) -> tuple[ShapeSpace, Carry]:
         """Return a space that has all shapes of this one and another one ``(V, 3)``, and how shapes get there.
@@ -173,8 +163,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
         Parameters
         ----------
-        points : (T, V, 3) float
-            Vertex positions in the units of the sequence, consecutive frames.
+        points : (T, V, 3) or (V, 3) float
+            Vertex positions in the units of the sequence: consecutive frames, or one pose.
         previous : (D,) float64, optional
             Vector of the frame before the first one, where a sequence is encoded block by block: angles go on
             from there without jumps. By default the first frame stays near the reference of the space.
@@ -182,8 +172,42 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         Returns
         -------
         (T, D) float64
+
+        Raises
+        ------
+        SettingsError
+            If the points are no numbers, not finite, or not those of the mesh.
         """
-        return self.unwrap(self.encode_apart(points), previous)
+        return self.unwrap(self.encode_apart(self._checked_points(points)), previous)
+
+    def _checked_points(self, points: FloatArray) -> FloatArray:
+        """Return frames ``(T, V, 3)``, if these are of the mesh."""
+        frames = np.asarray(points)
+        if frames.dtype.kind not in "fiu":
+            raise SettingsError(f"points are {frames.dtype}; real numbers are expected")
+        if frames.ndim == 2:
+            frames = frames[None]
+        if frames.ndim != 3 or frames.shape[1:] != (self.vertex_count, 3):
+            raise SettingsError(
+                f"points have shape {np.shape(points)}; (T, {self.vertex_count}, 3) is expected, or "
+                f"({self.vertex_count}, 3) for one pose"
+            )
+        finite = np.isfinite(frames).all(axis=(1, 2))
+        if not finite.all():
+            raise SettingsError(f"frame {int(finite.argmin())} has points that are not finite")
+        return frames
+
+    def checked(self, vectors: Any) -> Any:
+        """Return vectors ``(T, D)`` if they are of this space.
+
+        Raises
+        ------
+        SettingsError
+            If they are not.
+        """
+        if np.ndim(vectors) != 2 or np.shape(vectors)[1] != self.dim:
+            raise SettingsError(f"vectors have shape {np.shape(vectors)}; (T, {self.dim}) is expected")
+        return vectors
 
     @abstractmethod
     def encode_apart(self, points: FloatArray) -> Float:
@@ -236,8 +260,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         Returns
         -------
         (S,) float64
-            Added to the shape of the vector, without the `placement_dim` numbers at its end, it decodes to `after`,
-            but for the placement. Zeros if nothing was changed.
+            Added to the shape of the vector, it decodes to `after`, but for the placement. Zeros if nothing was
+            changed.
         """
         # Rotation vectors with more turns, or fewer, differ by something else: those of the vector count.
         encoded = self.encode(np.stack([before, after]), vector)[:, : self.shape_dim]

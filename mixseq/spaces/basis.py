@@ -44,6 +44,11 @@ class BasisSpace(ShapeSpace):
         object.__setattr__(self, "basis", frozen(np.asarray(self.basis, dtype=np.float64, order="C")))
 
     @property
+    def vertex_count(self) -> int:  # type: ignore[override]
+        """Implement `ShapeSpace.vertex_count`."""
+        return int(self.basis.shape[1])
+
+    @property
     def dim(self) -> int:
         """Length of a vector, 3 K."""
         return 3 * len(self.basis)

@@ -34,7 +34,7 @@ from mixseq.spaces.edge.edge_space import EdgeSettings, EdgeSpace
 from mixseq.spaces.gradient import GradientSpace
 from mixseq.spaces.lri import LRISpace
 from mixseq.spaces.metric import mean_lengths
-from mixseq.spaces.mixed import NEVER, MixedSpace, mixed_space
+from mixseq.spaces.mixed import MixedSpace, Purpose, mixed_space
 from mixseq.spaces.vertex import VertexSpace
 from mixseq.topology import Topology
 
@@ -59,8 +59,8 @@ class MixedSettings:
     stretch_tolerance : float, optional
         Joints go on inside parts where blending would shorten an edge by more than this share of its length, see
         `mixseq.segmentation.stretch_tolerance`; by default they are at boundaries only.
-    settling_from : float
-        From where on lengths and angles are made to agree, see `mixseq.spaces.mixed_space`.
+    purpose : {"sequence", "few numbers", "blends"}
+        What the space is for, see `mixseq.spaces.mixed_space`.
     """
 
     placement: PlacementName = "anchored"
@@ -68,7 +68,7 @@ class MixedSettings:
     joint_width: int = 3
     segmentation: Segmentation = "motion"
     stretch_tolerance: float | None = None
-    settling_from: float = NEVER
+    purpose: Purpose = "sequence"
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ _SETTINGS: dict[SpaceName, type[SpaceSettings]] = {
 def _defaults(name: SpaceName) -> dict[str, Any]:
     """Return what users may choose by name, and what it is if they do not."""
     found = {field.name: field.default for field in fields(_SETTINGS[name])}
-    found.pop("settling_from", None)  # follows from what the space is for
+    found.pop("purpose", None)  # follows from what the space is for
     return found
 
 
@@ -234,9 +234,7 @@ def _mixed(
     tolerance = settings.stretch_tolerance
     softening = None if tolerance is None else StretchTolerance(looked_at, tolerance)
     decomposition = decompose(topology, labels, settings.joint_width, observed, softening)
-    return mixed_space(
-        points, topology, decomposition, settings.placement, settings.settling_from, workers, stages.at(2)
-    )
+    return mixed_space(points, topology, decomposition, settings.placement, settings.purpose, stages.at(2))
 
 
 def _told(blocks: Iterator[Observed], frames: int, progress: Progress) -> Iterator[Observed]:

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray
-from mixseq.errors import SettingsError
 from mixseq.geometry.rotations import continued, quaternions, rotations_of
 from mixseq.progress import Progress, silent
 from mixseq.spaces.base import ShapeSpace
@@ -45,6 +44,11 @@ class PosedSpace(ShapeSpace):
     def pieces(self) -> Pieces:
         """The pieces of the mesh."""
         return Pieces.of(self.topology, self.reference)
+
+    @property
+    def vertex_count(self) -> int:  # type: ignore[override]
+        """Implement `ShapeSpace.vertex_count`."""
+        return self.topology.vertex_count
 
     @property
     @abstractmethod
@@ -125,11 +129,7 @@ class PosedSpace(ShapeSpace):
     def split(self, vectors: Float) -> tuple[Float, Float, Float]:
         """Return shapes ``(T, S)``, quaternions ``(T, p, 4)`` and centres ``(T, p, 3)`` of vectors ``(T, D)``.
 
-        Raises
-        ------
-        SettingsError
-            If the vectors are not of this space.
+        It raises what `checked` does.
         """
-        if vectors.ndim != 2 or vectors.shape[1] != self.dim:
-            raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
-        return vectors[:, : self.shape_dim], *self.poses(vectors[:, self.shape_dim :])
+        shapes = self.checked(vectors)[:, : self.shape_dim]
+        return shapes, *self.poses(vectors[:, self.shape_dim :])

@@ -18,7 +18,6 @@ from mixseq.arrays import Float, Index
 from mixseq.errors import FormatError
 from mixseq.frame_store import LARGEST, SMALLEST
 from mixseq.shells.fitting import ShellSettings
-from mixseq.shells.shell import Relaxation
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.h5_writing import CHECKED, put_array, put_text
 
@@ -30,7 +29,11 @@ _KINDS = {"integers": "iu", "floats": "f"}  # as NumPy names them
 
 
 def put(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Store an array, its first axis cut into chunks of about a mebibyte."""
+    """Store an array, its first axis cut into chunks of about a mebibyte; in single precision where that is enough."""
+    if array.dtype == np.float64 and array.size:
+        with np.errstate(over="ignore"):
+            single = array.astype(np.float32)
+        array = single if np.array_equal(single, array) else array
     row = max(1, array[:1].size)
     chunks = (max(1, min(len(array), _CHUNK_ELEMENTS // row)), *array.shape[1:]) if array.size else None
     put_array(file, name, array, chunks=chunks, **(CHECKED if array.size else {}))
@@ -156,8 +159,3 @@ def read_settings(path: Path, file: Contents, about: str, known: Collection[str]
 def read_shell(path: Path, file: Contents) -> ShellSettings:
     """Read the settings of fits to lengths and angles."""
     return ShellSettings(**read_settings(path, file, "shell", ShellSettings.__dataclass_fields__))
-
-
-def read_relaxation(path: Path, file: Contents) -> Relaxation:
-    """Read how lengths and angles are made to agree."""
-    return Relaxation(**read_settings(path, file, "relaxation", Relaxation.__dataclass_fields__))

@@ -15,7 +15,7 @@ from mixseq.signals.model import Model
 from mixseq.signals.pose import PoseMap
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import floats, increasing, put
-from mixseq_io.hdf5.stored_space import Blocks, StoredSpace, placement_blocks, shape_blocks
+from mixseq_io.hdf5.stored_space import Blocks, StoredSpace, correction_blocks, placement_blocks, shape_blocks
 
 _UNIT = 0.5  # quaternions are far from zero, which is no rotation
 
@@ -30,6 +30,9 @@ def write_signals(file: h5py.File, model: Model, space: StoredSpace) -> None:
     _put_blocks(file, "signals/shape", shape_blocks(space), model.shapes)
     put(file, "signals/placement/times", model.placement.times)
     _put_blocks(file, "signals/placement", placement_blocks(space), model.placement.values)
+    if space.correction_dim:
+        put(file, "signals/correction/times", model.correction.times)
+        _put_blocks(file, "signals/correction", correction_blocks(space), model.correction.values)
 
 
 def read_signals(path: Path, file: Contents, header: SequenceHeader, space: StoredSpace) -> Model:
@@ -45,8 +48,11 @@ def read_signals(path: Path, file: Contents, header: SequenceHeader, space: Stor
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     shapes = _get_blocks(path, file, "signals/shape", shape_blocks(space), len(pose.offset))
     placement = _read_placement(path, file, space)
-    _check_frames(path, header, time=time, placement=placement)
-    return Model(header, space, time, pose, shapes, placement)
+    curves = {"time": time, "placement": placement}
+    if space.correction_dim:
+        curves["correction"] = _read_correction(path, file, space)
+    _check_frames(path, header, **curves)
+    return Model(header, space, pose=pose, shapes=shapes, **curves)
 
 
 def _check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:
@@ -69,6 +75,11 @@ def _read_placement(path: Path, file: Contents, space: StoredSpace) -> Curve:
             f"{path}: signals/placement/rotations has quaternions that are nearly zero, no rotations"
         )
     return Curve(knots, placements)
+
+
+def _read_correction(path: Path, file: Contents, space: StoredSpace) -> Curve:
+    knots = increasing(path, file, "signals/correction/times")
+    return Curve(knots, _get_blocks(path, file, "signals/correction", correction_blocks(space), len(knots)))
 
 
 def _put_blocks(file: h5py.File, group: str, blocks: Blocks, values: Float) -> None:

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mixseq.arrays import Float
 from mixseq.choices import PLACEMENTS
 from mixseq.errors import FormatError
 from mixseq.segmentation.joints import Decomposition, make_joint
 from mixseq.sequence import SequenceHeader
-from mixseq.spaces import AnchoredSpace, FreeSpace, MixedSpace
+from mixseq.spaces import MixedSpace, Projection
+from mixseq.spaces.mixed.articulation import Steadiness
 from mixseq.topology import Topology
 from mixseq_io.hdf5.contents import Contents
 from mixseq_io.hdf5.datasets import (
@@ -25,36 +27,37 @@ from mixseq_io.hdf5.datasets import (
     put,
     put_joined,
     put_lists,
-    read_relaxation,
     read_scale,
+    read_settings,
 )
-from mixseq_io.hdf5.h5_writing import put_text
 
-_SUM = 1e-9  # how far the shares of a vertex may be from one
+_SUM = 1e-9  # how far the weights of a vertex may be from one
 
 
 def mixed_blocks(space: MixedSpace) -> dict[str, tuple[int, ...]]:
-    """Return what a vector consists of before its poses, as `shape_blocks` does."""
-    joints = {"lengths": (len(space.edge_ids),), "angles": (len(space.hinge_ids),)}
-    if isinstance(space, AnchoredSpace):
-        sides = len(space.seams.faces)
-        return {**joints, "unposed": (space.topology.vertex_count, 3), "sides": (sides, 2, 3)}
-    return {**joints, "parts": (len(space.shapes), 3)}
+    """Return what a shape consists of, as `shape_blocks` does."""
+    parts, relations = len(space.decomposition.parts), len(space.articulation.pairs)
+    return {
+        "lengths": (len(space.edge_ids),),
+        "angles": (len(space.hinge_ids),),
+        "unposed": (space.vertex_count, 3),
+        "part_rotations": (parts, 4),
+        "part_centres": (parts, 3),
+        "relation_rotations": (relations, 4),
+        "relation_points": (relations, 3),
+    }
 
 
 def write_mixed_space(file: h5py.File, space: MixedSpace) -> None:
     """Store what a mixed space has beside its scale and settings."""
-    put_text(file["space"], "placement", space.placement)
+    weights = space.skinning_weights
     put(file, "space/shapes", space.shapes)
     put(file, "space/reference", space.reference)
-    if isinstance(space, FreeSpace):
-        put(file, "space/reference_lengths", space.reference_lengths)
-    if isinstance(space, AnchoredSpace):
-        shares = space.shares
-        put_joined(file, "space/shares", "parts", np.diff(shares.indptr), shares.indices)
-        put(file, "space/shares/weights", shares.data)
-        put(file, "space/free", np.flatnonzero(space.free).astype(np.int32))
-        put(file, "space/known", np.flatnonzero(space.known).astype(np.int32))
+    put_joined(file, "space/skinning", "parts", np.diff(weights.indptr), weights.indices)
+    put(file, "space/skinning/weights", weights.data)
+    for name, values in space.articulation.steadiness._asdict().items():
+        put(file, f"space/steadiness/{name}", values)
+    put(file, "space/joint_faces", np.flatnonzero(space.joint_faces).astype(np.int32))
     _write_segmentation(file, space.decomposition)
 
 
@@ -66,24 +69,39 @@ def read_mixed_space(path: Path, file: Contents, header: SequenceHeader) -> Mixe
     FormatError
         If something in it is missing, damaged or contradicts the rest.
     """
-    if _read_placement(path, file) == "free":
-        return _read_free(path, file, header)
-    topology, scale = Topology(header.faces, header.vertex_count), read_scale(path, file)
+    topology = Topology(header.faces, header.vertex_count)
     decomposition = _read_segmentation(path, file, topology)
-    shapes = diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3))
-    reference = diagonals(path, file, "space/reference", (header.vertex_count, 3))
-    shares = _read_shares(path, file, header.vertex_count, len(decomposition.parts))
-    return AnchoredSpace(
+    steadiness = Steadiness(*(_read_steadiness(path, file, name) for name in Steadiness._fields))
+    space = MixedSpace(
         topology=topology,
         decomposition=decomposition,
-        scale=scale,
-        shapes=shapes,
-        reference=reference,
-        shares=shares,
-        free=_read_marks(path, file, "space/free", header.vertex_count),
-        known=_read_marks(path, file, "space/known", len(topology.faces)),
-        relaxation=read_relaxation(path, file),
+        scale=read_scale(path, file),
+        shapes=diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
+        reference=diagonals(path, file, "space/reference", (header.vertex_count, 3)),
+        skinning_weights=_read_skinning(path, file, header.vertex_count, len(decomposition.parts)),
+        steadiness=steadiness,
+        joint_faces=_read_marks(path, file, "space/joint_faces", len(topology.faces)),
+        projection=_read_projection(path, file),
     )
+    counts = len(decomposition.parts), len(space.articulation.pairs)
+    for name, values in steadiness._asdict().items():
+        if len(values) != counts[name.startswith("relation")]:
+            raise FormatError(f"{path}: space/steadiness/{name} does not fit the segmentation; it is damaged")
+    return space
+
+
+def _read_steadiness(path: Path, file: Contents, name: str) -> Float:
+    values = floats(path, file, f"space/steadiness/{name}", (None,))
+    if (values <= 0).any():
+        raise FormatError(f"{path}: space/steadiness/{name} has numbers that are not positive")
+    return values
+
+
+def _read_projection(path: Path, file: Contents) -> Projection:
+    found = read_settings(path, file, "projection", Projection.__dataclass_fields__)
+    if found["placement"] not in PLACEMENTS:
+        raise FormatError(f"{path}: the placement {found['placement']!r} is not known")
+    return Projection(**found)
 
 
 def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np.bool_]:
@@ -93,42 +111,18 @@ def _read_marks(path: Path, file: Contents, name: str, count: int) -> NDArray[np
     return marks
 
 
-def _read_placement(path: Path, file: Contents) -> str:
-    """Read how parts are placed."""
-    placement = file.text("placement", "space")
-    if placement not in PLACEMENTS:
-        raise FormatError(f"{path}: the placement {placement!r} is not known")
-    return placement
-
-
-def _read_free(path: Path, file: Contents, header: SequenceHeader) -> FreeSpace:
-    """Read a mixed space in the free placement."""
-    topology = Topology(header.faces, header.vertex_count)
-    decomposition = _read_segmentation(path, file, topology)
-    space = FreeSpace(
-        topology=topology,
-        decomposition=decomposition,
-        scale=read_scale(path, file),
-        shapes=diagonals(path, file, "space/shapes", (sum(map(len, decomposition.parts)), 3)),
-        reference=diagonals(path, file, "space/reference", (header.vertex_count, 3)),
-        reference_lengths=diagonals(path, file, "space/reference_lengths", (None,)),
-        relaxation=read_relaxation(path, file),
-    )
-    if len(space.reference_lengths) != len(space.edge_ids):
-        raise FormatError(f"{path}: space/reference_lengths does not fit the segmentation; it is damaged")
-    return space
-
-
-def _read_shares(path: Path, file: Contents, vertices: int, parts: int) -> sparse.csr_array:
-    sizes, items = get_joined(path, file, "space/shares", "parts", parts)
+def _read_skinning(path: Path, file: Contents, vertices: int, parts: int) -> sparse.csr_array:
+    sizes, items = get_joined(path, file, "space/skinning", "parts", parts)
     ends = np.append(0, np.cumsum(sizes))
-    weights = floats(path, file, "space/shares/weights", (int(ends[-1]),))
+    weights = floats(path, file, "space/skinning/weights", (int(ends[-1]),))
     if len(sizes) != vertices:
         raise FormatError(
-            f"{path}: space/shares has {len(sizes)} rows for {vertices} vertices; it is damaged"
+            f"{path}: space/skinning has {len(sizes)} rows for {vertices} vertices; it is damaged"
         )
     if (weights <= 0).any() or np.abs(np.add.reduceat(weights, ends[:-1]) - 1.0).max() > _SUM:
-        raise FormatError(f"{path}: space/shares/weights must be positive and add up to one for every vertex")
+        raise FormatError(
+            f"{path}: space/skinning/weights must be positive and add up to one for every vertex"
+        )
     return sparse.csr_array((weights, items, ends), shape=(vertices, parts))
 
 

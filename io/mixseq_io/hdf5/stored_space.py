@@ -12,10 +12,8 @@ from mixseq.choices import SPACES
 from mixseq.errors import FormatError, OutputError
 from mixseq.sequence import SequenceHeader
 from mixseq.spaces import (
-    AnchoredSpace,
     EdgeSettings,
     EdgeSpace,
-    FreeSpace,
     GradientSpace,
     LRISpace,
     MixedSpace,
@@ -86,11 +84,17 @@ def placement_blocks(space: StoredSpace) -> Blocks:
     return {"rotations": (space.rotation_count, 4), "translations": (space.centre_count, 3)}
 
 
+def correction_blocks(space: StoredSpace) -> Blocks:
+    """Return what a correction consists of: datasets of `signals/correction`; nothing where there are no parts."""
+    parts = space.correction_dim // 6
+    return {"rotations": (parts, 3), "translations": (parts, 3)} if parts else {}
+
+
 def write_space(file: h5py.File, space: StoredSpace) -> None:
     """Store a shape space."""
     settings = {}
-    if isinstance(space, AnchoredSpace | FreeSpace):
-        settings = {"relaxation": asdict(space.relaxation)}
+    if isinstance(space, MixedSpace):
+        settings = {"projection": asdict(space.projection)}
     if isinstance(space, EdgeSpace):
         edge = {name: getattr(space.settings, name) for name in EDGE}
         settings = {"shell": asdict(space.shell), "edge": edge}

@@ -272,7 +272,7 @@ def decode(coded: CompressedSequence) -> tuple[Model, BetweenFrames]:
     times = with_middles(header.times)
     time = Curve(times, Operator(header.times, between.length, between.cubic).at(times).of(scores))
     placement = Curve(times, np.zeros((len(times), 0)))
-    return Model(header, space, time, pose, shapes, placement, residual_layer), between
+    return Model(header, space, time, pose, shapes, placement, residual_layer=residual_layer), between
 
 
 def _chosen(times: Float, scores: Float) -> BetweenFrames:

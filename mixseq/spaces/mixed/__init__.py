@@ -1,15 +1,6 @@
-"""The mixed shape space S_m: rigid parts by their vertices, joints by lengths and angles, and poses."""
+"""The mixed shape space S_m: rigid parts by their vertices and poses, joints by lengths and angles."""
 
-from mixseq.spaces.mixed.anchored import AnchoredSpace
-from mixseq.spaces.mixed.construction import FAR, NEVER, mixed_space
-from mixseq.spaces.mixed.free import FreeSpace
-from mixseq.spaces.mixed.mixed_space import MixedSpace
+from mixseq.spaces.mixed.construction import Purpose, mixed_space
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection, as_mixed
 
-__all__ = [
-    "FAR",
-    "NEVER",
-    "AnchoredSpace",
-    "FreeSpace",
-    "MixedSpace",
-    "mixed_space",
-]
+__all__ = ["MixedSpace", "Projection", "Purpose", "as_mixed", "mixed_space"]

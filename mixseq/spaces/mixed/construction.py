@@ -1,14 +1,15 @@
-"""Make the mixed shape space of a sequence: register parts, find joints, and see whether meshes have to settle.
+"""Make the mixed shape space of a sequence: register parts, and find joints and how P_m treats them.
 
-Half-way between two frames lengths and angles should be their means. Where frames turn far from each other, posed
-vertices are not that good: there meshes settle, and the faces that are wrong half-way are joints as well.
+Half-way between two frames lengths and angles should be their means. Joints are the faces that are wrong there, however
+parts were found. How much their lengths and angles count is chosen by leaving frames out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,51 +18,66 @@ from mixseq.arrays import Float, FloatArray, Mask, evenly
 from mixseq.choices import PLACEMENTS, PlacementName
 from mixseq.disk_array import LargeArray
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, wrap
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, flat_faces, wrap
 from mixseq.geometry.rigid import mean_shape
-from mixseq.geometry.rotations import quaternions
-from mixseq.mapping import Executor, serially
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.segmentation.observed import frames_to_look_at
 from mixseq.sequence import bounding_diagonal
-from mixseq.shells.shell import Relaxation
-from mixseq.spaces.metric import mean_lengths
-from mixseq.spaces.mixed.anchored import AnchoredSpace
-from mixseq.spaces.mixed.free import FreeSpace
-from mixseq.spaces.mixed.mixed_space import MixedSpace
-from mixseq.spaces.mixed.shares import fitted_shares
+from mixseq.spaces.mixed.mixed_space import MixedSpace, Projection
+from mixseq.spaces.mixed.skinning_weights import fitted_skinning_weights
 from mixseq.topology import Topology
 
-STRETCH = 0.015
-"""Where meshes settle, faces with edges that are wrong by more of their length half-way are joints; ours."""
+Purpose = Literal["sequence", "few numbers", "blends"]
+"""What a space is for: frames in time; models of a given rank or knots; blends of poses that may be far apart."""
 
-BEND = 4.0
-"""So are those with hinges that are wrong by more degrees."""
+STRETCH, BEND = 0.10, 25.0
+"""Faces of sequences are joints if half-way an edge is wrong by this share of its length, or a hinge by degrees."""
+
+BLEND_STRETCH, BLEND_BEND = 0.015, 4.0
+"""The same for blends of poses."""
+
+FREE_STRETCH, FREE_BEND = 0.06, 15.0
+"""The same for the free placement."""
 
 TORN = 0.1
 """A face is torn half-way between frames if an edge of it is wrong by more of its length there."""
 
 FAR = 0.15
-"""Frames are far apart if, half-way to the next, a larger share of faces is torn; ours."""
+"""Frames are far apart if, half-way to the next, a larger share of faces is torn."""
 
-NEVER = 1.0
-"""No share of faces is larger: meshes do not settle."""
+FAR_HOLD = 0.003
+"""Weight of posed vertices at joints where frames are far apart."""
 
-NEIGHBOURS = 5
-"""So many pairs of neighbouring frames tell how far apart they are."""
+GRID = 2.0**-20
+"""Grid of mean shapes and of the reference frame, in diagonals."""
 
-FACES = 100_000
-"""So many faces tell what share of all is torn."""
+SMALLER = 1.3
+"""Vectors of sequences are at least this many times shorter than those of all lengths and angles."""
+
+FAR_RELATIONS = 3.0
+"""Weight of how neighbours see each other where frames are far apart: they change less than poses."""
+
+FLATTEST = 1e-3
+"""Faces lower than this share of their longest side, in some frame, are no joints: their angles are noise."""
+
+NEIGHBOUR_PAIRS = 12
+"""Pairs of neighbouring frames of a sequence that are looked at."""
+
+SAMPLED_FACES = 100_000
+"""Faces that tell what share of all is torn."""
 
 ALL_PAIRS = 12
-"""Among so many frames all pairs are tried, else neighbours."""
+"""Of at most this many poses all pairs are looked at, else neighbours."""
 
-FEWEST, MOST = 6, 20
-"""So many steps are taken if hardly any faces are joints, and if all are; in between in proportion. Ours."""
+FEWEST_STEPS, MOST_STEPS = 6, 20
+"""Steps between far poses if hardly any faces are joints, and if all are; in between in proportion."""
 
-SHAPED_BY = 64
-"""Mean shapes of parts are means of at most so many frames. Any shapes would do to encode all frames exactly."""
+FREE_STEPS = 10
+"""Steps of the free placement."""
+
+SHAPE_FRAMES = 64
+"""Mean shapes of parts are means of at most this many frames. Any shapes would do to encode all frames exactly."""
 
 
 def mixed_space(
@@ -69,8 +85,7 @@ def mixed_space(
     topology: Topology,
     decomposition: Decomposition,
     placement: PlacementName = "anchored",
-    settling_from: float = NEVER,
-    workers: Executor = serially,
+    purpose: Purpose = "sequence",
     progress: Progress = silent,
 ) -> MixedSpace:
     """Make the mixed shape space of a sequence.
@@ -82,115 +97,161 @@ def mixed_space(
     topology : Topology
         Its connectivity.
     decomposition : Decomposition
-        Parts and joints.
+        Its parts.
     placement : {"anchored", "free"}
         How parts are placed.
-    settling_from : float
-        Anchored placement: lengths and angles are made to agree if, half-way between neighbouring frames, a larger
-        share of faces is torn: 0 in blends of poses, `FAR` in animations, whose true frames do not have mean lengths
-        and angles, and `NEVER` where few modes do not know them well enough to be told by them.
-    workers : Executor, optional
-        Who looks at the frames.
+    purpose : {"sequence", "few numbers", "blends"}
+        What the space is for. Lengths and angles do nothing where few numbers do not know them well enough; blends
+        follow them all the way.
     progress : callable, optional
-        Told about every block of frames.
+        Told about every stage.
 
     Raises
     ------
     SettingsError
-        If the placement is neither.
+        If there is no such placement.
     """
     if placement not in PLACEMENTS:
         raise SettingsError(f"placement is {placement!r}; {' or '.join(map(repr, PLACEMENTS))} is expected")
     first = points[:1][0]
     scale = bounding_diagonal(first) or 1.0
-    some = points[frames_to_look_at(len(points), SHAPED_BY)]
-    shapes = np.concatenate([mean_shape(some[:, part] / scale) for part in decomposition.parts])
-    reference = first.astype(np.float64) / scale
+    frames = points[frames_to_look_at(len(points), SHAPE_FRAMES)]
+    shapes = _rounded(np.concatenate([mean_shape(frames[:, part] / scale) for part in decomposition.parts]))
+    reference = _rounded(first.astype(np.float64) / scale)
     progress(1, 2, "registering parts")
-    if placement == "anchored":
-        shares = fitted_shares(topology, decomposition, shapes, some / scale, reference)
-        stiff = AnchoredSpace(
-            topology=topology,
-            decomposition=decomposition,
-            scale=scale,
-            shapes=shapes,
-            reference=reference,
-            shares=shares,
-            free=np.zeros(topology.vertex_count, dtype=bool),
-            known=np.zeros(len(topology.faces), dtype=bool),
-            relaxation=Relaxation(steps=0),
+    posed = MixedSpace(
+        topology=topology,
+        decomposition=decomposition,
+        scale=scale,
+        shapes=shapes,
+        reference=reference,
+        skinning_weights=fitted_skinning_weights(topology, decomposition, shapes, frames / scale, reference),
+        steadiness=None,
+        joint_faces=np.zeros(len(topology.faces), dtype=bool),
+        projection=Projection(),
+    )
+    if purpose == "blends":
+        posed = replace(posed, projection=Projection(relations=FAR_RELATIONS))
+    posed = replace(posed, steadiness=posed.articulation.measured(posed.split(posed.encode(frames)).parts))
+    progress(2, 2, "registering parts")
+    limits = STRETCH, BEND
+    if placement == "free":
+        limits = FREE_STRETCH, FREE_BEND
+    elif purpose == "blends":
+        limits = BLEND_STRETCH, BLEND_BEND
+    pairs = _all_pairs(frames) if purpose == "blends" else _neighbours(points)
+    wrong = wrongness(posed, pairs, *limits)
+    if placement == "free":
+        corners = posed.only_part[topology.faces]
+        mixed = (corners < 0).any(axis=1) | (corners != corners[:, :1]).any(axis=1)
+        return replace(
+            posed,
+            joint_faces=mixed | (wrong > 1.0),
+            projection=Projection("free", 1.0, FAR_HOLD, FREE_STEPS, FAR_RELATIONS),
         )
-        near = replace(stiff, free=_free(stiff, some))
-        progress(2, 2, "registering parts")
-        if settling_from >= NEVER or (settling_from > 0 and not are_far(near, points, settling_from)):
-            return near
-        known = wrong_half_way(near, some)
-        steps = FEWEST + round((MOST - FEWEST) * float(known.mean())) if known.any() else 0
-        return replace(near, known=known, relaxation=Relaxation(steps=steps))
-    space = FreeSpace(topology, decomposition, scale, shapes, reference, np.zeros(0), Relaxation())
-    edges = topology.edges[space.edge_ids]
-    return replace(space, reference_lengths=mean_lengths(points, edges, scale, workers, progress))
+    wrong[flat_in_some_frame(topology, frames)] = 0.0
+    joint_faces = wrong > 1.0
+    if purpose != "blends":
+        joint_faces = _within_budget(posed, wrong)
+    space = replace(posed, joint_faces=joint_faces)
+    if purpose == "few numbers" or not joint_faces.any():
+        return space
+    if purpose == "blends" or are_far(posed, points):
+        steps = FEWEST_STEPS + round((MOST_STEPS - FEWEST_STEPS) * float(joint_faces.mean()))
+        return replace(space, projection=Projection("anchored", 1.0, FAR_HOLD, steps, FAR_RELATIONS))
+    return space
 
 
-def _free(space: AnchoredSpace, frames: FloatArray) -> Mask:
-    """Mark the vertices ``(V,)`` of faces that bend in some of the frames ``(S, V, 3)``."""
-    bent = np.zeros(len(space.topology.faces), dtype=bool)
+def _rounded(x: Float) -> Float:
+    """Round positions in diagonals to `GRID`: any shapes and any reference near the first frame do, in few bytes."""
+    return np.asarray(np.round(x / GRID) * GRID)
+
+
+def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
+    """Choose the worst of the wrong faces as joints, so that vectors are `SMALLER` than all lengths and angles."""
+    topology = posed.topology
+    budget = (len(topology.edges) + len(topology.hinge_faces)) / SMALLER - posed.dim
+    worst = np.argsort(-wrong, kind="stable")[: int(np.count_nonzero(wrong > 1.0))]
+
+    def marked(count: int) -> Mask:
+        faces = np.zeros(len(topology.faces), dtype=bool)
+        faces[worst[:count]] = True
+        return faces
+
+    def fits(count: int) -> bool:
+        faces = marked(count)
+        edges = np.unique(topology.face_edges[faces])
+        hinges = np.count_nonzero(faces[topology.hinge_faces].any(axis=1))
+        return len(edges) + hinges <= budget
+
+    low, high = 0, len(worst)
+    while low < high:
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle - 1)
+    return marked(low)
+
+
+def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
+    """Mark the faces ``(F,)`` that have no area in some of the frames ``(S, V, 3)``."""
+    flat = np.zeros(len(topology.faces), dtype=bool)
     for frame in frames:
-        _, rotations, centres = space.registered(frame.astype(np.float64) / space.scale)
-        bent |= space.frames.bent(space.frames.motions(quaternions(rotations), centres))
-    free = np.zeros(space.topology.vertex_count, dtype=bool)
-    free[space.topology.faces[bent]] = True
-    return free
+        flat |= flat_faces(frame.astype(np.float64), topology.faces, FLATTEST)
+    return flat
 
 
-def are_far(space: AnchoredSpace, frames: LargeArray, share: float) -> bool:
-    """Whether more than a share of faces is torn half-way between neighbours among the frames ``(T, V, 3)``."""
-    last = len(frames) - 1
-    pairs = [frames[first : first + 2] for first in frames_to_look_at(last, NEIGHBOURS)] if last else []
-    return all(  # plain means are quick, and show most animations to be near
-        sum(_torn(space, pair, middle) for pair in pairs) > share * len(pairs)
+def are_far(space: MixedSpace, frames: LargeArray) -> bool:
+    """Whether more than the share `FAR` of faces is torn half-way between neighbours among the frames ``(T, V, 3)``."""
+    pairs = list(_neighbours(frames))
+    return bool(pairs) and all(  # plain means are quick, and show most animations to be near
+        sum(_torn(space, pair, middle) for pair in pairs) > FAR * len(pairs)
         for middle in (_plain_mean, _middle)
     )
 
 
-def wrong_half_way(space: AnchoredSpace, frames: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` that are wrong half-way between some of the frames ``(S, V, 3)``."""
+def wrongness(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:
+    """Return by how much faces ``(F,)`` are wrong half-way between pairs of frames ``(2, V, 3)``.
+
+    The largest error of an edge over the limit of stretch (a share of its length), and of a hinge over the limit of
+    bend (in degrees).
+    """
+    topology = space.topology
+    wrong = np.zeros(len(topology.faces))
+    for pair in pairs:
+        middle = _middle(space, pair)
+        edges = _stretched(middle, pair, topology.edges) / stretch
+        hinges = _bent(middle, pair, topology.hinges) / bend
+        np.maximum(wrong, edges[topology.face_edges].max(axis=1), out=wrong)
+        for side in (0, 1):
+            np.maximum.at(wrong, topology.hinge_faces[:, side], hinges)
+    return wrong
+
+
+def _all_pairs(frames: FloatArray) -> Iterator[FloatArray]:
+    """Yield all pairs of few frames ``(S, V, 3)``, or neighbours of many."""
     count = len(frames)
     pairs = combinations(range(count), 2) if count <= ALL_PAIRS else pairwise(range(count))
-    wrong = np.zeros(len(space.topology.faces), dtype=bool)
-    for first, second in pairs:
-        wrong |= _wrong_between(space, frames[[first, second]])
-    return wrong
+    return (frames[[first, second]] for first, second in pairs)
 
 
-def _wrong_between(space: AnchoredSpace, pair: FloatArray) -> Mask:
-    """Mark the faces ``(F,)`` whose lengths or angles are wrong half-way between two frames."""
-    topology, middle = space.topology, _middle(space, pair)
-    stretched = _stretched(middle, pair, topology.edges) > STRETCH
-    wrong = np.asarray(stretched[topology.face_edges].any(axis=1))
-    wrong[topology.hinge_faces[_bent(middle, pair, topology.hinges) > BEND]] = True
-    return wrong
+def _neighbours(frames: LargeArray) -> Iterator[FloatArray]:
+    """Yield pairs of neighbours among frames ``(T, V, 3)``, evenly spread."""
+    return (frames[first : first + 2] for first in frames_to_look_at(len(frames) - 1, NEIGHBOUR_PAIRS))
 
 
-def _torn(
-    space: AnchoredSpace, pair: FloatArray, between: Callable[[AnchoredSpace, FloatArray], Float]
-) -> float:
-    """Share of faces, or of `FACES` of them, that are torn in a mesh between two frames."""
-    faces = space.topology.faces[evenly(len(space.topology.faces), FACES)]
+def _torn(space: MixedSpace, pair: FloatArray, between: Callable[[MixedSpace, FloatArray], Float]) -> float:
+    """Share of faces, or of `SAMPLED_FACES` of them, that are torn in a mesh between two frames."""
+    faces = space.topology.faces[evenly(len(space.topology.faces), SAMPLED_FACES)]
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     torn = _stretched(between(space, pair), pair, sides) > TORN
     return float(torn.reshape(-1, 3).any(axis=1).mean())
 
 
-def _middle(space: AnchoredSpace, pair: FloatArray) -> Float:
-    """Decode what is half-way between two frames."""
-    half = np.array([0.5, 0.5])
-    shapes, placements = np.split(space.encode(pair), [space.shape_dim], axis=1)
-    vector = np.concatenate([half @ shapes, space.blended_placements(half, placements)])
-    return np.asarray(space.decode(vector[None])[0])
+def _middle(space: MixedSpace, pair: FloatArray) -> Float:
+    """Return the posed mesh half-way between two frames, in their unit."""
+    return np.asarray(space.posed(space.encode(pair).mean(axis=0)[None])[0] * space.scale)
 
 
-def _plain_mean(space: AnchoredSpace, pair: FloatArray) -> Float:
+def _plain_mean(space: MixedSpace, pair: FloatArray) -> Float:
     """Return the mean of the vertices of two frames; the space is not asked."""
     return np.asarray(pair.mean(axis=0, dtype=np.float64))
 

@@ -1,25 +1,146 @@
-"""What both mixed shape spaces have: parts that are registered to their mean shapes, and the joints between them."""
+r"""The mixed shape space S_m: near-rigid parts by their vertices and poses, joints by lengths and angles.
+
+A vector is
+
+``[joint lengths | joint angles | unposed vertices | part poses | relations | body poses | corrections]``
+
+in diagonals and radians.
+
+- Parts are registered to their mean shapes (paper, Section 3.4). How they stand to each other, and where the *bodies*
+  that they make up are, is `articulation`: a rigid motion of a body changes its six numbers and nothing else.
+- A vertex follows the parts around it by skinning weights: its frame is the blend of their motions from the reference
+  frame, as dual quaternions (Kavan and others 2008). The vector has it *unposed*, as seen from its frame: where it
+  would be in the reference frame. Inside a part that is the paper's aligned part vertex.
+- Lengths and angles are those of *joint faces*, which would be wrong half-way between frames.
+- Corrections are zero in every encoded frame. A model has them between frames, where blended part poses are not those
+  that are predicted (`mixseq.signals`).
+
+P_m poses the vertices, where part poses and relations agree best, and then moves those of joints (`joint_projection`).
+Between far poses steps follow that make lengths and angles of the whole mesh agree (`mixseq.shells.shell`). With the
+free placement P_m ignores how parts stand in their component, and finds that from lengths and angles (`assembly`).
+All of it is exact at the frames, and but for these steps an analytic function, whose derivative is a complex step.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
-from mixseq.arrays import Float, FloatArray, Index
+from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
-from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths
+from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
+from mixseq.geometry.rotations import continued, inverse, product, quaternions
+from mixseq.prediction.operator import Operator
+from mixseq.prediction.poses import Poses
+from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
+from mixseq.shells.shell import Relaxation
+from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.metric import ANGLE, radii_of_gyration
+from mixseq.spaces.mixed import skinning_kernels as kernels
+from mixseq.spaces.mixed.articulation import Articulation, PartPoses, Steadiness, articulation_of
+from mixseq.spaces.mixed.assembly import Assembly, FreeFrame
+from mixseq.spaces.mixed.complex_step import Numbers, values_and_rates, with_rates
+from mixseq.spaces.mixed.joint_projection import BENDING, JointProjection
+from mixseq.spaces.mixed.pose_prediction import PosePrediction
 from mixseq.spaces.registered import registered
+from mixseq.threads import one_blas_thread
 from mixseq.topology import Topology
 
-if TYPE_CHECKING:
-    from mixseq.spaces.mixed.anchored import AnchoredSpace
+JOINT_WEIGHT = 1e-3
+"""Weight of lengths and angles in the metric, where unposed vertices, which weigh 1, tell of the same shape."""
+
+JOINT_EMBEDDING_WEIGHT = 2.0
+"""Weight of lengths and angles in embeddings."""
+
+ARTICULATION_WEIGHT = 0.2
+"""Weight of part poses in the metric, against the vertices that they move."""
+
+
+@dataclass(frozen=True)
+class Projection:
+    """How P_m turns vectors into meshes.
+
+    Attributes
+    ----------
+    placement : {"anchored", "free"}
+        Whether parts go where their poses say, or where lengths and angles say.
+    share : float
+        How far lengths and angles of joints go from those of posed vertices to those of the vector, from 0 to 1.
+    hold : float
+        Weight of posed vertices at joints.
+    steps : int
+        Steps that make lengths and angles of the whole mesh agree.
+    relations : float
+        Weight of how neighbours see each other, against poses of parts that move as much.
+
+    Raises
+    ------
+    SettingsError
+        If a number is out of range.
+    """
+
+    placement: PlacementName = "anchored"
+    share: float = 0.0
+    hold: float = 0.1
+    steps: int = 0
+    relations: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share <= 1.0:
+            raise SettingsError(f"share is {self.share}; a number from 0 to 1 is expected")
+        for name in ("hold", "relations"):
+            weight = getattr(self, name)
+            if not (np.isfinite(weight) and weight > 0):
+                raise SettingsError(f"{name} is {weight}; a positive weight is expected")
+        if not isinstance(self.steps, int | np.integer) or self.steps < 0:
+            raise SettingsError(f"steps is {self.steps!r}; a whole number of 0 or more is expected")
+
+
+class MixedBlocks(NamedTuple):
+    """The blocks of T vectors: p parts with n relations, and B bodies.
+
+    Attributes
+    ----------
+    lengths, angles : (T, E'), (T, H')
+        Edge lengths in diagonals and hinge angles in radians of joint faces; angles are unwrapped.
+    unposed : (T, V, 3)
+        Vertices as seen from their frames.
+    turns, centres : (T, p, 4), (T, p, 3)
+        Poses of parts as seen from their bodies: quaternions since the reference frame, and centres.
+    relation_turns, relation_points : (T, n, 4), (T, n, 3)
+        How a part sees its neighbour: the rotation since the reference frame, and the pivot.
+    body_turns, body_centres : (T, B, 4), (T, B, 3)
+        Poses of the bodies: quaternions since the reference frame, and centres.
+    corrections : (T, 6 p)
+        Rotation vectors of parts in their own axes, and shifts as seen from the body.
+    """
+
+    lengths: Numbers
+    angles: Numbers
+    unposed: Numbers
+    turns: Numbers
+    centres: Numbers
+    relation_turns: Numbers
+    relation_points: Numbers
+    body_turns: Numbers
+    body_centres: Numbers
+    corrections: Numbers
+
+    @property
+    def parts(self) -> PartPoses:
+        """Poses and relations of parts."""
+        return PartPoses(*self[3:7])
+
+
+QUATERNIONS = ("turns", "relation_turns", "body_turns")
+"""Blocks of quaternions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +152,21 @@ class MixedSpace(ShapeSpace):
     topology : Topology
         Connectivity of the mesh.
     decomposition : Decomposition
-        Its parts and joints.
+        Its parts and the strips between them.
     scale : float
         Length of the unit of the space, in the units of the sequence: the diagonal of the first frame.
     shapes : (N, 3) float64
         Mean shapes of all parts, each centred, part by part, in the space's unit.
     reference : (V, 3) float64
-        The first frame, in the space's unit: the first frame of an encoded sequence stays near its angles.
+        The reference frame, the first, in the space's unit.
+    skinning_weights : (V, p) sparse matrix
+        How much vertices follow parts; rows add up to one.
+    steadiness : Steadiness
+        How little parts and relations of neighbours move: what P_m trusts where they disagree.
+    joint_faces : (F,) bool
+        Faces whose lengths and angles are in the vector.
+    projection : Projection
+        How P_m makes meshes.
     """
 
     topology: Topology
@@ -45,48 +174,149 @@ class MixedSpace(ShapeSpace):
     scale: float
     shapes: Float
     reference: Float
+    skinning_weights: sparse.csr_array
+    steadiness: Steadiness | None
+    joint_faces: Mask
+    projection: Projection
     name = "mixed"
-    placement: ClassVar[PlacementName]
 
     @property
     def decomposed(self) -> Decomposition:
         """Implement `ShapeSpace.decomposed`."""
         return self.decomposition
 
-    def mixed(self) -> MixedSpace:
-        """Implement `ShapeSpace.mixed`."""
-        return self
+    @property
+    def vertex_count(self) -> int:  # type: ignore[override]
+        """Implement `ShapeSpace.vertex_count`."""
+        return self.topology.vertex_count
 
-    def anchored(self) -> AnchoredSpace:
-        """Implement `ShapeSpace.anchored`: the free placement has poses of whole components only."""
-        raise SettingsError(
-            "parts have poses of their own in the anchored placement only; fit a model with placement='anchored'"
+    @property
+    def placement(self) -> PlacementName:
+        """How parts are placed."""
+        return self.projection.placement
+
+    @property
+    def edge_ids(self) -> Index:
+        """Edges ``(E',)`` whose lengths are in a vector, ascending."""
+        return self.joints.edge_ids
+
+    @property
+    def hinge_ids(self) -> Index:
+        """Hinges ``(H',)`` whose angles are in a vector, ascending."""
+        return self.joints.hinge_ids
+
+    @cached_property
+    def joints(self) -> JointProjection:
+        """What moves the vertices of joints."""
+        return JointProjection(self.topology, self.reference, self.joint_faces, self.projection.hold)
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """What puts parts and joints together in the free placement."""
+        return Assembly(
+            self.topology,
+            self.only_part,
+            self.joint_faces,
+            self.edge_ids,
+            self.hinge_ids,
+            self.reference,
+            Relaxation(BENDING, self.projection.steps),
         )
+
+    @cached_property
+    def only_part(self) -> Index:
+        """The part ``(V,)`` that each vertex follows alone, -1 where it follows several."""
+        weights = self.skinning_weights
+        first = weights.indices[weights.indptr[:-1]]
+        return np.where(np.diff(weights.indptr) == 1, first, -1).astype(np.int64)
+
+    @cached_property
+    def _skinning(self) -> tuple[Index, Index, Float]:
+        weights = self.skinning_weights
+        return weights.indptr.astype(np.int64), weights.indices.astype(np.int64), weights.data
+
+    @cached_property
+    def _rest(self) -> Poses:
+        """Poses of the parts in the reference frame, from their mean shapes."""
+        _, rotations, centres = registered(self.shapes, self.decomposition.parts, self.reference)
+        return Poses(quaternions(rotations)[None], centres[None])
 
     @cached_property
     def radii(self) -> Float:
         """Radii of gyration ``(p,)`` of the parts, a small number for a part that has none."""
         return radii_of_gyration(self.shapes, self.decomposition.parts)
 
-    @property
-    def edge_ids(self) -> Index:
-        """Edges ``(E',)`` whose lengths are in a vector, in its order."""
-        raise NotImplementedError
+    @cached_property
+    def articulation(self) -> Articulation:
+        """Which parts are neighbours, and what is a body."""
+        return articulation_of(
+            self.topology,
+            self.decomposition,
+            self.reference,
+            self._rest.centres[0],
+            self.radii,
+            self.steadiness,
+            self.projection.relations,
+        )
 
-    @property
-    def hinge_ids(self) -> Index:
-        """Hinges ``(H',)`` whose angles are in a vector, in its order."""
-        raise NotImplementedError
+    def constants(self) -> tuple[object, ...]:
+        """Implement `PickledWithoutCaches.constants`."""
+        _ = self.articulation._systems, self.articulation._tree, self._skinning, self.sizes
+        if self.placement == "free":
+            return (self.assembly,)
+        if self.projection.steps:
+            return self.joints, self.joints.shell
+        return (self.joints,) if self.projection.share else ()
+
+    # The vector --------------------------------------------------------------------------------------------
 
     @cached_property
-    def reference_angles(self) -> Float:
-        """Hinge angles ``(H',)`` of the reference frame."""
-        return dihedral_angles(self.reference, self.topology.hinges_at(self.hinge_ids))
+    def _block_shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of the blocks of a vector, in order."""
+        parts, relations = len(self.decomposition.parts), len(self.articulation.pairs)
+        bodies = self.articulation.body_count
+        return (
+            (len(self.edge_ids),),
+            (len(self.hinge_ids),),
+            (self.vertex_count, 3),
+            (parts, 4),
+            (parts, 3),
+            (relations, 4),
+            (relations, 3),
+            (bodies, 4),
+            (bodies, 3),
+            (6 * parts,),
+        )
 
-    def lengths_and_angles(self, x: Float) -> tuple[Float, Float]:
-        """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
-        edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
-        return edge_lengths(x, edges), dihedral_angles(x, hinges)
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Lengths of the blocks of a vector, in order."""
+        return tuple(int(np.prod(shape)) for shape in self._block_shapes)
+
+    @property
+    def dim(self) -> int:
+        """Length D of a vector."""
+        return sum(self.sizes)
+
+    @property
+    def rotation_count(self) -> int:
+        """One for every body."""
+        return self.articulation.body_count
+
+    @property
+    def centre_count(self) -> int:
+        """One for every body."""
+        return self.articulation.body_count
+
+    @property
+    def correction_dim(self) -> int:
+        """Implement `ShapeSpace.correction_dim`: six numbers for every part."""
+        return self.sizes[-1]
+
+    @property
+    def pose_dim(self) -> int:
+        """Implement `ShapeSpace.pose_dim`: poses and relations of parts."""
+        return sum(self.sizes[3:7])
 
     @cached_property
     def angle_weights(self) -> Float:
@@ -94,28 +324,211 @@ class MixedSpace(ShapeSpace):
         edges = self.topology.edges[self.topology.hinge_edges[self.hinge_ids]]
         return ANGLE * edge_lengths(self.reference, edges)
 
-    def registered(self, x: FloatArray) -> tuple[Float, Float, Float]:
-        """Register the parts of a frame ``(V, 3)``, in diagonals; see `mixseq.spaces.registered`."""
-        return registered(self.shapes, self.decomposition.parts, x)
+    @cached_property
+    def weights(self) -> Float:
+        """The metric ``(D,)``: by how many diagonals vertices move when a number of a vector changes by one.
 
-    def checked(self, vectors: Float) -> Float:
-        """Return vectors ``(T, D)`` if they are of this space.
-
-        Raises
-        ------
-        SettingsError
-            If they are not.
+        1 for unposed vertices and centres of bodies; for a quaternion twice a radius of gyration; for poses of parts
+        `ARTICULATION_WEIGHT` times that, for all of their vertices; `JOINT_WEIGHT` for lengths, and for angles times
+        the length of their edges. Relations follow part poses, and weigh nothing.
         """
-        if vectors.ndim != 2 or vectors.shape[1] != self.dim:
-            raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
-        return vectors
+        edges, _, vertices, *_ = self.sizes
+        own = ARTICULATION_WEIGHT * np.sqrt(self.articulation.masses)
+        return np.concatenate(
+            [
+                np.full(edges, JOINT_WEIGHT),
+                JOINT_WEIGHT * self.angle_weights,
+                np.ones(vertices),
+                np.repeat(2.0 * self.radii * own, 4),
+                np.repeat(own, 3),
+                np.zeros(sum(self.sizes[5:7])),
+                np.repeat(2.0 * self.articulation.body_radii, 4),
+                np.ones(self.sizes[8]),
+                np.repeat(self.radii, 3),
+                np.ones(self.sizes[9] // 2),
+            ]
+        )
+
+    @property
+    def embedding_weights(self) -> Float:
+        """Implement `ShapeSpace.embedding_weights`: poses are told apart by joints and by how parts stand."""
+        edges, hinges, *_ = self.sizes
+        joints = np.concatenate(
+            [np.full(edges, JOINT_EMBEDDING_WEIGHT), JOINT_EMBEDDING_WEIGHT * self.angle_weights]
+        )
+        rest = self.shape_weights[edges + hinges :].copy()
+        rest[self.sizes[2] :] /= ARTICULATION_WEIGHT
+        return np.concatenate([joints, rest])
+
+    def split(self, vectors: Numbers) -> MixedBlocks:
+        """Return the blocks of vectors ``(T, D)``, as views where possible; it raises what `checked` does."""
+        columns = np.split(self.checked(vectors), np.cumsum(self.sizes)[:-1], axis=1)
+        shaped = zip(columns, self._block_shapes, strict=True)
+        return MixedBlocks(*(block.reshape(len(vectors), *shape) for block, shape in shaped))
+
+    def join(self, blocks: MixedBlocks) -> Float:
+        """Return the vectors ``(T, D)`` of blocks; the inverse of `split`."""
+        return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
+
+    def part_poses(self, poses: Float) -> PartPoses:
+        """Return the poses and relations of parts from the columns ``(T, pose_dim)`` of shapes that have them."""
+        columns = np.split(poses, np.cumsum(self.sizes[3:7])[:-1], axis=1)
+        shaped = zip(columns, self._block_shapes[3:7], strict=True)
+        return PartPoses(*(block.reshape(len(poses), *shape) for block, shape in shaped))
+
+    # Encoding ----------------------------------------------------------------------------------------------
+
+    def encode_apart(self, points: FloatArray) -> Float:
+        """Implement `ShapeSpace.encode_apart`: angles are the smallest, quaternions those with w >= 0."""
+        frames = [frame.astype(np.float64) / self.scale for frame in points]
+        found = [registered(self.shapes, self.decomposition.parts, x)[1:] for x in frames]
+        rotations, centres = (np.stack(each) for each in zip(*found, strict=True))
+        turns = product(quaternions(rotations), inverse(self._rest.rotations))
+        world = Poses(turns, centres)
+        bodies = self.articulation.bodies_of(world)
+        parts = self.articulation.with_relations(self.articulation.seen_from_bodies(world, bodies))
+        parts = parts._replace(turns=_canonical(parts.turns), relation_turns=_canonical(parts.relation_turns))
+        none = np.zeros((len(frames), self.correction_dim))
+        rows = zip(*parts, bodies.rotations, bodies.centres, none, strict=True)
+        duals = [self.articulation.motions(PartPoses(*row[:4]), (row[4], row[5]), row[6]) for row in rows]
+        unposed = [self._unposed(dual, x) for dual, x in zip(duals, frames, strict=True)]
+        joints = [self.lengths_and_angles(x) for x in frames]
+        lengths, angles = (np.stack(each) for each in zip(*joints, strict=True))
+        return self.join(
+            MixedBlocks(lengths, angles, np.stack(unposed), *parts, bodies.rotations, bodies.centres, none)
+        )
+
+    def lengths_and_angles(self, x: Float) -> tuple[Float, Float]:
+        """Return the lengths ``(..., E')`` and angles ``(..., H')`` of joints in frames ``(..., V, 3)``."""
+        edges, hinges = self.topology.edges[self.edge_ids], self.topology.hinges_at(self.hinge_ids)
+        return edge_lengths(x, edges), dihedral_angles(x, hinges)
+
+    @cached_property
+    def reference_angles(self) -> Float:
+        """Hinge angles ``(H',)`` of the reference frame."""
+        return dihedral_angles(self.reference, self.topology.hinges_at(self.hinge_ids))
+
+    def unwrap(self, vectors: Float, previous: Float | None = None) -> Float:
+        """Implement `ShapeSpace.unwrap`."""
+        blocks = self.split(vectors)
+        before = None if previous is None else self.split(previous[None])
+        start = self.reference_angles if before is None else before.angles[0]
+        signed = {
+            name: continued(getattr(blocks, name), None if before is None else getattr(before, name)[0])
+            for name in QUATERNIONS
+        }
+        return self.join(blocks._replace(angles=unwrap_angles(blocks.angles, start), **signed))
+
+    def _unposed(self, duals: Float, x: Float) -> Float:
+        return np.asarray(kernels.unpose(*self._skinning, duals, x))
+
+    def _duals(self, row: MixedBlocks) -> Numbers:
+        """Motions ``(p, 8)`` of the parts in one frame."""
+        bodies = np.ascontiguousarray(row.body_turns), np.ascontiguousarray(row.body_centres)
+        return self.articulation.motions(row.parts, bodies, np.ascontiguousarray(row.corrections))
+
+    # Decoding ----------------------------------------------------------------------------------------------
+
+    def decode(self, vectors: Float, progress: Progress = silent) -> Float:
+        """Implement `ShapeSpace.decode`: the projection P_m, frame by frame."""
+        blocks = self.split(np.asarray(vectors, dtype=np.float64))
+        points = np.empty((len(vectors), self.vertex_count, 3))
+        with one_blas_thread():
+            for number, frame in enumerate(zip(*blocks, strict=True)):
+                points[number] = self._projected(MixedBlocks(*frame))
+                progress(number + 1, len(vectors), "decoding frames")
+        points *= self.scale
+        return points
+
+    def _projected(self, row: MixedBlocks) -> Float:
+        """Return the mesh ``(V, 3)`` of one vector, in diagonals."""
+        x = self._posed(row)
+        lengths, angles = (np.ascontiguousarray(block) for block in (row.lengths, row.angles))
+        if self.placement == "free":
+            return self.assembly.assemble(FreeFrame(lengths, angles, row.unposed, x)).points
+        moved = self.joints.project(x, lengths, angles, self.projection.share)
+        if not self.projection.steps:
+            return moved
+        all_lengths, all_angles = lengths_and_angles(x, self.topology.edges, self.topology.hinges)
+        all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
+        return self.joints.shell.relaxed(moved, all_lengths, all_angles, self.projection.steps).points
+
+    def _posed(self, row: MixedBlocks) -> Numbers:
+        return np.asarray(kernels.pose(*self._skinning, self._duals(row), np.ascontiguousarray(row.unposed)))
+
+    def posed(self, vectors: Float) -> Float:
+        """Return posed vertices ``(T, V, 3)`` of vectors ``(T, D)``, in diagonals, joints not looked at."""
+        rows = zip(*self.split(vectors), strict=True)
+        return np.stack([self._posed(MixedBlocks(*row)) for row in rows])
+
+    def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.decode_moving` by a complex step, if no steps are taken."""
+        if self.projection.steps:
+            return super().decode_moving(vectors, rates)
+        blocks = self.split(with_rates(np.asarray(vectors, dtype=np.float64), rates))
+        points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
+        with one_blas_thread():
+            for number, frame in enumerate(zip(*blocks, strict=True)):
+                row = MixedBlocks(*frame)
+                joints = np.ascontiguousarray(row.lengths), np.ascontiguousarray(row.angles)
+                x = self.joints.project(self._posed(row), *joints, self.projection.share)
+                points[number], velocities[number] = values_and_rates(x)
+        return points * self.scale, velocities * self.scale
+
+    def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
+        """Implement `ShapeSpace.shape_difference`: parts stay where they are, vertices that did not move too."""
+        row = MixedBlocks(*(block[0] for block in self.split(vector[None])))
+        duals = self._duals(row)
+        first, second = (x / self.scale for x in (before, after))
+        (lengths, angles), (other_lengths, other_angles) = map(self.lengths_and_angles, (first, second))
+        unposed = self._unposed(duals, second) - self._unposed(duals, first)
+        change = other_lengths - lengths, wrap(other_angles - angles), unposed.reshape(-1)
+        return np.concatenate([*change, np.zeros(self.pose_dim)])
+
+    # Between frames ----------------------------------------------------------------------------------------
+
+    def predicted_poses(
+        self, operator: Operator, poses: Float, placements: Float, times: Float, in_body: bool
+    ) -> tuple[Float, Float]:
+        """Implement `ShapeSpace.predicted_poses`: in the world, in the body if asked for, and by neighbours."""
+        parts, bodies = self.part_poses(poses), self.poses(placements)
+        world = self.articulation.placed(Poses(parts.turns, parts.centres), bodies)
+        world = world._replace(rotations=continued(world.rotations))
+        predicted = PosePrediction(self.articulation, operator, world, in_body).at(times)
+        found = self.articulation.bodies_of(predicted)
+        seen = self.articulation.seen_from_bodies(predicted, found)
+        placed = self.placements(found._replace(rotations=continued(found.rotations, bodies.rotations[0])))
+        return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
+
+    def corrections(self, poses: Float, targets: Float) -> Float:
+        """Implement `ShapeSpace.corrections`."""
+        parts = len(self.decomposition.parts)
+        turns, centres = np.split(targets, [4 * parts], axis=1)
+        wanted = Poses(turns.reshape(-1, parts, 4), centres.reshape(-1, parts, 3))
+        return self.articulation.corrections(self.articulation.agreed(self.part_poses(poses)), wanted)
+
+    def corrected_poses(self, poses: Float, corrections: Float) -> Poses:
+        """Return poses ``(T, p)`` of parts as seen from their bodies, of pose columns and corrections ``(T, ...)``."""
+        from mixseq.geometry.rotations import exponentials
+
+        agreed = self.articulation.agreed(self.part_poses(poses))
+        spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
+        return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)
 
 
-def split_rows(vectors: Float, sizes: tuple[int, ...]) -> list[Float]:
-    """Return the blocks ``(T, size)`` of vectors ``(T, D)``, as views."""
-    return np.split(vectors, np.cumsum(sizes)[:-1], axis=1)
+def as_mixed(space: ShapeSpace) -> MixedSpace:
+    """Return a space as it is, if it is the mixed shape space.
+
+    Raises
+    ------
+    SettingsError
+        If it is another one, which has no parts.
+    """
+    if not isinstance(space, MixedSpace):
+        raise SettingsError(f"the {space.name} space has no parts; fit a model with space='mixed'")
+    return space
 
 
-def joined_rows(*blocks: Float) -> Float:
-    """Return vectors ``(T, D)`` of blocks ``(T, ...)``; the inverse of `split_rows` and reshaping."""
-    return np.concatenate([block.reshape(len(block), -1) for block in blocks], axis=1)
+def _canonical(turns: Float) -> Float:
+    """Return quaternions ``(..., 4)`` with signs such that w >= 0: rotations by at most half a turn."""
+    return np.where(turns[..., :1] < 0, -turns, turns)

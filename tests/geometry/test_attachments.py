@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
 
 from mixseq.arrays import Index
-from mixseq.retargeting.attachments import Attachments, attach
+from mixseq.geometry.attachments import Attachments, attach
 from tests.meshes import seeds
 
 

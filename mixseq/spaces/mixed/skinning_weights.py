@@ -171,10 +171,13 @@ LARGE = 200_000
 NEAR = 32
 """So many rings of vertices about boundaries. Shares fall to a hundredth within half of them."""
 
+GRID = 2.0**-16
+"""Grid of skinning weights."""
+
 _AT_ONCE = 16  # parts that are spread at once
 
 
-def fitted_shares(
+def fitted_skinning_weights(
     topology: Topology, decomposition: Decomposition, shapes: Float, frames: FloatArray, reference: Float
 ) -> sparse.csr_array:
     """Find the shares ``(V, p)`` of a mesh with p parts; rows add up to one.
@@ -214,7 +217,7 @@ def fitted_shares(
     followed = np.concatenate([parts[rows, places], part_of_far])
     values = np.concatenate([shares[rows, places], np.ones(len(far))])
     size = (topology.vertex_count, len(decomposition.parts))
-    return _normalised(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr())
+    return _rounded(_normalised(sparse.coo_array((values, (vertices, followed)), shape=size).tocsr()))
 
 
 def _looked_at(topology: Topology, decomposition: Decomposition) -> tuple[Index, Index, Index]:
@@ -277,3 +280,14 @@ def _spread(graph: sparse.csr_array, at_faces: sparse.csr_array) -> tuple[Index,
 def _normalised(matrix: sparse.csr_array) -> sparse.csr_array:
     sums = np.asarray(matrix.sum(axis=1)).reshape(-1)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)
+
+
+def _rounded(weights: sparse.csr_array) -> sparse.csr_array:
+    """Round weights to `GRID`, so that they take few bytes; the largest of each row takes what is left of one."""
+    data = np.round(weights.data / GRID) * GRID
+    starts = weights.indptr[:-1]
+    largest = np.repeat(np.maximum.reduceat(weights.data, starts), np.diff(weights.indptr)) == weights.data
+    rows = np.repeat(np.arange(len(starts)), np.diff(weights.indptr))
+    first = np.unique(rows[largest], return_index=True)[1]
+    data[np.flatnonzero(largest)[first]] += 1.0 - np.add.reduceat(data, starts)
+    return sparse.csr_array((data, weights.indices, weights.indptr), shape=weights.shape)

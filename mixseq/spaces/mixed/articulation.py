@@ -1,0 +1,359 @@
+r"""How the parts of bodies stand to each other, wherever the bodies are.
+
+Parts that meet are a *body*: across boundaries of parts, and where components of the mesh touch in the reference frame,
+as eyes and shoes do. The pose of a body is the rigid motion from the reference frame that fits its parts best,
+
+.. math:: \min_{Q, C} \sum_i m_i\, |Q\, (\bar c_i - \bar C) + C - c_i|^2 + m_i r_i^2\, |Q - T_i|^2 ,
+
+with the rotations :math:`T_i` of parts since the reference frame, their centres :math:`c_i`, numbers of vertices
+:math:`m_i` and radii of gyration :math:`r_i`. *Articulation* is how parts stand as seen from it, rotations
+:math:`t_i = Q^T T_i` and centres :math:`Q^T (c_i - C)`, and how each part j stands as its neighbour i sees it, a
+*relation*: the rotation :math:`t_i^T t_j` and the place of a pivot of j, the middle of their boundary. A rigid motion
+of a body changes neither.
+
+Blends of poses and blends of relations disagree. *Agreement* is found as for the faces of joints
+(`mixseq.spaces.mixed.joint_projection`): rotations are averaged, then centres follow from the pivots, by constant
+matrices of the weights :math:`m_i r_i^2` and :math:`m_i`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from mixseq.arrays import Float, Index
+from mixseq.geometry.attachments import attach
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import (
+    continuous_vectors,
+    inverse,
+    normalised,
+    product,
+    quaternions,
+    rotations_of,
+    turned,
+)
+from mixseq.prediction.poses import Poses
+from mixseq.segmentation.boundaries import Boundaries
+from mixseq.segmentation.joints import Decomposition
+from mixseq.spaces.mixed import articulation_kernels as kernels
+from mixseq.spaces.mixed.complex_step import Numbers
+from mixseq.topology import Topology
+
+TOUCHING = 0.1
+"""Components that are nearer to each other in the reference frame are of one body, in diagonals."""
+
+STILL = 1e-2
+"""Motions below this, in diagonals, are all the same."""
+
+
+class PartPoses(NamedTuple):
+    """Articulation in T frames: p parts and n relations of neighbours.
+
+    Attributes
+    ----------
+    turns : (T, p, 4)
+        Rotations of parts since the reference frame, as seen from the body: quaternions.
+    centres : (T, p, 3)
+        Centres of parts, as seen from the body.
+    relation_turns : (T, n, 4)
+        How part j is turned as seen from part i: quaternions.
+    relation_points : (T, n, 3)
+        Where the pivot of part j is, as seen from part i.
+    """
+
+    turns: Numbers
+    centres: Numbers
+    relation_turns: Numbers
+    relation_points: Numbers
+
+
+class Steadiness(NamedTuple):
+    """One over the mean squared motion, in squared diagonals: how little poses and relations change over the frames.
+
+    Attributes
+    ----------
+    turns, centres : (p,) float64
+        Of rotations of parts, times their radii of gyration, and of centres, as seen from the body.
+    relation_turns, relation_points : (n,) float64
+        The same of how neighbours see each other, by the smaller of their radii.
+    """
+
+    turns: Float
+    centres: Float
+    relation_turns: Float
+    relation_points: Float
+
+    @classmethod
+    def equal(cls, parts: int, relations: int) -> Steadiness:
+        """Return one for all."""
+        return cls(*(np.ones(count) for count in (parts, parts, relations, relations)))
+
+
+@dataclass(frozen=True, eq=False)
+class Articulation:
+    """The parts of a mesh, and which of them are neighbours; make it with `articulation_of`.
+
+    Attributes
+    ----------
+    rest_centres : (p, 3) float64
+        Centres of the parts in the reference frame, in diagonals.
+    radii, masses : (p,) float64
+        Radii of gyration in diagonals, and numbers of vertices.
+    areas : (p,) float64
+        Areas of the parts in the reference frame, in squared diagonals.
+    bodies : (p,) int64
+        The body of every part.
+    pairs : (n, 2) int64
+        Neighbours: parts i and j, every pair in both orders.
+    pivots : (n, 3) float64
+        Where they meet in the reference frame, as seen from the centre of j.
+    steadiness : Steadiness
+        How little they move.
+    relation_weight : float
+        Weight of a relation against a pose of its lighter part that moves as much.
+    """
+
+    rest_centres: Float
+    radii: Float
+    masses: Float
+    areas: Float
+    bodies: Index
+    pairs: Index
+    pivots: Float
+    steadiness: Steadiness
+    relation_weight: float = 1.0
+
+    @property
+    def part_count(self) -> int:
+        """Number p of parts."""
+        return len(self.bodies)
+
+    @cached_property
+    def body_count(self) -> int:
+        """Number B of bodies."""
+        return int(self.bodies.max(initial=-1)) + 1
+
+    @cached_property
+    def body_radii(self) -> Float:
+        """Radii of gyration ``(B,)`` of the bodies in the reference frame, in diagonals."""
+        away = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.bodies]
+        squares = self.masses * (np.square(self.radii) + np.square(away).sum(axis=1))
+        return np.sqrt(np.bincount(self.bodies, squares) / np.bincount(self.bodies, self.masses))
+
+    @cached_property
+    def _graph(self) -> sparse.csr_array:
+        places = tuple(self.pairs.T)
+        count = self.part_count
+        return sparse.coo_array((np.ones(len(self.pairs)), places), shape=(count, count)).tocsr()
+
+    @cached_property
+    def parents(self) -> Index:
+        """The part ``(p,)`` that every part hangs on, -1 for roots: the parts of bodies with most area."""
+        result = np.full(self.part_count, -1, dtype=np.int64)
+        reached = np.zeros(self.part_count, dtype=bool)
+        for root in np.argsort(-self.areas, kind="stable"):
+            if not reached[root]:
+                order, above = csgraph.breadth_first_order(self._graph, root, directed=False)
+                result[order[1:]] = above[order[1:]]
+                reached[order] = True
+        return result
+
+    @cached_property
+    def _tree(self) -> tuple[Index, Index]:
+        """Parts that hang on others, each after what it hangs on, and that part."""
+        order: list[int] = []
+        level = np.flatnonzero(self.parents < 0)
+        while len(level):
+            level = np.flatnonzero(np.isin(self.parents, level))
+            order += level.tolist()
+        parts = np.array(order, dtype=np.int64)
+        return parts, self.parents[parts]
+
+    @cached_property
+    def _links(self) -> Index:
+        """The relation by which each part of the tree is seen from the part that it hangs on."""
+        parts, above = self._tree
+        number = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
+        return np.array(
+            [number[pair] for pair in zip(above.tolist(), parts.tolist(), strict=True)], dtype=np.int64
+        )
+
+    @cached_property
+    def _systems(self) -> tuple[Float, ...]:
+        """Weights ``(p,)`` and ``(n,)`` and inverses ``(p, p)`` of rotations, and the last two of centres."""
+        i, j = self.pairs.T
+        found: list[Float] = []
+        sizes = self.masses * np.square(self.radii), self.masses
+        steady = self.steadiness
+        pairs = zip(
+            sizes,
+            (steady.turns, steady.centres),
+            (steady.relation_turns, steady.relation_points),
+            strict=True,
+        )
+        for size, part, relation in pairs:
+            own, weights = size * part, self.relation_weight * np.minimum(size[i], size[j]) * relation
+            matrix = np.diag(own)
+            np.add.at(matrix, (i, i), weights)
+            np.add.at(matrix, (j, j), weights)
+            np.add.at(matrix, (i, j), -weights)
+            np.add.at(matrix, (j, i), -weights)
+            found += [own, weights, np.linalg.inv(matrix)]
+        own_turns, turn_weights, turn_inverse, _, place_weights, place_inverse = found
+        return own_turns, turn_weights, turn_inverse, place_weights, place_inverse
+
+    # From frames -------------------------------------------------------------------------------------------
+
+    def bodies_of(self, poses: Poses) -> Poses:
+        """Return the poses ``(T, B)`` of the bodies of parts with poses ``(T, p)``, rotations since the reference."""
+        centres = self._body_means(poses.centres)
+        rest = self.rest_centres - self._body_means(self.rest_centres[None])[0][self.bodies]
+        away = poses.centres - centres[:, self.bodies]
+        moments = np.einsum("p,tpa,pb->tpab", self.masses, away, rest)
+        moments += (self.masses * np.square(self.radii))[:, None, None] * rotations_of(poses.rotations)
+        sums = np.zeros((len(centres), self.body_count, 3, 3))
+        np.add.at(sums, (slice(None), self.bodies), moments)
+        return Poses(quaternions(nearest_rotations(sums)), centres)
+
+    def _body_means(self, centres: Float) -> Float:
+        """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
+        sums = np.zeros((len(centres), self.body_count, 3))
+        np.add.at(sums, (slice(None), self.bodies), self.masses[:, None] * centres)
+        return sums / np.bincount(self.bodies, self.masses)[:, None]
+
+    def seen_from_bodies(self, poses: Poses, bodies: Poses) -> Poses:
+        """Return poses of parts ``(T, p)`` as seen from their bodies ``(T, B)``."""
+        back = inverse(normalised(bodies.rotations))[:, self.bodies]
+        away = poses.centres - bodies.centres[:, self.bodies]
+        return Poses(product(back, poses.rotations), turned(rotations_of(back), away))
+
+    def placed(self, poses: Poses, bodies: Poses) -> Poses:
+        """Return poses of parts in the world; the inverse of `seen_from_bodies`."""
+        turns = normalised(bodies.rotations)[:, self.bodies]
+        centres = turned(rotations_of(turns), poses.centres) + bodies.centres[:, self.bodies]
+        return Poses(product(turns, poses.rotations), centres)
+
+    def with_relations(self, poses: Poses) -> PartPoses:
+        """Return poses ``(T, p)``, in whatever axes, with the relations that they have."""
+        i, j = self.pairs.T
+        back = inverse(poses.rotations[:, i])
+        pivots = turned(rotations_of(poses.rotations[:, j]), self.pivots) + poses.centres[:, j]
+        points = turned(rotations_of(back), pivots - poses.centres[:, i])
+        return PartPoses(*poses, product(back, poses.rotations[:, j]), points)
+
+    # To frames ---------------------------------------------------------------------------------------------
+
+    def agreed(self, poses: PartPoses) -> Poses:
+        """Return poses ``(T, p)`` that agree best with poses and relations ``(T, ...)``."""
+        found = [self._agreed(*map(np.ascontiguousarray, frame)) for frame in zip(*poses, strict=True)]
+        turns, centres = (np.stack(each) for each in zip(*found, strict=True))
+        return Poses(turns, centres)
+
+    def _agreed(self, *frame: Numbers) -> tuple[Numbers, Numbers]:
+        tree = *self._tree, self._links
+        return kernels.agree(*frame, self.pairs, self.pivots, *tree, *self._systems)  # type: ignore[return-value]
+
+    def measured(self, poses: PartPoses) -> Steadiness:
+        """Return how little poses and relations change over frames ``(T, ...)``."""
+        i, j = self.pairs.T
+        radii = self.radii, np.minimum(self.radii[i], self.radii[j])
+        found = []
+        for turns, places, radius in zip(poses[::2], poses[1::2], radii, strict=True):
+            mean = normalised(turns.mean(axis=0))
+            cosines = np.minimum(np.abs(np.einsum("tpi,pi->tp", turns, mean)), 1.0)
+            angles = 2.0 * np.arccos(cosines) * radius
+            away = np.linalg.norm(places - places.mean(axis=0), axis=2)
+            found += [1.0 / (np.square(each).mean(axis=0) + STILL**2) for each in (angles, away)]
+        return Steadiness(*found)
+
+    def corrections(self, poses: Poses, targets: Poses) -> Float:
+        """Return what corrects poses to targets at increasing times: rotation vectors and shifts, ``(T, 6 p)``."""
+        spins = continuous_vectors(rotations_of(product(inverse(poses.rotations), targets.rotations)))
+        shifts = targets.centres - poses.centres
+        return np.concatenate([each.reshape(len(each), -1) for each in (spins, shifts)], axis=1)
+
+    def motions(self, poses: PartPoses, bodies: tuple[Numbers, Numbers], correction: Numbers) -> Numbers:
+        """Return the motions of parts in one frame as unit dual quaternions ``(p, 8)``.
+
+        Parameters
+        ----------
+        poses : PartPoses
+            Poses and relations of one frame, without the axis of frames.
+        bodies : ((B, 4), (B, 3))
+            Poses of the bodies.
+        correction : (6 p,)
+            Rotation vectors of parts, in their own axes, and shifts as seen from the body, after poses agree.
+        """
+        turns, centres = self._agreed(*map(np.ascontiguousarray, poses))
+        spins, shifts = correction.reshape(2, -1, 3)
+        turns, centres = kernels.correct(turns, centres, spins, shifts)
+        return kernels.motions(turns, centres, *bodies, self.bodies, self.rest_centres, *self._tree)  # type: ignore[no-any-return]
+
+
+def articulation_of(
+    topology: Topology,
+    decomposition: Decomposition,
+    reference: Float,
+    rest_centres: Float,
+    radii: Float,
+    steadiness: Steadiness | None = None,
+    relation_weight: float = 1.0,
+) -> Articulation:
+    """Find which parts are neighbours, and what is a body.
+
+    Parameters
+    ----------
+    topology, decomposition : Topology, Decomposition
+        The mesh and its parts.
+    reference : (V, 3) float64
+        The reference frame, in diagonals.
+    rest_centres, radii : (p, 3), (p,) float64
+        Where its parts are, and their radii of gyration.
+    steadiness : Steadiness, optional
+        How little they move; by default all alike.
+    relation_weight : float
+        Weight of a relation against a pose.
+    """
+    labels, count = decomposition.part_of_face, len(decomposition.parts)
+    boundaries = Boundaries.of(topology, labels)
+    pairs, places = boundaries.parts, boundaries.middles(reference)
+    a, b, c = np.moveaxis(reference[topology.faces], 1, 0)
+    areas = np.bincount(labels, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0, minlength=count)
+    component = _connected(count, pairs)
+    part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
+    for number, part in enumerate(decomposition.parts):
+        part_of_vertex[part] = number
+    part_of_vertex[topology.faces] = labels[:, None]
+    pieces = [
+        np.flatnonzero((part_of_vertex >= 0) & (component[part_of_vertex] == piece))
+        for piece in range(component.max(initial=-1) + 1)
+    ]
+    held = attach(pieces, reference, np.arange(len(reference)))
+    ends = np.stack([held.own, held.other], axis=1)
+    near = np.linalg.norm(np.diff(reference[ends], axis=1)[:, 0], axis=1) <= TOUCHING
+    pairs = np.concatenate([pairs, part_of_vertex[ends[near]]])
+    places = np.concatenate([places, reference[ends[near]].mean(axis=1)])
+    pairs, places = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(places, (2, 1))
+    return Articulation(
+        rest_centres=rest_centres,
+        radii=radii,
+        masses=np.array([len(part) for part in decomposition.parts], dtype=np.float64),
+        areas=areas,
+        bodies=_connected(count, pairs),
+        pairs=pairs,
+        pivots=places - rest_centres[pairs[:, 1]],
+        steadiness=Steadiness.equal(count, len(pairs)) if steadiness is None else steadiness,
+        relation_weight=relation_weight,
+    )
+
+
+def _connected(count: int, pairs: Index) -> Index:
+    """Number what pairs ``(n, 2)`` connect ``(count,)``."""
+    graph = sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1].astype(np.int64)

@@ -1,0 +1,302 @@
+"""The inner loops of `joint_projection`, compiled: what lengths and angles make of the faces of joints.
+
+Rotations are unit quaternions (w, x, y, z), lengths in diagonals. Arrays are of real or of complex numbers: a complex
+step gives derivatives (`complex_step`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.compiled import compiled, inlined
+
+SHORTEST = 1e-12
+"""Sides are at least this long, in diagonals: a triangle has a side 01 that its frame can follow."""
+
+FLATTEST = 1e-12
+"""A triangle has no area, and any frame, if its height is below this share of its sides."""
+
+
+@inlined
+def _inverse_root(square: float) -> float:
+    """Return one over a square root."""
+    return 1.0 / np.sqrt(square)
+
+
+@compiled
+def lengths_of(x: Float, edges: Index) -> Float:
+    """Return the lengths ``(e,)`` of edges ``(e, 2)``."""
+    lengths = np.empty(len(edges), x.dtype)
+    for k in range(len(edges)):
+        a, b = edges[k, 0], edges[k, 1]
+        p, q, r = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        square = p * p + q * q + r * r
+        lengths[k] = np.sqrt(square) if square.real > 0.0 else 0.0 * square
+    return lengths
+
+
+@compiled
+def flatten(lengths: Float, face_edges: Index) -> Float:
+    """Lay triangles into the plane: length of side 01, and place of corner 2 ``(m, 3)``."""
+    flat = np.empty((len(face_edges), 3), lengths.dtype)
+    for f in range(len(face_edges)):
+        a, b, c = lengths[face_edges[f, 0]], lengths[face_edges[f, 1]], lengths[face_edges[f, 2]]
+        if a.real < SHORTEST:
+            a = a - a.real + SHORTEST
+        if c.real < SHORTEST:
+            c = c - c.real + SHORTEST
+        x = (a * a + c * c - b * b) / (2.0 * a)
+        square = c * c - x * x
+        if square.real <= 0.0:  # no such triangle: it is laid on a line
+            x = c if x.real > 0.0 else -c
+            flat[f, 2] = 0.0
+        else:
+            flat[f, 2] = np.sqrt(square)
+        flat[f, 0], flat[f, 1] = a, x
+    return flat
+
+
+@compiled
+def frames_of(x: Float, faces: Index) -> Float:
+    """Return the frames ``(m, 4)`` of triangles: axes along side 01, across it in the plane, and along the normal."""
+    frames = np.empty((len(faces), 4), x.dtype)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        u2, v2, n2 = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, nx * nx + ny * ny + nz * nz
+        if not n2.real > FLATTEST**2 * (u2 * v2).real:
+            frames[f, 0] = 1.0
+            frames[f, 1] = frames[f, 2] = frames[f, 3] = 0.0
+            continue
+        scale = _inverse_root(u2)
+        ux, uy, uz = ux * scale, uy * scale, uz * scale
+        scale = _inverse_root(n2)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        mx, my, mz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        # From the largest component (Shepperd 1978).
+        trace = ux + my + nz
+        if trace.real >= max(ux.real, my.real, nz.real):
+            p, q, r, s = 1.0 + trace, mz - ny, nx - uz, uy - mx
+        elif ux.real >= my.real and ux.real >= nz.real:
+            p, q, r, s = mz - ny, 1.0 + 2.0 * ux - trace, uy + mx, nx + uz
+        elif my.real >= nz.real:
+            p, q, r, s = nx - uz, uy + mx, 1.0 + 2.0 * my - trace, mz + ny
+        else:
+            p, q, r, s = uy - mx, nx + uz, mz + ny, 1.0 + 2.0 * nz - trace
+        scale = _inverse_root(p * p + q * q + r * r + s * s)
+        frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3] = p * scale, q * scale, r * scale, s * scale
+    return frames
+
+
+@inlined
+def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, float]:
+    """Return cosine and sine, of either sign, of half the angle from side 01 to another side of a flat triangle."""
+    if side == 0:
+        u, v = flat[f, 0], 0.0 * flat[f, 0]
+    elif side == 1:
+        u, v = flat[f, 1] - flat[f, 0], flat[f, 2]
+    else:
+        u, v = -flat[f, 1], -flat[f, 2]
+    square = u * u + v * v
+    length = np.sqrt(square) if square.real > 0.0 else square
+    if u.real > 0.0:
+        p, q = length + u, v
+    else:
+        p, q = v, length - u
+    square = p * p + q * q
+    if not square.real > 0.0:
+        p, q, square = 1.0 + 0.0 * u, 0.0 * u, 1.0 + 0.0 * u
+    scale = _inverse_root(square)
+    p, q = p * scale, q * scale
+    if back:
+        return -q, p
+    return p, q
+
+
+@compiled
+def target_turns(
+    frames: Float,
+    pairs: Index,
+    flat: Float,
+    target_flat: Float,
+    sides: Index,
+    backward: Index,
+    reversed_normals: Float,
+    known: Index,
+    angles: Float,
+    share: float,
+) -> Float:
+    """Return how the second face of each hinge should be turned, as seen from the first: ``(h, 4)``.
+
+    Parameters
+    ----------
+    frames, pairs : (m, 4), (h, 2) int64
+        Frames of the posed faces, and the two faces of every hinge.
+    flat, target_flat : (m, 3)
+        The posed triangles in the plane, and those with target lengths, as `flatten` lays them.
+    sides, backward : (h, 2) int64
+        Which side of both faces the hinge's edge is, and whether it runs against it.
+    reversed_normals : (h,) float64
+        Half a turn where normals are on opposite sides, else zero.
+    known : (h,) int64
+        Number of the hinge among the target angles, -1 where it has none and keeps that of the posed mesh.
+    angles : (k,)
+        Target angles in radians.
+    share : float
+        How far angles go from the posed to the target ones, from 0 to 1.
+    """
+    turns = np.empty((len(pairs), 4), frames.dtype)
+    for k in range(len(pairs)):
+        i, j = pairs[k, 0], pairs[k, 1]
+        f, g = frames[i], frames[j]
+        w = f[0] * g[0] + f[1] * g[1] + f[2] * g[2] + f[3] * g[3]
+        x = f[0] * g[1] - f[1] * g[0] - f[2] * g[3] + f[3] * g[2]
+        y = f[0] * g[2] + f[1] * g[3] - f[2] * g[0] - f[3] * g[1]
+        z = f[0] * g[3] - f[1] * g[2] + f[2] * g[1] - f[3] * g[0]
+        # Half the posed angle: the turn as seen along the edge, which leaves a rotation about it.
+        ci, si = _half_direction(flat, i, sides[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(flat, j, sides[k, 1], backward[k, 1] != 0)
+        ca, sa, cb, sb = ci * cj + si * sj, si * cj - ci * sj, ci * cj - si * sj, si * cj + ci * sj
+        c, s = w * ca + z * sa, x * cb + y * sb
+        square = c * c + s * s
+        if not square.real > 0.0:
+            turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = w, x, y, z
+            continue
+        scale = _inverse_root(square)
+        c, s = c * scale, s * scale
+        p0, p1, p2, p3 = c * ca, s * cb, s * sb, c * sa
+        if known[k] >= 0:
+            half = 0.5 * (angles[known[k]] + reversed_normals[k])
+            ct, st = np.cos(half), np.sin(half)
+            cd, sd = c * ct + s * st, c * st - s * ct
+            if cd.real < 0.0:
+                cd, sd = -cd, -sd
+            cd, sd = 1.0 - share + share * cd, share * sd
+            scale = _inverse_root(cd * cd + sd * sd)
+            c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
+        ci, si = _half_direction(target_flat, i, sides[k, 0], backward[k, 0] != 0)
+        cj, sj = _half_direction(target_flat, j, sides[k, 1], backward[k, 1] != 0)
+        q0, q1, q2, q3 = (
+            c * (ci * cj + si * sj),
+            s * (ci * cj - si * sj),
+            s * (si * cj + ci * sj),
+            c * (si * cj - ci * sj),
+        )
+        # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
+        a, b = p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3, p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
+        d, e = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1, p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+        turns[k, 0] = w * a - x * b - y * d - z * e
+        turns[k, 1] = w * b + x * a + y * e - z * d
+        turns[k, 2] = w * d - x * e + y * a + z * b
+        turns[k, 3] = w * e + x * d - y * b + z * a
+    return turns
+
+
+@compiled
+def misfits(frames: Float, pairs: Index, turns: Float, weights: Float, count: int) -> Float:
+    """Return the right-hand side ``(count, 3)`` of rotation averaging: weighted axes of misfits by their sines."""
+    right = np.zeros((count, 3), frames.dtype)
+    for k in range(len(pairs)):
+        i, j = pairs[k, 0], pairs[k, 1]
+        f, g, t = frames[i], frames[j], turns[k]
+        w = f[0] * t[0] - f[1] * t[1] - f[2] * t[2] - f[3] * t[3]
+        x = f[0] * t[1] + f[1] * t[0] + f[2] * t[3] - f[3] * t[2]
+        y = f[0] * t[2] - f[1] * t[3] + f[2] * t[0] + f[3] * t[1]
+        z = f[0] * t[3] + f[1] * t[2] - f[2] * t[1] + f[3] * t[0]
+        scale = 2.0 * weights[k] * (w * g[0] + x * g[1] + y * g[2] + z * g[3])
+        a = scale * (-w * g[1] + x * g[0] - y * g[3] + z * g[2])
+        b = scale * (-w * g[2] + x * g[3] + y * g[0] - z * g[1])
+        c = scale * (-w * g[3] - x * g[2] + y * g[1] + z * g[0])
+        if j < count:
+            right[j, 0] += a
+            right[j, 1] += b
+            right[j, 2] += c
+        if i < count:
+            right[i, 0] -= a
+            right[i, 1] -= b
+            right[i, 2] -= c
+    return right
+
+
+@compiled
+def turn_on(frames: Float, steps: Float) -> Float:
+    """Return frames ``(m, 4)`` of which the first n are turned by small rotation vectors ``(n, 3)``."""
+    turned = frames.copy()
+    for f in range(len(steps)):
+        a, b, c = 0.5 * steps[f, 0], 0.5 * steps[f, 1], 0.5 * steps[f, 2]
+        w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
+        p, q, r, s = (
+            w - a * x - b * y - c * z,
+            x + a * w + b * z - c * y,
+            y - a * z + b * w + c * x,
+            z + a * y - b * x + c * w,
+        )
+        scale = _inverse_root(p * p + q * q + r * r + s * s)
+        turned[f, 0], turned[f, 1], turned[f, 2], turned[f, 3] = p * scale, q * scale, r * scale, s * scale
+    return turned
+
+
+@inlined
+def _corner(frames: Float, f: int, u: float, v: float) -> tuple[float, float, float]:
+    """Turn a point (u, v) of a flat triangle by the frame of the triangle."""
+    w, x, y, z = frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z)) * u + 2.0 * (x * y - w * z) * v,
+        2.0 * (x * y + w * z) * u + (1.0 - 2.0 * (x * x + z * z)) * v,
+        2.0 * (x * z - w * y) * u + 2.0 * (y * z + w * x) * v,
+    )
+
+
+@compiled
+def side_changes(
+    frames: Float,
+    flat: Float,
+    target_frames: Float,
+    target_flat: Float,
+    faces: Index,
+    weights: Float,
+    numbers: Index,
+    count: int,
+) -> Float:
+    """Return the right-hand side ``(count, 3)`` of displacements: by how much sides of faces change, weighted.
+
+    Parameters
+    ----------
+    frames, flat, target_frames, target_flat : (m, 4), (m, 3), (m, 4), (m, 3)
+        Faces as they are, and as they should be.
+    faces, weights : (n, 3) int64, (n, 3) float64
+        Corners of the first n of the faces, and weights of sides 01, 12, 20; zero for faces without area.
+    numbers : (V,) int64
+        Number of every vertex among those that move, -1 for others.
+    count : int
+        How many move.
+    """
+    right = np.zeros((count, 3), frames.dtype)
+    for f in range(len(faces)):
+        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 0], 0.0 * target_flat[f, 0])
+        q0, q1, q2 = _corner(frames, f, flat[f, 0], 0.0 * flat[f, 0])
+        a0, a1, a2 = p0 - q0, p1 - q1, p2 - q2
+        p0, p1, p2 = _corner(target_frames, f, target_flat[f, 1], target_flat[f, 2])
+        q0, q1, q2 = _corner(frames, f, flat[f, 1], flat[f, 2])
+        b0, b1, b2 = p0 - q0, p1 - q1, p2 - q2
+        for side in range(3):
+            w = weights[f, side]
+            if side == 0:
+                s0, s1, s2 = w * a0, w * a1, w * a2
+            elif side == 1:
+                s0, s1, s2 = w * (b0 - a0), w * (b1 - a1), w * (b2 - a2)
+            else:
+                s0, s1, s2 = -w * b0, -w * b1, -w * b2
+            p, q = numbers[faces[f, side]], numbers[faces[f, (side + 1) % 3]]
+            if q >= 0:
+                right[q, 0] += s0
+                right[q, 1] += s1
+                right[q, 2] += s2
+            if p >= 0:
+                right[p, 0] -= s0
+                right[p, 1] -= s1
+                right[p, 2] -= s2
+    return right

@@ -1,0 +1,199 @@
+r"""Poses of parts between frames, predicted in the world, as seen from the body, and by their neighbours.
+
+Every rotation is chained and every centre a weighted sum (`mixseq.prediction.poses`), in the axes of the world, where
+feet stand, and in those of the body, where a turn of the body is no motion of its parts. Where two parts meet, each
+also sees the other move. A pose is the matrix :math:`X = (R^T; t)` with four rows, a relation :math:`X_j = G_{ij} X_i`.
+Predictions disagree; the poses that agree best with all of them minimise
+
+.. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
+
+with the mean :math:`\hat X_i` of the predictions in the world and in the body, weighted by their precisions. It is a
+linear system; polar decomposition makes its rotations rotations. Every precision P is the inverse of a 4 x 4 covariance
+of errors :math:`\delta`, those with which frames that are left out are predicted from the others:
+
+.. math:: P = \Bigl(\frac{\sum \delta \delta^T + n\, S}{3 F + n} + \varepsilon^2\Bigr)^{-1}
+
+over F frames, with an isotropic S of the same size that stands for what so few frames do not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mixseq.arrays import Float, Index
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import continued, quaternions, rotations_of, turned
+from mixseq.prediction.operator import Operator, Rows
+from mixseq.prediction.poses import Poses, chained, predicted_alone
+from mixseq.spaces.mixed.articulation import Articulation
+
+RELATION_WEIGHT = 0.3
+r"""Weight :math:`\lambda` of a relation against a pose: errors of neighbours go together."""
+
+PRIOR = 6.0
+"""Rows of errors n that the isotropic covariance stands for."""
+
+FLOOR = 1e-3
+r"""Errors :math:`\varepsilon` below this, in diagonals, are all the same."""
+
+TIMES_AT_ONCE = 64
+"""Times whose systems are in memory at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrediction:
+    """Predicts the poses of all parts of a sequence.
+
+    Attributes
+    ----------
+    articulation : Articulation
+        The parts.
+    operator : Operator
+        The temporal operator of the sequence.
+    poses : Poses
+        Poses of the parts in the world at the frames, ``(T, p)``: rotations since the reference frame.
+    in_body : bool
+        Whether poses are predicted as seen from the body, too.
+    """
+
+    articulation: Articulation
+    operator: Operator
+    poses: Poses
+    in_body: bool = True
+
+    def at(self, times: Float) -> Poses:
+        """Predict the poses ``(N, p)`` at times ``(N,)``; at the frames they are those of the frames."""
+        rows = self.operator.at(times)
+        alone = predicted_alone(rows, self.poses)
+        if len(self.operator.times) < 3:
+            return self._seen_from_bodies(rows)
+        predicted = self.of(rows)
+        known = np.isin(times, self.operator.times)[:, None, None]
+        turns = continued(predicted.rotations, alone.rotations[0])
+        return Poses(
+            np.where(known, alone.rotations, turns), np.where(known, alone.centres, predicted.centres)
+        )
+
+    def of(self, rows: Rows) -> Poses:
+        """Predict poses by weights of frames: quaternions of any sign."""
+        found = [self._predicted(part) for part in _parts_of(rows)]
+        return Poses(*(np.concatenate(blocks) for blocks in zip(*found, strict=True)))
+
+    def _predicted(self, rows: Rows) -> Poses:
+        weighted = [(_stacked(guess), precision) for guess, precision in self._guesses(rows)]
+        own = sum(precision for _, precision in weighted)
+        mean = np.linalg.solve(own, sum(precision @ guess for guess, precision in weighted))
+        own = own / len(weighted)
+        parts = self.articulation.pairs
+        if not len(parts):
+            turns = np.swapaxes(mean[:, :, :3], -1, -2)
+            return Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
+        seen = _relations(rows, self._related, self.articulation.pivots)
+        return Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
+
+    def _guesses(self, rows: Rows) -> Iterator[tuple[Poses, Float]]:
+        """Yield poses that are predicted without neighbours, and precisions ``(p, 4, 4)``."""
+        in_world, in_body = self._precisions
+        yield predicted_alone(rows, self.poses), in_world
+        if in_body is not None:
+            yield self._seen_from_bodies(rows), in_body
+
+    @cached_property
+    def _bodies(self) -> tuple[Poses, Poses]:
+        """Poses of the bodies, and those of parts as seen from them."""
+        bodies = self.articulation.bodies_of(self.poses)
+        bodies = bodies._replace(rotations=continued(bodies.rotations))
+        seen = self.articulation.seen_from_bodies(self.poses, bodies)
+        return bodies, seen._replace(rotations=continued(seen.rotations))
+
+    def _seen_from_bodies(self, rows: Rows) -> Poses:
+        bodies, seen = (predicted_alone(rows, each) for each in self._bodies)
+        return self.articulation.placed(seen, bodies)
+
+    @cached_property
+    def _left_out(self) -> tuple[Index, Rows]:
+        return self.operator.left_out()
+
+    @cached_property
+    def _precisions(self) -> tuple[Float, Float | None]:
+        (left, rows), own, radii = self._left_out, _stacked(self.poses), self.articulation.radii
+        world = _precision(_stacked(predicted_alone(rows, self.poses)) - own[left], radii)
+        if not self.in_body:
+            return world, None
+        return world, _precision(_stacked(self._seen_from_bodies(rows)) - own[left], radii)
+
+    @cached_property
+    def _related(self) -> Poses:
+        """How neighbours see each other at the frames ``(T, n)``: rotations, and places of pivots."""
+        related = self.articulation.with_relations(self.poses)
+        return Poses(continued(related.relation_turns), related.relation_points)
+
+    @cached_property
+    def _relation_precisions(self) -> Float:
+        """Precisions ``(n, 4, 4)`` of relations."""
+        (left, rows), pivots, count = self._left_out, self.articulation.pivots, len(self.poses.centres)
+        everywhere = Rows(np.arange(count)[:, None], np.ones((count, 1)), count)
+        errors = _relations(rows, self._related, pivots) - _relations(everywhere, self._related, pivots)[left]
+        return _precision(errors[..., :3], self.articulation.radii[self.articulation.pairs[:, 1]])
+
+
+def _parts_of(rows: Rows) -> Iterator[Rows]:
+    """Yield rows in blocks of `TIMES_AT_ONCE`."""
+    for start in range(0, len(rows.frames), TIMES_AT_ONCE):
+        block = slice(start, start + TIMES_AT_ONCE)
+        yield Rows(rows.frames[block], rows.weights[block], rows.count)
+
+
+def _relations(rows: Rows, related: Poses, pivots: Float) -> Float:
+    """Predict relations, as matrices G ``(N, n, 4, 4)``."""
+    rotations = rotations_of(chained(rows, related.rotations))
+    result = np.zeros((*rotations.shape[:2], 4, 4))
+    result[..., :3, :3] = np.swapaxes(rotations, -1, -2)
+    result[..., 3, :3] = rows.of(related.centres) - turned(rotations, pivots)
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def _precision(errors: Float, radii: Float) -> Float:
+    """Precisions ``(n, 4, 4)`` of matrices with errors ``(F, n, 4, 3)``, of parts with given radii."""
+    lengths = np.concatenate([np.repeat(radii[:, None], 3, axis=1), np.ones((len(radii), 1))], axis=1)
+    errors = errors * lengths[:, :, None]
+    squares = np.einsum("fnac,fnbc->nab", errors, errors)
+    count = 3 * len(errors)
+    turning = np.trace(squares[:, :3, :3], axis1=1, axis2=2) / 3.0
+    isotropic = np.concatenate([np.repeat(turning[:, None], 3, axis=1), squares[:, 3:, 3]], axis=1) / count
+    covariance = squares + PRIOR * isotropic[:, :, None] * np.eye(4)
+    inverted = np.linalg.inv(covariance / (count + PRIOR) + FLOOR**2 / 3.0 * np.eye(4))
+    return np.asarray(inverted * lengths[:, :, None] * lengths[:, None, :])
+
+
+def _fused(alone: Float, own: Float, seen: Float, relative: Float, parts: Index) -> tuple[Float, Float]:
+    """Rotations ``(N, p, 4)`` and centres ``(N, p, 3)`` that agree best with all predictions."""
+    count, size = alone.shape[:2]
+    i, j = parts.T
+    forth = relative @ seen  # (N, n, 4, 4)
+    gain = np.swapaxes(seen, -1, -2) @ forth
+    residuals = alone[:, j] - seen @ alone[:, i]
+    system, right = np.zeros((count, size, 4, size, 4)), np.zeros((count, size, 4, 3))
+    for part in range(size):
+        system[:, part, :, part] = own[part]
+    for link, (first, second) in enumerate(parts):
+        system[:, second, :, second] += relative[link]
+        system[:, first, :, first] += gain[:, link]
+        system[:, second, :, first] -= forth[:, link]
+        system[:, first, :, second] -= np.swapaxes(forth[:, link], -1, -2)
+        right[:, second] -= relative[link] @ residuals[:, link]
+        right[:, first] += np.swapaxes(forth[:, link], -1, -2) @ residuals[:, link]
+    change = np.linalg.solve(system.reshape(count, 4 * size, 4 * size), right.reshape(count, 4 * size, 3))
+    together = alone + change.reshape(count, size, 4, 3)
+    return quaternions(nearest_rotations(np.swapaxes(together[:, :, :3], -1, -2))), together[:, :, 3]
+
+
+def _stacked(poses: Poses) -> Float:
+    """Poses as matrices X ``(T, p, 4, 3)``."""
+    rotations = np.swapaxes(rotations_of(poses.rotations), -1, -2)
+    return np.concatenate([rotations, poses.centres[:, :, None]], axis=2)
