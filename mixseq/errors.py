@@ -13,7 +13,7 @@
     ├── OutputError            a file that cannot be written
     ├── ClusterError           workers that cannot be reached, do not fit, or were lost
     │   └── GivenUpError       work over which several workers died
-    └── MissingExtraError      an optional package that is not installed
+    └── MissingExtraError      an optional package or program that is not installed
 
     MixseqWarning              data that a format cannot hold, or that was repaired
 
@@ -68,7 +68,7 @@ class GivenUpError(ClusterError):
 
 
 class MissingExtraError(MixseqError):
-    """An optional package that is not installed; the message names the cure."""
+    """An optional package or program that is not installed; the message names the cure."""
 
 
 class MixseqWarning(UserWarning):

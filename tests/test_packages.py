@@ -49,7 +49,7 @@ def required(*without: str) -> list[Requirement]:
 
 
 def test_the_lock_has_what_is_required() -> None:
-    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    lines = (ROOT / "scripts/requirements.lock").read_text().splitlines()
     locked = [Requirement(line.rstrip(" \\")) for line in lines if line[:1].isalnum()]
     for wanted in required("bench"):
         versions = [

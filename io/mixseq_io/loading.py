@@ -6,8 +6,6 @@ signals, which may be in any shape space.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,16 +46,13 @@ def is_model(path: Path) -> bool:
 
 
 @public
-def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = None) -> Model:
+def load(path: PathLike, *, max_memory: float | None = None) -> Model:
     """Load a model from an HDF5 file, or from a GLB file with a mesh sequence.
 
     Parameters
     ----------
     path : path-like
         A file that `save` wrote; its signals may have been edited.
-    salvage : bool
-        Of a damaged compressed model, return what is not damaged: a `MixseqWarning` tells what is left out, frames or
-        accuracy. Other files are loaded as usual.
     max_memory : float, optional
         Bytes that the file's arrays may take, as in `mixseq_io.open_sequence`.
 
@@ -72,22 +67,15 @@ def load(path: PathLike, salvage: bool = False, *, max_memory: float | None = No
         each other, or if it takes more than `max_memory`.
     """
     with memory_limit(max_memory):
-        return _load(Path(path), salvage)
-
-
-def _load(source: Path, salvage: bool) -> Model:
-    if salvage and (rest := _salvaged(source)) is not None:
-        return rest
-    return _load_glb(source) if source.suffix.lower() == GLB else _load_h5(source)
+        source = Path(path)
+        return _load_glb(source) if source.suffix.lower() == GLB else _load_h5(source)
 
 
 def _load_glb(source: Path) -> Model:
     from mixseq_io.coded.reading import decoded, sequence_of
     from mixseq_io.gltf.sequence_extension import read_container
 
-    with _explained(source):
-        container = read_container(source)
-    return decoded(source, sequence_of(source, container))
+    return decoded(source, sequence_of(source, read_container(source)))
 
 
 def _load_h5(source: Path) -> Model:
@@ -97,8 +85,7 @@ def _load_h5(source: Path) -> Model:
         )
     if source.is_file():
         check_memory(source, source.stat().st_size, "the file itself")
-    with _explained(source):
-        file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
+    file = read_contents(source, MODEL_FORMAT, meanwhile=_import_decoder)
     if file.kind != MODEL_FORMAT:
         raise FormatError(
             f"{source} is an HDF5 file, but not a mixseq model (format = {file.kind!r}); make one with mixseq encode"
@@ -112,26 +99,6 @@ def _load_h5(source: Path) -> Model:
         from mixseq_io.hdf5.model_files import read_model
 
         return read_model(source, file)
-
-
-@contextmanager
-def _explained(source: Path) -> Iterator[None]:
-    """Say more of a file whose own structure cannot be read."""
-    try:
-        yield
-    except FormatError as error:
-        from mixseq_io.salvage import explain_damage
-
-        explain_damage(source, error)
-        raise
-
-
-def _salvaged(source: Path) -> Model | None:
-    from mixseq_io.coded.reading import decoded
-    from mixseq_io.salvage import salvage_compressed
-
-    rest = salvage_compressed(source)
-    return None if rest is None else decoded(source, rest)
 
 
 def _is_hdf5(path: Path) -> bool:

@@ -29,10 +29,9 @@ from mixseq.public import public
 from mixseq.sequence import Frames, SequenceHeader, check_frames
 from mixseq.signals.decoding import FRAMES
 from mixseq.signals.model import Model
-from mixseq_io.coded.reading import decoded, sequence_of
-from mixseq_io.compressed_files import read_container
+from mixseq_io.coded.reading import decoded
+from mixseq_io.compressed_files import read_compressed
 from mixseq_io.registry import PathLike
-from mixseq_io.salvage import explain_damage
 
 _ROUNDING = 1e-9
 """A largest error that was only measured, and not asked for, may differ by so much of itself."""
@@ -112,12 +111,7 @@ def verify(path: PathLike, original: Frames | None = None, progress: Progress = 
     source = Path(path)
     if original is not None:
         check_frames(original)
-    try:
-        container = read_container(source)
-    except FormatError as error:
-        explain_damage(source, error)  # may know more
-        raise
-    coded = sequence_of(source, container)
+    coded = read_compressed(source)
     frames = _Checked(source, decoded(source, coded), progress)
     header, parameters = coded.header, coded.parameters
     found = Verification(

@@ -85,11 +85,6 @@ def _as_seconds(
     help="Also write the velocities of all vertices, for motion blur.",
 )
 @click.option(
-    "--salvage",
-    is_flag=True,
-    help="Of a damaged compressed model, decode what is not damaged, with a warning.",
-)
-@click.option(
     "--as",
     "kind",
     type=click.Choice(["skin", "morph"]),
@@ -134,7 +129,6 @@ def command(
     start: float | None,
     end: float | None,
     velocities: bool,
-    salvage: bool,
     kind: str | None,
     bones: int | None,
     skeleton: Path | None,
@@ -177,12 +171,12 @@ def command(
         check_rig_target(target)
     with workers as work, progress_bar(quiet) as progress:
         if kind is None and not textures:
-            model = mixseq.load(source, salvage)
+            model = mixseq.load(source)
             header = chosen.of(model)
             write_frames(target, model, header, velocities, writing, progress, work)
             table = time_rows(header)
         else:
-            sequence = _sequence(source, salvage, chosen, progress, work)
+            sequence = _sequence(source, chosen, progress, work)
             check_origin(target, sequence)
             if textures:
                 report = mixseq.write_vat(target, sequence, max_error, texture or "png16", progress)
@@ -198,7 +192,6 @@ def command(
 
 def _sequence(
     source: Path,
-    salvage: bool,
     chosen: Chosen,
     progress: Progress,
     workers: Executor,
@@ -207,14 +200,14 @@ def _sequence(
     from mixseq.sequence import collect
 
     named_as_model = source.suffix.lower() in MODEL_EXTENSIONS and not source.is_file()
-    if not (salvage or is_model(source) or named_as_model):
+    if not (is_model(source) or named_as_model):
         if chosen != Chosen():
             raise SettingsError(
                 f"{source} is a sequence, whose frames are fitted as they are; leave out --fps, --times, --frames, "
                 "--start and --end, or turn it into a model first, with mixseq encode"
             )
         return read_sequence(source, {}, progress)
-    model = mixseq.load(source, salvage)
+    model = mixseq.load(source)
     header = chosen.of(model)
     return collect(header, model.blocks(header.times, progress=progress, workers=workers))
 

@@ -71,7 +71,7 @@ def film_options(command: Command) -> Command:
         "--video",
         type=FILE,
         metavar="FILE",
-        help="Make a film of FILES side by side, sequences or models: .mp4, .gif or .webp.",
+        help="Make a film of FILES side by side, sequences or models: .webp, .gif, or .mp4, which needs ffmpeg.",
     )
     @click.option("--size", callback=_as_size, metavar="WxH", help="Pixels of the film.  [default: 1280x720]")
     @click.option(

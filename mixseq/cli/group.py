@@ -72,6 +72,18 @@ class LazyGroup(click.Group):
         command.params += [each for each in self.shared if each not in command.params]
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command, or suggest the one that is spelled most alike."""
+        name, commands = args[0], self.list_commands(ctx)
+        if name not in commands and not ctx.resilient_parsing:
+            from difflib import get_close_matches
+
+            for near in get_close_matches(name, commands, n=1, cutoff=0.7):
+                ctx.fail(f"No such command {name!r}; did you mean {near}?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands, by what they are for."""
         width = formatter.width - 6 - max(map(len, self.list_commands(ctx)))

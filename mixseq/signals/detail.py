@@ -92,7 +92,10 @@ class Encoded:
     @cached_property
     def poses(self) -> Float:
         """How parts stand to each other at the frames ``(T, pose_dim)``."""
-        return np.asarray(self.shapes[:, self.pose_columns])
+        poses = np.empty((len(self.shapes), self.space.pose_dim))
+        for row in range(len(poses) if self.space.pose_dim else 0):  # row by row: shapes may be on disk
+            poses[row] = self.shapes[row : row + 1][0, self.pose_columns]
+        return poses
 
     @property
     def pose_columns(self) -> slice:

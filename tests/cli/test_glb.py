@@ -95,7 +95,6 @@ def test_info_and_verify(run: Run, glb: Path) -> None:
         "compare bar.npz small.glb",
         "convert small.glb new.npz",
         "decode small.glb new.npz --fps 48",
-        "decode small.glb new.npz --salvage",
         "resample small.glb new.h5 --fps 20",
         "plot small.glb new.png",
         "encode small.glb new.h5 --exact",

@@ -71,6 +71,8 @@ FAILURES: list[tuple[str, str]] = [
     ("convert bar.npz one.obj", "one.obj"),
     # Options.
     ("bogus", "No such command 'bogus'.*see mixseq --help"),
+    ("encdoe", "No such command 'encdoe'; did you mean encode\\? .*see mixseq --help"),
+    ("converts bar.npz new.usdc", "did you mean convert\\?"),
     ("--bogus", "No such option.*--bogus.*see mixseq --help"),
     ("encode bar.npz", "Missing argument 'TARGET'.*see mixseq encode --help"),
     ("info", "Missing argument 'FILE'"),

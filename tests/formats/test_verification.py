@@ -157,9 +157,9 @@ def test_damage_is_refused(path: Path) -> None:
         mixseq.verify(path)
 
 
-def test_truncated_files_say_what_is_missing(path: Path) -> None:
+def test_truncated_files_are_refused(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-300])
-    with pytest.raises(FormatError, match=r"small\.h5: the .* are damaged; .* --salvage"):
+    with pytest.raises(FormatError, match=r"small\.h5 cannot be read as HDF5"):
         mixseq.verify(path)
 
 

@@ -44,8 +44,6 @@ _OF_ELEMENT, _OF_CORNER = 64, 256
 _DECODED = 16
 """Bytes that decoding takes for each number of a basis and its coefficients."""
 
-_CURE = "restore the file, or read the rest of it with mixseq decode --salvage"
-
 
 def sequence_of(path: Path, container: Container) -> CompressedSequence:
     """Make a compressed sequence of what is in a file, and check every byte of it.
@@ -60,7 +58,7 @@ def sequence_of(path: Path, container: Container) -> CompressedSequence:
     def sound(stream: Stream) -> bytes:
         data = stream.read(container.streams)
         if data is None:
-            raise FormatError(f"{path}: {stream.what} are damaged; {_CURE}")
+            raise FormatError(f"{path}: {stream.what} are damaged; restore the file")
         return data
 
     # Everything is checked before anything is made of it.

@@ -1,7 +1,6 @@
 """Where the streams of a compressed model are among the bytes of its one dataset, and whether they are sound.
 
-The index says how long every stream is and what its CRC-32 is, so damage is known by stream. Even without HDF5 the
-index is found, by its first bytes:
+The index says how long every stream is and what its CRC-32 is, so damage is known by stream:
 
 ==========  =====================================================================================================
 bytes       meaning, all numbers little-endian

@@ -73,7 +73,7 @@ class CodingParameters:
     rank : int
         Number K of basis vectors that are coded, of all parts together.
     frame_count : int
-        Number T of frames that were coded; a damaged file may have fewer.
+        Number T of frames.
     step : float
         Quantisation step, in the units of the sequence.
     diagonal : float
@@ -226,7 +226,7 @@ def to_model(coded: CompressedSequence) -> Model:
     Parameters
     ----------
     coded : CompressedSequence
-        The sequence. If groups of the basis are missing at the end, what is there is decoded.
+        The sequence.
 
     Returns
     -------
@@ -290,7 +290,7 @@ def _refuse_far(points: Float, parameters: CodingParameters) -> None:
 
 
 def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
-    """Return the spatial basis of a compressed sequence: all of it, or the groups that are there."""
+    """Return the spatial basis of a compressed sequence."""
     parameters = coded.parameters
     ranks = parameters.ranks or (parameters.rank,)
     most = 3 * min(len(ranks) * parameters.frame_count, graph.size) + len(ranks)
@@ -299,24 +299,22 @@ def decode_basis(coded: CompressedSequence, graph: SignalGraph) -> SpatialBasis:
             f"{parameters.rank} basis vectors are more than the {most} that such a sequence can have; "
             "the file is damaged"
         )
+    groups = len(groups_of_parts(ranks))
+    if len(coded.basis) != groups:
+        raise FormatError(
+            f"the spatial basis has {len(coded.basis)} groups, {groups} are expected; the file is damaged"
+        )
     coordinates = 1 if parameters.factors == "trajectories" else 3
     vectors, parts = read_basis(
         coded.basis, ranks, coordinates, parameters.step, coded.header.faces, graph, parameters.revision
     )
-    if parameters.factors == "shapes" and not len(vectors[0]):
-        raise FormatError(
-            "the first group of the basis is missing, without which there is no shape; the file is damaged"
-        )
     return assemble_basis(parameters.factors, vectors, parts, parameters.frame_count)
 
 
 def decode_coefficients(coded: CompressedSequence, chunk: Chunk, basis: SpatialBasis) -> Float:
     """Return the coefficients ``(n, K, d)`` of a chunk's frames, as many as the basis has varying vectors."""
     parameters = coded.parameters
-    complete = len(coded.basis) == len(groups_of_parts(parameters.ranks or (parameters.rank,)))
-    return read_coefficients(
-        basis, chunk.coefficients, chunk.count, parameters.step, parameters.revision, complete
-    )
+    return read_coefficients(basis, chunk.coefficients, chunk.count, parameters.step, parameters.revision)
 
 
 def _affine(basis: SpatialBasis, coefficients: Float, unit: float) -> tuple[ShapeSpace, Float, Float, Float]:

@@ -36,7 +36,6 @@ from mixseq.coding.bitstream import part_labels, signal_coder
 from mixseq.coding.bitstream.revision_1 import labels as older_labels
 from mixseq.coding.bitstream.revision_1 import signals as older_signals
 from mixseq.coding.bitstream.signal_graph import SignalGraph, mesh_graph, path_graph
-from mixseq.errors import FormatError
 from mixseq.mapping import on_two_threads
 
 BasisKind = Literal["trajectories", "shapes"]
@@ -182,7 +181,7 @@ def read_basis(
     graph: SignalGraph,
     revision: int = 2,
 ) -> tuple[list[Float], list[Index]]:
-    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices; groups may be missing at the end.
+    """Return the basis vectors ``(K, c, n)`` of every part, and its vertices.
 
     Raises
     ------
@@ -193,16 +192,12 @@ def read_basis(
     models, labels = signals.NumberModels(), np.zeros(graph.size, dtype=np.int64)
     readers = [signals.Reader(stream) for stream in streams]
     if len(ranks) > 1:
-        if not readers:
-            raise FormatError(
-                "the first group of the basis is missing, with the parts of the mesh; the file is damaged"
-            )
         labels = labelled.read_labels(readers[0], len(ranks), graph)
     parts, vectors = vertices_of(labels), [list[Float]() for _ in ranks]
     coders: dict[
         int, Any
     ] = {}  # a coder takes more than a kilobyte a vertex: there is none before or after it is needed
-    for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=False):
+    for reader, of_parts in zip(readers, groups_of_parts(ranks), strict=True):
         for place, group in of_parts:
             coder = coders.pop(place, None)
             if coder is None:
@@ -244,12 +239,9 @@ def assemble_basis(
 
 
 def read_coefficients(
-    basis: SpatialBasis, stream: bytes, count: int, step: float, revision: int = 2, complete: bool = True
+    basis: SpatialBasis, stream: bytes, count: int, step: float, revision: int = 2
 ) -> Float:
-    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames.
-
-    Those of vectors in groups that are missing are left unread; then a stream is not `complete`, nor checked.
-    """
+    """Return the coefficients ``(n, K, d)`` of the varying vectors in a chunk of `count` frames."""
     signals = older_signals if revision == 1 else signal_coder
     scales = basis.norms[basis.varying] / step
     models, graph = signals.NumberModels(), path_graph(count)
@@ -259,6 +251,5 @@ def read_coefficients(
     for place, coordinate in np.ndindex(coefficients.shape[1:]):
         coder = coders[basis.parts[basis.varying][place]]
         coefficients[:, place, coordinate] = coder.read(reader) / scales[place]
-    if complete:
-        reader.finish()
+    reader.finish()
     return coefficients

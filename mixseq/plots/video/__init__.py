@@ -1,7 +1,7 @@
 """Films of mesh sequences and models, drawn in software and encoded by Pillow, or ffmpeg (the extra ``plot``).
 
 `film` puts them together: what the panels show of a scene (panels), around them names and a colour bar (backdrop), and
-in which file (encoding; gif, h264, av1 with mp4).
+in which file (encoding, ffmpeg).
 """
 
 from mixseq.choices import COLOURS, Colour

@@ -1,20 +1,23 @@
-"""Frames of a film as a file: GIF, WebP, and H.264 or AV1 in MP4.
+"""Frames of a film as a file: WebP and GIF by Pillow, MP4 by ffmpeg.
 
-Pillow has the encoders, but for H.264, which ffmpeg has if it is installed; all of them run on one thread. Pillow's
-take frames one by one, as those of an opened file, from a `reel`.
+Frames are drawn while they are encoded. Pillow keeps what is coded of a WebP, and one byte per pixel of all frames of a
+GIF. Encoders run on one thread, so that equal films are equal files.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, get_args
+from tempfile import TemporaryDirectory
+from typing import IO, Any, Literal, get_args
+
+import numpy as np
 
 from mixseq.errors import MissingExtraError, OutputError, SettingsError
-from mixseq.plots.raster import Picture
+from mixseq.plots.raster import PAPER, Picture
+from mixseq.plots.video.ffmpeg import find_ffmpeg, write_mp4
 
 FilmFormat = Literal["mp4", "gif", "webp"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
@@ -31,11 +34,17 @@ WEBP_QUALITY = 80
 WEBP_EFFORT = 3
 """From 0, fast, to 6, small."""
 
-BETWEEN_KEYS = 24, 48
-"""So many frames are between those that need none before them, at least and at most."""
+WEBP_KEYFRAME_DISTANCES = 24, 48
+"""Smallest and largest number of frames from one keyframe to the next."""
+
+GIF_PALETTE_FRAMES = 6
+"""Number of frames, evenly spaced, whose colours make the palette of a GIF."""
 
 FASTEST_GIF = 50.0
 """Frames per second: GIF counts in hundredths of seconds, and players slow down what is shorter than two of them."""
+
+LONGEST_GIF = 655.0
+"""Seconds: as long as GIF can show one picture, which all frames may be."""
 
 
 def film_format(target: str | PathLike[str]) -> FilmFormat:
@@ -61,7 +70,7 @@ def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None
     SettingsError
         If the size or the rate does not go with the format.
     MissingExtraError
-        If Pillow or its encoder is not there.
+        If Pillow, its encoder or ffmpeg is not there.
     """
     for side in size:
         if not SMALLEST <= side <= LARGEST:
@@ -77,20 +86,17 @@ def check_film(form: FilmFormat, size: tuple[int, int], fps: float | None = None
             f"{fps:g} frames per second are too many for GIF, which has at most {FASTEST_GIF:g}; give a lower rate, "
             "or write .mp4 or .webp"
         )
-    features = pillow_module("features")
-    from mixseq.plots.video.h264 import find_ffmpeg
-
-    if form != "gif" and not (form == "mp4" and find_ffmpeg()):
-        encoder = "avif" if form == "mp4" else form
-        if encoder not in features.get_supported_modules():
-            raise MissingExtraError(
-                f"Pillow is installed without its {encoder.upper()} encoder; get one with: pip install 'pillow>=11.3', "
-                f"{'or install ffmpeg, ' if form == 'mp4' else ''}or write a .gif"
-            )
+    modules = pillow_module("features").get_supported_modules()
+    if form == "webp" and "webp" not in modules:
+        raise MissingExtraError(
+            "Pillow is installed without its WebP encoder; get one with: pip install 'pillow>=11.3', or write a .gif"
+        )
+    if form == "mp4":
+        find_ffmpeg()
 
 
 def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: float) -> None:
-    """Write frames as they are drawn.
+    """Write frames as they are drawn; the file is replaced when all are written.
 
     Parameters
     ----------
@@ -104,26 +110,37 @@ def encode_film(target: Path, form: FilmFormat, draw: Draw, count: int, fps: flo
         Number of frames, at least 2.
     fps : float
         Frames per second.
+
+    Raises
+    ------
+    SettingsError
+        If a GIF would be too long.
+    OutputError
+        If ffmpeg cannot write the file.
     """
-    from mixseq.plots.video import av1, gif, h264
+    target = target.resolve()  # a symbolic link is followed, not replaced
+    with TemporaryDirectory(prefix=target.name, dir=target.parent) as folder:
+        temporary = Path(folder, target.name)
+        if form == "mp4":
+            write_mp4(temporary, draw(range(count)), fps)
+        else:
+            with temporary.open("wb") as file:
+                if form == "webp":
+                    _write_webp(file, draw(range(count)), count, fps)
+                else:
+                    _write_gif(file, draw, count, fps)
+        temporary.replace(target)
 
-    if form == "gif":
-        gif.write_gif(target, draw, count, fps)
-    elif form == "webp":
-        write_webp(target, draw, count, fps)
-    elif program := h264.find_ffmpeg():
-        h264.write_h264(target, draw, count, fps, program)
-    else:
-        av1.write_av1(target, draw, count, fps)
 
-
-def write_webp(target: Path, draw: Draw, count: int, fps: float) -> None:
-    """Write frames as a WebP that plays for ever; parameters as those of `encode_film`."""
-    least, most = BETWEEN_KEYS
-    reel(draw(range(count)), count).save(
-        target,
+def _write_webp(file: IO[bytes], pictures: Iterator[Picture], count: int, fps: float) -> None:
+    """Write frames as a WebP that plays for ever."""
+    frames = map(pillow_module("Image").fromarray, pictures)
+    least, most = WEBP_KEYFRAME_DISTANCES
+    next(frames).save(
+        file,
         "WEBP",
         save_all=True,
+        append_images=[_Reel(frames, count - 1)],
         duration=1000 / fps,
         loop=0,
         quality=WEBP_QUALITY,
@@ -133,45 +150,47 @@ def write_webp(target: Path, draw: Draw, count: int, fps: float) -> None:
     )
 
 
-def reel(pictures: Iterator[Picture], count: int) -> Any:
-    """Return an image of `count` frames that takes each from `pictures` when it is sought; there is no way back.
+class _Reel:
+    """An animation for Pillow whose frames are drawn when they are sought, as a list of frames would be in memory."""
 
-    Raises
-    ------
-    StopIteration
-        If there are no pictures.
-    """
-    return _reel_class()(pictures, count)
+    def __init__(self, frames: Iterator[Any], count: int) -> None:
+        self.n_frames = count
+        self._frames = frames
+        self._shown: Any = None
+
+    def seek(self, frame: int) -> None:
+        self._shown = next(self._frames)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._shown, name)
 
 
-@lru_cache(maxsize=1)
-def _reel_class() -> Any:
-    """Return the class, which can only be made where Pillow is."""
+def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float) -> None:
+    """Write frames as a GIF that plays for ever, with one palette; noise of dithering would flicker."""
+    if count > LONGEST_GIF * fps:
+        raise SettingsError(
+            f"the film takes {count / fps:g} s; GIF has at most {LONGEST_GIF:g} s, write .mp4 or .webp"
+        )
     image = pillow_module("Image")
-    base: Any = image.Image
+    sampled = sorted({number * count // GIF_PALETTE_FRAMES for number in range(GIF_PALETTE_FRAMES)})
+    pixels = np.concatenate([picture.reshape(-1, 3) for picture in draw(sampled)])
+    counts, colours = zip(*image.fromarray(pixels[None]).getcolors(len(pixels)), strict=True)
+    # weighted by the root of their counts: neither small parts nor soft shadows lose their colours
+    weighted = np.repeat(np.array(colours, np.uint8), np.ceil(np.sqrt(counts)).astype(np.int64), axis=0)
+    chosen = image.fromarray(weighted[None]).quantize(255).getpalette()
+    palette = image.new("P", (1, 1))
+    palette.putpalette([*chosen, PAPER, PAPER, PAPER])
 
-    class Reel(base):  # type: ignore[misc]
-        is_animated = True
+    def quantized(picture: Picture) -> Any:
+        frame = image.fromarray(picture).quantize(palette=palette, dither=image.Dither.NONE)
+        # the nearest colour is approximate, but paper stays white
+        frame.paste(len(chosen) // 3, mask=image.fromarray((picture == PAPER).all(axis=2)))
+        return frame
 
-        def __init__(self, pictures: Iterator[Picture], count: int) -> None:
-            super().__init__()
-            self.n_frames = count
-            self._pictures = pictures
-            self._frame = -1
-            self.seek(0)
-
-        def tell(self) -> int:
-            return self._frame
-
-        def seek(self, frame: int) -> None:
-            if frame >= self.n_frames:
-                raise EOFError
-            while self._frame < frame:
-                picture = image.fromarray(next(self._pictures))
-                self.im, self._mode, self._size = picture.im, picture.mode, picture.size
-                self._frame += 1
-
-    return Reel
+    frames = map(quantized, draw(range(count)))
+    ends = [10 * round(100 * frame / fps) for frame in range(count + 1)]
+    durations = np.diff(ends).tolist()
+    next(frames).save(file, "GIF", save_all=True, append_images=frames, duration=durations, loop=0)
 
 
 def pillow_module(name: str) -> Any:

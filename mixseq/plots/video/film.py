@@ -105,7 +105,7 @@ def film(
     Parameters
     ----------
     target : path
-        The file: .mp4 (H.264 where there is an ffmpeg, else AV1), .gif or .webp.
+        The file: .mp4 (by ffmpeg), .gif or .webp. It is replaced when the film is complete.
     shown : sequence of SceneItem
         What is shown, from left to right.
     settings : FilmSettings, optional
@@ -122,9 +122,9 @@ def film(
     SettingsError
         If there is nothing to show, settings do not go with the format or with what is shown.
     OutputError
-        If the target's extension is not known.
+        If the target's extension is not known, or it cannot be written.
     MissingExtraError
-        If Pillow, one of its encoders or matplotlib is not installed.
+        If matplotlib, Pillow or what encodes the format is not installed.
     """
     chosen = settings or FilmSettings()
     form = film_format(target)

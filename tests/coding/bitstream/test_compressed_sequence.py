@@ -1,4 +1,4 @@
-"""Models of compressed sequences: the streams' frames, what is between them, and what is left of a file with holes."""
+"""Models of compressed sequences: the streams' frames, what is between them, and damage."""
 
 from __future__ import annotations
 
@@ -198,25 +198,16 @@ def test_pickled_models_decode_to_the_same_bits(coded: object) -> None:
     np.testing.assert_array_equal(found.velocities, expected.velocities)
 
 
-# Files with holes -------------------------------------------------------------------------------------------
+# Damage -----------------------------------------------------------------------------------------------------
 
 
-def test_fewer_groups_are_coarser() -> None:
-    sequence, coded = grouped()
-    assert coded.parameters.factors == "trajectories"
-    assert len(coded.basis) >= 2
-    errors = []
-    for kept in range(len(coded.basis) + 1):
-        points = to_model(replace(coded, basis=coded.basis[:kept])).sample().points
-        errors.append(np.linalg.norm(points - sequence.points))
-    assert (np.diff(errors) < 0).all()
-
-
-def test_without_a_basis_the_centre_is_left() -> None:
-    sequence, coded = grouped()
-    points = to_model(replace(coded, basis=())).sample().points
-    np.testing.assert_array_equal(np.ptp(points, axis=1), 0)
-    np.testing.assert_allclose(points[:, 0], sequence.points.mean(axis=1), atol=0.05)
+@pytest.mark.parametrize("kept", [0, 1])
+def test_missing_groups_are_refused(kept: int) -> None:
+    _, coded = grouped()
+    groups = len(coded.basis)
+    assert groups >= 2
+    with pytest.raises(FormatError, match=f"has {kept} groups, {groups} are expected; the file is damaged"):
+        to_model(replace(coded, basis=coded.basis[:kept]))
 
 
 def test_more_vectors_than_a_sequence_can_have_are_refused() -> None:
@@ -224,14 +215,6 @@ def test_more_vectors_than_a_sequence_can_have_are_refused() -> None:
     many = replace(coded, parameters=replace(coded.parameters, rank=10**9))
     with pytest.raises(FormatError, match="1000000000 basis vectors are more than"):
         to_model(many)
-
-
-def test_shapes_without_their_mean_are_refused() -> None:
-    coded = noisy()
-    assert coded.parameters.factors == "shapes"
-    assert len(to_model(replace(coded, basis=coded.basis[:1])).sample().points) == 20
-    with pytest.raises(FormatError, match="first group of the basis is missing"):
-        to_model(replace(coded, basis=()))
 
 
 @pytest.mark.parametrize("which", [0, 1])

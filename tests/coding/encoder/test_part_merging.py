@@ -157,27 +157,6 @@ def test_bounds_are_kept(bound: float) -> None:
     assert mixseq.compare(sequence, to_model(coded).sample()).max_error <= bound
 
 
-def test_fewer_groups_decode_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Coefficients of the first groups come first, so that those of groups that are missing are not asked for."""
-    monkeypatch.setattr("mixseq.coding.bitstream.spatial_basis.GROUP", 2)
-    sequence = bodies(20, noise=1e-3)
-    coded = compress(sequence, kg=0.05)
-    assert coded.parameters.ranks
-    errors = []
-    for kept in range(len(coded.basis) + 1)[1:]:
-        model = to_model(replace(coded, basis=coded.basis[:kept]))
-        errors.append(mixseq.compare(sequence, model.sample()).kg_percent)
-    assert len(errors) > 1
-    assert (np.diff(errors) < 0).all()
-    assert errors[-1] <= 0.05
-
-
-def test_without_any_basis_parts_are_not_known(flying: tuple[MeshSequence, CompressedSequence]) -> None:
-    _, coded = flying
-    with pytest.raises(FormatError, match="parts of the mesh"):
-        to_model(replace(coded, basis=()))
-
-
 def test_the_file_holds_parts(flying: tuple[MeshSequence, CompressedSequence], tmp_path: object) -> None:
     sequence, coded = flying
     path = f"{tmp_path}/bodies.h5"

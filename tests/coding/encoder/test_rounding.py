@@ -83,13 +83,11 @@ def test_one_vector_is_left_of_nothing() -> None:
     assert not read_basis(streams, 1, 1, STEP, GRAPH).any()
 
 
-@pytest.mark.parametrize("kept", [0, 1, 2])
-def test_groups_that_are_there_come_back_without_those_behind(kept: int) -> None:
+def test_several_groups_come_back() -> None:
     components = many_components(6 * GROUP)
     vectors, streams = write_basis(components, 1e-4, GRAPH)
     assert len(streams) == 3
-    found = read_basis(streams[:kept], len(vectors), 1, 1e-4, GRAPH)
-    np.testing.assert_array_equal(found, vectors[: [0, GROUP, 3 * GROUP][kept]])
+    np.testing.assert_array_equal(read_basis(streams, len(vectors), 1, 1e-4, GRAPH), vectors)
 
 
 def bars_basis(kind: BasisKind) -> tuple[SpatialBasis, Float]:

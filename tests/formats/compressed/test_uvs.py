@@ -1,4 +1,4 @@
-"""Texture coordinates in files of compressed models: a stream of their own, a promise, and what damage costs."""
+"""Texture coordinates in files of compressed models: a stream of their own, and a promise."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ import pytest
 import mixseq
 from mixseq.coding.bitstream.compressed_sequence import CompressedSequence
 from mixseq.coding.encoder.uv_quantisation import UV_ERROR
-from mixseq.errors import FormatError, InvalidSequenceError, MixseqWarning, SettingsError
+from mixseq.errors import FormatError, InvalidSequenceError, SettingsError
 from mixseq.sequence import MeshSequence
 from mixseq.surface import CornerValues, FaceSet, Surface
 from mixseq_io.coded.packing import room_for_signals
 from mixseq_io.coded.stream_index import CHECKED_VERSION
 from mixseq_io.compressed_files import compressed_sizes, read_compressed
-from mixseq_io.salvage import salvage_compressed
 from tests.formats.compressed.stream_cases import GOLDEN, damage, index_of
 from tests.meshes import bar
 
@@ -126,25 +125,10 @@ def test_newer_files_are_refused(path: Path) -> None:
         mixseq.load(path)
 
 
-def test_damage_costs_the_coordinates(path: Path, coded: CompressedSequence) -> None:
+def test_damage_is_named(path: Path) -> None:
     damage(path, index_of(path).ground["uvs"])
     with pytest.raises(FormatError, match="the texture coordinates are damaged; restore the file"):
         mixseq.load(path)
-    with pytest.warns(MixseqWarning, match="the texture coordinates are damaged and left out"):
-        rest = salvage_compressed(path)
-    assert rest is not None
-    assert rest.header.surface.uvs is None
-    assert rest.header.surface.face_sets[0].name == "end"
-    assert rest.parameters == replace(coded.parameters, uv_steps=None, uv_error=None)
-    assert rest.chunks == coded.chunks
-
-
-def test_a_damaged_surface_leaves_the_coordinates(path: Path) -> None:
-    damage(path, index_of(path).ground["surface"])
-    with pytest.warns(MixseqWarning, match="left out: hard edges, face sets"):
-        rest = salvage_compressed(path)
-    assert rest is not None
-    assert rest.header.surface.uvs is not None
 
 
 def test_coordinates_off_the_grid_are_refused(
