@@ -158,10 +158,9 @@ def shifted(model: Model, seconds: float) -> Model:
 def affine(model: Model, scale: float, offset: float) -> Model:
     """Return the model with its times t moved to ``scale * t + offset``; backwards where the scale is negative."""
     times = scale * model.times + offset
-    return model.with_motion(
-        *(moved(curve, scale, offset) for curve in model.curves),
-        header=model.header.with_times(times if scale > 0 else times[::-1]),
-    )
+    time, placement, correction = (moved(curve, scale, offset) for curve in model.curves)
+    header = model.header.with_times(times if scale > 0 else times[::-1])
+    return model.with_motion(time, placement, correction, header)
 
 
 def concatenated(sections: Sequence[ModelSection], seams: Sequence[Seam]) -> Model:

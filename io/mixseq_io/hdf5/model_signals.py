@@ -48,11 +48,12 @@ def read_signals(path: Path, file: Contents, header: SequenceHeader, space: Stor
     time = Curve(knots, floats(path, file, "signals/time/values", (len(knots), pose.dim)))
     shapes = _get_blocks(path, file, "signals/shape", shape_blocks(space), len(pose.offset))
     placement = _read_placement(path, file, space)
-    curves = {"time": time, "placement": placement}
-    if space.correction_dim:
-        curves["correction"] = _read_correction(path, file, space)
-    _check_frames(path, header, **curves)
-    return Model(header, space, pose=pose, shapes=shapes, **curves)
+    _check_frames(path, header, time=time, placement=placement)
+    if not space.correction_dim:
+        return Model(header, space, time, pose, shapes, placement)
+    correction = _read_correction(path, file, space)
+    _check_frames(path, header, correction=correction)
+    return Model(header, space, time, pose, shapes, placement, correction)
 
 
 def _check_frames(path: Path, header: SequenceHeader, **curves: Curve) -> None:

@@ -204,7 +204,7 @@ class Articulation:
             np.add.at(matrix, (j, j), weights)
             np.add.at(matrix, (i, j), -weights)
             np.add.at(matrix, (j, i), -weights)
-            found += [own, weights, np.linalg.inv(matrix)]
+            found += [own, weights, np.asarray(np.linalg.inv(matrix))]
         own_turns, turn_weights, turn_inverse, _, place_weights, place_inverse = found
         return own_turns, turn_weights, turn_inverse, place_weights, place_inverse
 
@@ -217,15 +217,20 @@ class Articulation:
         away = poses.centres - centres[:, self.bodies]
         moments = np.einsum("p,tpa,pb->tpab", self.masses, away, rest)
         moments += (self.masses * np.square(self.radii))[:, None, None] * rotations_of(poses.rotations)
-        sums = np.zeros((len(centres), self.body_count, 3, 3))
-        np.add.at(sums, (slice(None), self.bodies), moments)
-        return Poses(quaternions(nearest_rotations(sums)), centres)
+        return Poses(quaternions(nearest_rotations(self._body_sums(moments))), centres)
 
     def _body_means(self, centres: Float) -> Float:
         """Means ``(T, B, 3)`` of the centres ``(T, p, 3)`` of parts."""
-        sums = np.zeros((len(centres), self.body_count, 3))
-        np.add.at(sums, (slice(None), self.bodies), self.masses[:, None] * centres)
-        return sums / np.bincount(self.bodies, self.masses)[:, None]
+        return (
+            self._body_sums(self.masses[:, None] * centres) / np.bincount(self.bodies, self.masses)[:, None]
+        )
+
+    def _body_sums(self, values: Float) -> Float:
+        """Sums ``(T, B, ...)`` of values ``(T, p, ...)`` of parts."""
+        sums = np.zeros((len(values), self.body_count, *values.shape[2:]))
+        for part, body in enumerate(self.bodies):
+            sums[:, body] += values[:, part]
+        return sums
 
     def seen_from_bodies(self, poses: Poses, bodies: Poses) -> Poses:
         """Return poses of parts ``(T, p)`` as seen from their bodies ``(T, B)``."""
@@ -251,13 +256,31 @@ class Articulation:
 
     def agreed(self, poses: PartPoses) -> Poses:
         """Return poses ``(T, p)`` that agree best with poses and relations ``(T, ...)``."""
-        found = [self._agreed(*map(np.ascontiguousarray, frame)) for frame in zip(*poses, strict=True)]
+        found = [self._agreed(PartPoses(*frame)) for frame in zip(*poses, strict=True)]
         turns, centres = (np.stack(each) for each in zip(*found, strict=True))
         return Poses(turns, centres)
 
-    def _agreed(self, *frame: Numbers) -> tuple[Numbers, Numbers]:
-        tree = *self._tree, self._links
-        return kernels.agree(*frame, self.pairs, self.pivots, *tree, *self._systems)  # type: ignore[return-value]
+    def _agreed(self, poses: PartPoses) -> tuple[Numbers, Numbers]:
+        """Poses ``(p, 4)``, ``(p, 3)`` of one frame that agree best."""
+        turns, centres, relation_turns, relation_points = map(np.ascontiguousarray, poses)
+        own, turn_weights, turn_inverse, place_weights, place_inverse = self._systems
+        order, before = self._tree
+        return kernels.agree(
+            turns,
+            centres,
+            relation_turns,
+            relation_points,
+            self.pairs,
+            self.pivots,
+            order,
+            before,
+            self._links,
+            own,
+            turn_weights,
+            turn_inverse,
+            place_weights,
+            place_inverse,
+        )
 
     def measured(self, poses: PartPoses) -> Steadiness:
         """Return how little poses and relations change over frames ``(T, ...)``."""
@@ -290,10 +313,10 @@ class Articulation:
         correction : (6 p,)
             Rotation vectors of parts, in their own axes, and shifts as seen from the body, after poses agree.
         """
-        turns, centres = self._agreed(*map(np.ascontiguousarray, poses))
+        turns, centres = self._agreed(poses)
         spins, shifts = correction.reshape(2, -1, 3)
         turns, centres = kernels.correct(turns, centres, spins, shifts)
-        return kernels.motions(turns, centres, *bodies, self.bodies, self.rest_centres, *self._tree)  # type: ignore[no-any-return]
+        return kernels.motions(turns, centres, *bodies, self.bodies, self.rest_centres, *self._tree)
 
 
 def articulation_of(
@@ -324,7 +347,8 @@ def articulation_of(
     boundaries = Boundaries.of(topology, labels)
     pairs, places = boundaries.parts, boundaries.middles(reference)
     a, b, c = np.moveaxis(reference[topology.faces], 1, 0)
-    areas = np.bincount(labels, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0, minlength=count)
+    sizes = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    areas = np.bincount(labels, sizes, minlength=count).astype(np.float64)
     component = _connected(count, pairs)
     part_of_vertex = np.full(topology.vertex_count, -1, dtype=np.int64)
     for number, part in enumerate(decomposition.parts):

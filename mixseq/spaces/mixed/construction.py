@@ -202,10 +202,10 @@ def flat_in_some_frame(topology: Topology, frames: FloatArray) -> Mask:
 def are_far(space: MixedSpace, frames: LargeArray) -> bool:
     """Whether more than the share `FAR` of faces is torn half-way between neighbours among the frames ``(T, V, 3)``."""
     pairs = list(_neighbours(frames))
-    return bool(pairs) and all(  # plain means are quick, and show most animations to be near
-        sum(_torn(space, pair, middle) for pair in pairs) > FAR * len(pairs)
-        for middle in (_plain_mean, _middle)
-    )
+    for middle in (_plain_mean, _middle):  # plain means are quick, and show most animations to be near
+        if not sum(_torn(space, pair, middle) for pair in pairs) > FAR * len(pairs):
+            return False
+    return bool(pairs)
 
 
 def wrongness(space: MixedSpace, pairs: Iterable[FloatArray], stretch: float, bend: float) -> Float:

@@ -18,12 +18,6 @@ FLATTEST = 1e-12
 """A triangle has no area, and any frame, if its height is below this share of its sides."""
 
 
-@inlined
-def _inverse_root(square: float) -> float:
-    """Return one over a square root."""
-    return 1.0 / np.sqrt(square)
-
-
 @compiled
 def lengths_of(x: Float, edges: Index) -> Float:
     """Return the lengths ``(e,)`` of edges ``(e, 2)``."""
@@ -71,9 +65,9 @@ def frames_of(x: Float, faces: Index) -> Float:
             frames[f, 0] = 1.0
             frames[f, 1] = frames[f, 2] = frames[f, 3] = 0.0
             continue
-        scale = _inverse_root(u2)
+        scale = 1.0 / np.sqrt(u2)
         ux, uy, uz = ux * scale, uy * scale, uz * scale
-        scale = _inverse_root(n2)
+        scale = 1.0 / np.sqrt(n2)
         nx, ny, nz = nx * scale, ny * scale, nz * scale
         mx, my, mz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
         # From the largest component (Shepperd 1978).
@@ -86,7 +80,7 @@ def frames_of(x: Float, faces: Index) -> Float:
             p, q, r, s = nx - uz, uy + mx, 1.0 + 2.0 * my - trace, mz + ny
         else:
             p, q, r, s = uy - mx, nx + uz, mz + ny, 1.0 + 2.0 * nz - trace
-        scale = _inverse_root(p * p + q * q + r * r + s * s)
+        scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
         frames[f, 0], frames[f, 1], frames[f, 2], frames[f, 3] = p * scale, q * scale, r * scale, s * scale
     return frames
 
@@ -109,7 +103,7 @@ def _half_direction(flat: Float, f: int, side: int, back: bool) -> tuple[float, 
     square = p * p + q * q
     if not square.real > 0.0:
         p, q, square = 1.0 + 0.0 * u, 0.0 * u, 1.0 + 0.0 * u
-    scale = _inverse_root(square)
+    scale = 1.0 / np.sqrt(square)
     p, q = p * scale, q * scale
     if back:
         return -q, p
@@ -165,7 +159,7 @@ def target_turns(
         if not square.real > 0.0:
             turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = w, x, y, z
             continue
-        scale = _inverse_root(square)
+        scale = 1.0 / np.sqrt(square)
         c, s = c * scale, s * scale
         p0, p1, p2, p3 = c * ca, s * cb, s * sb, c * sa
         if known[k] >= 0:
@@ -175,7 +169,7 @@ def target_turns(
             if cd.real < 0.0:
                 cd, sd = -cd, -sd
             cd, sd = 1.0 - share + share * cd, share * sd
-            scale = _inverse_root(cd * cd + sd * sd)
+            scale = 1.0 / np.sqrt(cd * cd + sd * sd)
             c, s = (c * cd - s * sd) * scale, (s * cd + c * sd) * scale
         ci, si = _half_direction(target_flat, i, sides[k, 0], backward[k, 0] != 0)
         cj, sj = _half_direction(target_flat, j, sides[k, 1], backward[k, 1] != 0)
@@ -234,7 +228,7 @@ def turn_on(frames: Float, steps: Float) -> Float:
             y - a * z + b * w + c * x,
             z + a * y - b * x + c * w,
         )
-        scale = _inverse_root(p * p + q * q + r * r + s * s)
+        scale = 1.0 / np.sqrt(p * p + q * q + r * r + s * s)
         turned[f, 0], turned[f, 1], turned[f, 2], turned[f, 3] = p * scale, q * scale, r * scale, s * scale
     return turned
 

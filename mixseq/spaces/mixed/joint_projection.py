@@ -88,7 +88,7 @@ class JointProjection(PickledWithoutCaches):
         for _ in range(RINGS):
             near = np.zeros(self.topology.vertex_count, dtype=bool)
             near[faces[moving]] = True
-            moving = near[faces].any(axis=1)
+            moving = np.asarray(near[faces].any(axis=1))
         return np.flatnonzero(moving)
 
     @cached_property

@@ -84,10 +84,11 @@ class PosePrediction:
         return Poses(*(np.concatenate(blocks) for blocks in zip(*found, strict=True)))
 
     def _predicted(self, rows: Rows) -> Poses:
-        weighted = [(_stacked(guess), precision) for guess, precision in self._guesses(rows)]
-        own = sum(precision for _, precision in weighted)
-        mean = np.linalg.solve(own, sum(precision @ guess for guess, precision in weighted))
-        own = own / len(weighted)
+        guesses, precisions = zip(*self._guesses(rows), strict=True)
+        own: Float = np.sum(precisions, axis=0)
+        weighted = [precision @ _stacked(guess) for guess, precision in zip(guesses, precisions, strict=True)]
+        mean = np.asarray(np.linalg.solve(own, np.sum(weighted, axis=0)), dtype=np.float64)
+        own = own / len(guesses)
         parts = self.articulation.pairs
         if not len(parts):
             turns = np.swapaxes(mean[:, :, :3], -1, -2)
