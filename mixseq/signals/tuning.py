@@ -107,7 +107,7 @@ class Trial:
         scores = []
         for share in SHARES:
             rows = zip(posed, blocks.lengths, blocks.angles, strict=True)
-            moved = np.stack([self.space.joints.project(x, *joints, share) for x, *joints in rows])
+            moved = np.stack([self.space.joints.project(x, le, an, share) for x, le, an in rows])
             scores.append(float((self._errors(moved)[1:] / plain).max()))
         gain = 1.0 - min(scores)
         return next(

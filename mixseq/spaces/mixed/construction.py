@@ -182,7 +182,7 @@ def _within_budget(posed: MixedSpace, wrong: Float) -> Mask:
         faces = marked(count)
         edges = np.unique(topology.face_edges[faces])
         hinges = np.count_nonzero(faces[topology.hinge_faces].any(axis=1))
-        return len(edges) + hinges <= budget
+        return bool(len(edges) + hinges <= budget)
 
     low, high = 0, len(worst)
     while low < high:

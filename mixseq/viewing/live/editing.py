@@ -12,6 +12,7 @@ from mixseq.frame_numbers import frame_text
 from mixseq.operations import cut, exaggerate, exaggerate_part, hold, loop, repeat, reverse
 from mixseq.operations.dragging import default_reach
 from mixseq.signals import Model
+from mixseq.spaces import MixedSpace
 from mixseq.viewing.live.controls import SaveControls, notify
 from mixseq.viewing.live.curves_panel import Charts
 from mixseq.viewing.messages import Message
@@ -106,7 +107,7 @@ class EditControls:
         """Choose the part that was clicked, and return what was."""
         motion = self._playback.scene.items[index].motion
         text = f"vertex {picked.vertex}, triangle {picked.face}"
-        if isinstance(motion, Model) and motion.space.posed_parts:
+        if isinstance(motion, Model) and motion.space.decomposed is not None:
             cut_up = motion.decomposition
             part, joint = int(cut_up.part_of_face[picked.face]), int(cut_up.joint_of_face[picked.face])
             if index == self._session.index:  # the root has nothing that it could move against
@@ -176,7 +177,9 @@ def reach_of(model: Model) -> float:
 
 def _parts(model: Model) -> tuple[str, ...]:
     """Return the numbers of the parts that can be chosen: those that hang on another one."""
-    return tuple(str(part) for part in np.flatnonzero(model.space.parents >= 0))
+    if not isinstance(model.space, MixedSpace) or model.space.placement == "free":
+        return ()
+    return tuple(str(part) for part in np.flatnonzero(model.space.articulation.parents >= 0))
 
 
 class Editor:
