@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+import mixseq
 from mixseq.choices import TRANSFERS
 from mixseq.cli.console import announce, print_json, print_table, progress_bar
-from mixseq.cli.files import write_sequence
+from mixseq.cli.files import is_model, write_sequence
 from mixseq.cli.options import (
     FILE,
     examples,
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
         "mixseq transfer walk.usdc tall.obj tall_walk.usdc",
         "mixseq transfer horse.h5 camel.obj camel.usdc --markers pairs.txt --save-map map.npz",
         "mixseq transfer gallop.abc camel.obj camel.abc --map map.npz --rest horse.obj",
+        "mixseq transfer gallop.h5 camel.obj camel.h5 --markers pairs.txt --as-model",
     ),
 )
 @click.argument("source", type=FILE)
@@ -99,6 +101,11 @@ if TYPE_CHECKING:
     metavar="FILE",
     help='Vertices of TARGET that shall not slide while SOURCE rests there, as JSON: {"left foot": [12, 13], ...}.',
 )
+@click.option(
+    "--as-model",
+    is_flag=True,
+    help="OUT is a model with the time and pose signals of SOURCE, a model too; only its key poses are transferred.",
+)
 @setting("--target-prim", metavar="PATH", help="Mesh to read of TARGET, as --prim is of SOURCE.")
 @click.option("--picture", type=FILE, metavar="PNG", help="Name of the picture.  [default: beside OUT]")
 @click.option("--no-picture", is_flag=True, help="Draw no picture.")
@@ -123,6 +130,7 @@ def command(
     labels: Path | None,
     label_source: str | None,
     contacts: Path | None,
+    as_model: bool,
     target_prim: str | None,
     picture: Path | None,
     no_picture: bool,
@@ -146,6 +154,9 @@ def command(
     The table tells what corresponds, how much OUT is strained in comparison with SOURCE, whether it moves as smoothly,
     and where it goes through itself. A picture of both is drawn beside OUT.
 
+    With --as-model only the key poses of SOURCE are transferred, and OUT moves by SOURCE's time and pose signals: what
+    is edited in one can be played on the other (mixseq.operations.with_shapes).
+
     --up-axis and --units are for all files, the other options for reading for SOURCE.
     """
     of_parts = {
@@ -156,6 +167,8 @@ def command(
         "contacts": contacts,
     }
     _check_settings(markers, map_file, reverse, method, of_parts, picture, no_picture)
+    if as_model:
+        _check_models(source, out, contacts)
     frame, rest_file = chosen_rest(rest, source)
     drawn = None if no_picture else picture or picture_beside(out)
     claim(out, drawn, save_map, read=[rest_file])
@@ -178,7 +191,10 @@ def command(
         shape = first_frame(target, common | ({} if target_prim is None else {"prim": target_prim}))
         rest_shape = frame if rest_file is None else mesh_at_rest(rest_file, reading, opened, rest is None)
         given = chosen_parts(opened, parts, labels, label_source, reading)
-        motion = source_motion(opened, rest_shape, given, progress)
+        keys = None
+        if as_model:
+            keys, rest_shape, given = _keys_of(opened, rest_shape)
+        motion = source_motion(opened if keys is None else keys, rest_shape, given, progress)
         made = plan(
             motion,
             shape,
@@ -194,7 +210,10 @@ def command(
             save_correspondence(save_map, made)
         meter, shown = Meter(made), PassingFrames(frames_to_draw(made, frame, rest_file))
         blocks = shown.passing(meter.passing(made.blocks(progress, work)))
-        write_sequence(out, made.header, blocks, None, writing)
+        if as_model:
+            _save_model(out, opened, made.header, blocks)
+        else:
+            write_sequence(out, made.header, blocks, None, writing)
         report = meter.report()
         if drawn is not None:
             draw(drawn, made, shown)
@@ -207,6 +226,35 @@ def command(
     for each in (save_map, out, drawn):
         if each is not None:
             announce(each)
+
+
+def _check_models(source: Path, out: Path, contacts: Path | None) -> None:
+    """Refuse what a transfer from model to model cannot do, before anything is read."""
+    if not (is_model(source) and out.suffix.lower() == ".h5"):
+        raise SettingsError(
+            "--as-model makes a model of a model: SOURCE and OUT are .h5 files; see mixseq encode"
+        )
+    if contacts is not None:
+        raise SettingsError(
+            "--contacts are kept frame by frame, and only key poses are transferred; leave one out"
+        )
+
+
+def _keys_of(model: Any, rest: Any) -> tuple[Any, Any, Any]:
+    """Return the key poses of a model as a sequence, the mesh at rest, and the parts."""
+    from mixseq.operations import key_poses
+
+    at_rest = model.sample(frames=[rest]) if isinstance(rest, int) else rest
+    parts = None if model.space.decomposed is None else model.space.decomposed.part_of_face
+    return key_poses(model), at_rest, parts
+
+
+def _save_model(out: Path, model: Any, header: Any, blocks: Any) -> None:
+    """Save the model on the transferred key poses."""
+    from mixseq.operations import with_shapes
+    from mixseq.sequence import collect
+
+    mixseq.save(out, with_shapes(model, collect(header, blocks)))
 
 
 def _check_settings(

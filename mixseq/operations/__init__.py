@@ -19,6 +19,7 @@ from mixseq.operations.resampling import resample
 from mixseq.operations.retiming import Retiming, retime
 from mixseq.operations.retiming_files import read_retiming
 from mixseq.operations.sculpt import sculpt
+from mixseq.operations.shape_exchange import key_poses, with_shapes
 from mixseq.operations.sketch import sketch
 from mixseq.operations.timeline import cut, loop, repeat, reverse, shift, speed
 from mixseq.operations.transitions import blend, concatenate, transition
@@ -35,6 +36,7 @@ __all__ = [
     "hold",
     "in_place",
     "into",
+    "key_poses",
     "loop",
     "read_retiming",
     "repeat",
@@ -49,4 +51,5 @@ __all__ = [
     "swap_key",
     "transition",
     "travel_of",
+    "with_shapes",
 ]

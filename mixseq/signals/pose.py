@@ -15,6 +15,8 @@ keys
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from hashlib import blake2b
 
 import numpy as np
 
@@ -53,6 +55,14 @@ class PoseMap:
             raise SettingsError("the weights of key shapes do not add up to one everywhere in pose space")
         object.__setattr__(self, "offset", frozen(offset))
         object.__setattr__(self, "matrix", frozen(matrix))
+
+    @cached_property
+    def identity(self) -> str:
+        """A name of the pose space: key shapes of models that share it can be exchanged."""
+        digest = blake2b(digest_size=16)
+        for array in (self.offset, self.matrix):
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
 
     @property
     def dim(self) -> int:

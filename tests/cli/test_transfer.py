@@ -226,3 +226,30 @@ def test_a_wolf_on_a_larger_wolf(run: Run, data: Path) -> None:
     told = json.loads(succeed(run("transfer", source, "large.npz", "out.npz", "--json")))
     assert told["acceleration"]["ratio"] == pytest.approx(1, abs=1e-6)
     assert told["self_intersections"]["values"] == told["source_self_intersections"]["values"]
+
+
+def test_a_model_is_transferred_by_its_key_poses(run: Run, folder: Path, bar: MeshSequence) -> None:
+    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True))
+    succeed(run("transfer", "bar.h5", "large.npz", "large.h5", "--as-model", "--no-picture", "--quiet"))
+    model, made = mixseq.load(folder / "bar.h5"), mixseq.load(folder / "large.h5")
+    assert made.pose.identity == model.pose.identity
+    np.testing.assert_array_equal(made.time.values, model.time.values)
+    np.testing.assert_allclose(made.sample().points, 2 * bar.points, atol=1e-2 * made.space.scale)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("bar.npz", "large.npz", "out.h5", "--as-model"), "SOURCE and OUT are .h5 files"),
+        (("bar.h5", "large.npz", "out.npz", "--as-model"), "SOURCE and OUT are .h5 files"),
+        (("bar.h5", "large.npz", "out.h5", "--as-model", "--contacts", "feet.json"), "--contacts"),
+    ],
+)
+def test_as_model_makes_models_of_models(
+    run: Run, folder: Path, bar: MeshSequence, arguments: tuple[str, ...], message: str
+) -> None:
+    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True))
+    result = run("transfer", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not (folder / "out.h5").exists()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mixseq.spaces.mixed.anchored import JOINT, SIDE
 
 from mixseq.arrays import Float
 from mixseq.geometry.rotations import inverse, product, rotations_of, turned
@@ -16,7 +17,6 @@ from mixseq.segmentation.boundaries import Boundaries
 from mixseq.spaces import mixed_space
 from mixseq.spaces.mixed import AnchoredSpace
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.anchored import JOINT, SIDE
 from tests.meshes import SEQUENCES, bar, bent, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import anchored, chain, error, of_slices, sequence_of
 

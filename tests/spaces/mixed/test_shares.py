@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mixseq.spaces.mixed.shares import LEAST, MOST, fitted_shares
 from scipy import sparse
 
 from mixseq.arrays import Float
 from mixseq.geometry.rigid import mean_shape
 from mixseq.segmentation import Decomposition, decompose, segment_by_labels
 from mixseq.spaces.mixed import shares
-from mixseq.spaces.mixed.shares import LEAST, MOST, fitted_shares
 from tests.meshes import (
     SEQUENCES,
     Mesh,

@@ -7,11 +7,11 @@ import pickle
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from mixseq.spaces.mixed.settling import COTANGENTS, POSED_WEIGHT, Sides
 
 from mixseq.arrays import Float
 from mixseq.geometry.rotations import normalised, quaternions
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.settling import COTANGENTS, POSED_WEIGHT, Sides
 from tests.meshes import Mesh, grid, rotation, seeds, tube
 
 

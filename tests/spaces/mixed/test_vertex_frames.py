@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
 from scipy import sparse
 
 from mixseq.arrays import Float
@@ -14,7 +15,6 @@ from mixseq.geometry.rotations import normalised, product, quaternions, rotation
 from mixseq.prediction.poses import Poses
 from mixseq.segmentation import decompose
 from mixseq.spaces.mixed import vertex_frame_kernels as kernels
-from mixseq.spaces.mixed.vertex_frames import VertexFrames, rest_poses
 from tests.meshes import grid, joined, rigid_motions, rotation, seeds, topology_of, tube
 from tests.spaces.mixed.made import sliced
 

@@ -1,0 +1,143 @@
+r"""The motion of one body on another: its time and pose signals, with key shapes of another mesh.
+
+.. math:: s(t) = \sum_j \varphi_j(c(t))\, P_j
+
+Nothing in the weights :math:`\varphi_j(c(t))` knows of a mesh. With the key shapes of another body in the place of
+:math:`P_j`, encoded in a shape space of its own, the same signals move that body. The poses of its key shapes are those
+of `key_poses`, made by transfer or by hand. The body goes where the first one goes, in its own size:
+
+.. math:: Q'(t) = Q(t)\, A, \qquad C'(t) = C(t) + \bar d,
+
+in diagonals of each, with the rotation A and the shift :math:`\bar d` between the key poses of both, on the mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixseq.arrays import Float
+from mixseq.errors import SettingsError
+from mixseq.frame_store import frame_store
+from mixseq.geometry.rigid import nearest_rotations
+from mixseq.geometry.rotations import continued, inverse, normalised, product, quaternions, rotations_of
+from mixseq.prediction.poses import Poses
+from mixseq.progress import silent
+from mixseq.public import public
+from mixseq.sequence import Frames, MeshSequence, check_frames
+from mixseq.signals.curve import Curve
+from mixseq.signals.detail import encode
+from mixseq.signals.model import Model
+from mixseq.spaces.making import make_space
+from mixseq.spaces.mixed import as_mixed
+from mixseq.threads import one_blas_thread
+
+
+@public
+def key_poses(model: Model) -> MeshSequence:
+    """Return the key shapes of a model as meshes, one frame each.
+
+    A key shape that is a frame (``mixseq.fit(sequence, pose="keys")``) is where that frame is, others are where the
+    first frame is. Transferred to another body they are what `with_shapes` takes.
+
+    Parameters
+    ----------
+    model : Model
+        A model in any shape space.
+
+    Returns
+    -------
+    MeshSequence
+        K frames, one second apart.
+    """
+    times = np.arange(len(model.shapes), dtype=np.float64)
+    none = np.zeros((len(times), model.space.correction_dim))
+    vectors = np.concatenate([model.shapes, model.placement(_key_times(model)), none], axis=1)
+    with one_blas_thread():
+        return MeshSequence.from_header(model.header.with_times(times, 1.0), model.space.decode(vectors))
+
+
+@public
+def with_shapes(model: Model, keys: Frames | Model) -> Model:
+    """Return the motion of a model on another body: same time and pose, other shapes.
+
+    Parameters
+    ----------
+    model : Model
+        A model in the mixed shape space.
+    keys : MeshSequence, SequenceReader or Model
+        The key poses of the model (`key_poses`, in their order) on the other body: any mesh, one frame for every key
+        shape. Or a model of that body that `with_shapes` made of the same pose signal, which has them.
+
+    Returns
+    -------
+    Model
+        In a space of the other mesh, with the times of the model. It has no correction: that is of the first body.
+
+    Raises
+    ------
+    SettingsError
+        If there is not one frame for every key shape, the other model has another pose signal, or a space has no parts.
+    InvalidSequenceError
+        If the keys are no sequence.
+
+    Examples
+    --------
+    >>> import mixseq
+    >>> from mixseq.creature import walk_cycle
+    >>> from mixseq.operations import key_poses, with_shapes
+    >>> model = mixseq.fit(walk_cycle(frames=6), rank=3, pose="keys")
+    >>> keys = key_poses(model)
+    >>> tall = mixseq.MeshSequence.from_arrays(keys.points * [1.0, 1.5, 1.0], keys.faces, fps=1.0)
+    >>> with_shapes(model, tall).sample().frame_count
+    6
+    """
+    first = as_mixed(model.space)
+    if isinstance(keys, Model):
+        if keys.pose.identity != model.pose.identity:
+            raise SettingsError(
+                f"{keys.header.name!r} has key shapes of another pose signal than {model.header.name!r}; give one that "
+                "with_shapes or mixseq transfer --as-model made of this model, or of one edited from it"
+            )
+        second, shapes, placed = as_mixed(keys.space), keys.shapes, keys.placement(_key_times(keys))
+        header = keys.header
+    else:
+        check_frames(keys)
+        count = keys.header.frame_count
+        if count != len(model.shapes):
+            raise SettingsError(
+                f"{keys.header.name!r} has {count} frames; {len(model.shapes)} are expected, one for every key shape "
+                f"of {model.header.name!r}: key_poses makes the poses to transfer"
+            )
+        frames = frame_store(keys, silent)
+        second = as_mixed(make_space(frames))
+        encoded = encode(frames, second)
+        shapes, placed, header = np.asarray(encoded.shapes[:]), encoded.placement, keys.header
+    if first.rotation_count != second.rotation_count:
+        raise SettingsError(
+            f"{model.header.name!r} has {first.rotation_count} bodies, {header.name!r} {second.rotation_count}; each "
+            "of them needs a placement"
+        )
+    before = first.poses(model.placement(_key_times(model)))
+    turn, shift = _between(before, second.poses(placed))
+    poses = first.poses(model.placement.values)
+    moved = Poses(continued(product(normalised(poses.rotations), turn)), poses.centres + shift)
+    return Model(
+        header.with_times(model.header.times, model.header.fps),
+        second,
+        model.time,
+        model.pose,
+        shapes,
+        Curve(model.placement.times, second.placements(moved)),
+    )
+
+
+def _key_times(model: Model) -> Float:
+    """Return the times ``(K,)`` of key shapes that are frames, the first time for others."""
+    frames = model.key_frames
+    return np.where(frames >= 0, model.times[frames], model.times[0])
+
+
+def _between(before: Poses, after: Poses) -> tuple[Float, Float]:
+    """Return mean rotations ``(B, 4)`` and shifts ``(B, 3)`` from poses of bodies ``(K, B)`` to others."""
+    turns = rotations_of(product(inverse(normalised(before.rotations)), normalised(after.rotations)))
+    return quaternions(nearest_rotations(turns.sum(axis=0))), (after.centres - before.centres).mean(axis=0)
