@@ -229,12 +229,12 @@ def test_a_wolf_on_a_larger_wolf(run: Run, data: Path) -> None:
 
 
 def test_a_model_is_transferred_by_its_key_poses(run: Run, folder: Path, bar: MeshSequence) -> None:
-    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True))
+    mixseq.save(folder / "bar.h5", mixseq.fit(bar, exact=True, pose="keys"))
     succeed(run("transfer", "bar.h5", "large.npz", "large.h5", "--as-model", "--no-picture", "--quiet"))
     model, made = mixseq.load(folder / "bar.h5"), mixseq.load(folder / "large.h5")
     assert made.pose.identity == model.pose.identity
     np.testing.assert_array_equal(made.time.values, model.time.values)
-    np.testing.assert_allclose(made.sample().points, 2 * bar.points, atol=1e-2 * made.space.scale)
+    np.testing.assert_allclose(made.sample().points, 2 * bar.points, atol=1e-5 * made.space.scale)
 
 
 @pytest.mark.parametrize(
