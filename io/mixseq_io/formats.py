@@ -82,7 +82,6 @@ FORMATS: tuple[Format, ...] = (
             "flatten": _FLATTEN,
             "onto": _ONTO,
             "keep_start": "let the animation begin when the sequence does, and not at 0",
-            "meshopt": "quantise and pack (EXT_meshopt_compression), points off by at most so many diagonals",
             "sources": _SOURCES,
         },
         signatures=(b"glTF",),
