@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,9 @@ def limit_time(share: float) -> None:
 
 
 def loaded(reference: str) -> Callable[..., Any]:
-    """Return the function that ``"module:function"`` names."""
+    """Return the function that ``"module:function"`` names, or ``"module:object.method"``."""
     module, function = reference.split(":")
-    found: Callable[..., Any] = getattr(import_module(module), function)
+    found: Callable[..., Any] = attrgetter(function)(import_module(module))
     return found
 
 

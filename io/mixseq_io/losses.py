@@ -54,6 +54,11 @@ def lost_surface(header: SequenceHeader, held: Collection[str] = ()) -> list[str
     return [words for name, words in present.items() if words and name not in held]
 
 
+def lost_polygons(header: SequenceHeader) -> list[str]:
+    """Return what is lost where all polygons are triangles."""
+    return [] if header.polygons.only_triangles else ["polygons (they are cut into triangles)"]
+
+
 def lost_colours(header: SequenceHeader, *, corners: bool = True, alpha: bool = True) -> list[str]:
     """Return what is lost of colours where they are from 0 to 1, and maybe those of vertices only, or opaque."""
     colours = header.surface.colours

@@ -1,4 +1,8 @@
-"""Writing over an original: results are a copy of the file that a sequence came from, with new points."""
+"""Writing over an original: results are a copy of the file that a sequence came from, with new points.
+
+Which mesh of the file a mesh of the sequence goes to is told by its path; where there is none, by its faces, if a
+single mesh has them.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +19,11 @@ from mixseq.frame_numbers import NEAR
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
 from mixseq_io.choosing import listed
+from mixseq_io.scene_meshes import SceneMesh, split
 
 Opened = TypeVar("Opened")
+Mesh = TypeVar("Mesh")
+Fit = TypeVar("Fit")
 
 
 def opened_original(
@@ -69,6 +76,57 @@ def opened_original(
             f"{error}; the sequence is written alone, without what else that file had (onto=FILE names another)"
         )
         return None
+
+
+def fit_meshes(
+    path: Path,
+    header: SequenceHeader,
+    meshes: Mapping[str, Mesh],
+    fit: Callable[[SceneMesh, Mesh], Fit | None],
+    difference: Callable[[SceneMesh, Mesh], str],
+) -> list[Fit]:
+    """Return for every mesh of a sequence the mesh of a file that it is laid over.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : SequenceHeader
+        The sequence.
+    meshes : mapping of str to Mesh
+        The meshes of the file by their paths.
+    fit : callable
+        Lays a mesh of the sequence over one of the file; None if it has other faces.
+    difference : callable
+        Returns the first difference of two meshes that do not fit, "" if there are no words for it.
+
+    Raises
+    ------
+    FormatError
+        If none, or several, have the faces of a mesh of the sequence.
+    """
+    left, fits = dict(meshes), []
+    for scene_mesh in split(header):
+        wanted = scene_mesh.path or scene_mesh.name
+        candidates = {scene_mesh.path: left[scene_mesh.path]} if scene_mesh.path in left else left
+        found = {
+            name: each for name, mesh in candidates.items() if (each := fit(scene_mesh, mesh)) is not None
+        }
+        if len(found) > 1:
+            raise FormatError(
+                f"{path} has {len(found)} meshes with the faces of {wanted!r}, {listed(list(found))}"
+            )
+        if not found:
+            why = (
+                [difference(scene_mesh, mesh) for mesh in candidates.values()] if len(candidates) == 1 else []
+            )
+            raise FormatError(
+                ": ".join(filter(None, [f"{path} has no mesh with the faces of {wanted!r}", *why]))
+            )
+        ((name, each),) = found.items()
+        del left[name]
+        fits.append(each)
+    return fits
 
 
 def is_retimed(header: SequenceHeader, sources: ArrayLike | None) -> bool:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixseq.errors import OutputError, SettingsError
+from mixseq.errors import OutputError
 from mixseq.public import public
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ RIG_EXTENSIONS = (*GLTF, *USD)
 
 
 @public
-def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | None = None) -> None:
+def write_rig(path: str | os.PathLike[str], rig: Skin | Morph) -> None:
     """Write a skin or a morph, for engines and for animators.
 
     glTF: ``.glb`` is binary, ``.gltf`` text with everything in it. USD: ``.usd`` and ``.usdc`` are binary, ``.usda``
@@ -36,17 +36,12 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | 
     rig : Skin or Morph
         What to write, made by `mixseq.fit_skin` or `mixseq.fit_morph`. Keys are at its frames; ``rig.resampled``
         moves them.
-    meshopt : float, optional
-        Of glTF: quantise and pack everything (``EXT_meshopt_compression``), points off by at most so many diagonals
-        of their mesh, each target, too; weights and bones are exact.
 
     Raises
     ------
     OutputError
         If the name does not end in one of these, the file cannot be written or would be too large, a skin for glTF
         has more than 65535 bones, or USD does not know the up axis.
-    SettingsError
-        If `meshopt` is not between 0 and 1, or given for USD.
     TypeError
         If `rig` is something else.
     InvalidSequenceError
@@ -63,25 +58,22 @@ def write_rig(path: str | os.PathLike[str], rig: Skin | Morph, meshopt: float | 
     if file.suffix.lower() in USD:
         from mixseq_io.usd.rig_writer import write_usd_rig
 
-        if meshopt is not None:
-            raise SettingsError(f"{file}: only glTF is packed by meshopt; leave it out, or write .glb")
         write_usd_rig(file, rig)
     else:
-        _write_gltf_rig(file, rig, meshopt)
+        _write_gltf_rig(file, rig)
 
 
-def _write_gltf_rig(file: Path, rig: Skin | Morph, meshopt: float | None) -> None:
+def _write_gltf_rig(file: Path, rig: Skin | Morph) -> None:
     from mixseq.rigging.rigs import Skin
     from mixseq_io.atomic import replacing
+    from mixseq_io.gltf.buffers import writing_buffer
     from mixseq_io.gltf.morph_rig import morphed_scene
-    from mixseq_io.gltf.packing import check_error, writing_document
     from mixseq_io.gltf.skin_rig import skinned_scene
     from mixseq_io.gltf.writer import lost_alone, warn_of_changes
 
-    check_error(meshopt)
     layout = skinned_scene(rig) if isinstance(rig, Skin) else morphed_scene(rig)
     warn_of_changes(file, rig.header, lost_alone(rig.header))
-    with replacing(file) as temporary, writing_document(file, temporary, layout, meshopt):
+    with replacing(file) as temporary, writing_buffer(file, temporary, layout):
         pass  # all of it is in the layout already
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from mixseq.arrays import Index, IntArray
 from mixseq.coding.renumbering import numbering_of
+from mixseq.polygon_matching import PolygonMatch, matched
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq.surface import NO_UV, WHITE, CornerValues, FaceSet, MeshObject, Origin, Surface
@@ -76,6 +77,12 @@ class SceneMesh:
             vertices=vertices[order],
             polygons=Polygons(self.polygons.counts, found.vertices[self.polygons.indices]),
         )
+
+    def matched_to(self, original: Polygons) -> tuple[SceneMesh, PolygonMatch] | None:
+        """Return the mesh as `as_numbered`, and which of its polygons those of a file are; None for another mesh."""
+        ours = self.as_numbered(original)
+        match = None if ours is None else matched(original, ours.polygons)
+        return None if ours is None or match is None else (ours, match)
 
 
 def join(meshes: Sequence[SceneMesh], origin: Origin | None) -> tuple[Polygons, Surface]:

@@ -75,19 +75,9 @@ def print_json(data: dict[str, Any]) -> None:
 
 
 def announce(path: Path) -> None:
-    """Tell that a file is finished, which others it needs, and how far points were rounded, if they were."""
+    """Print that a file is written, and which others it needs."""
     size = f" ({format_bytes(path.stat().st_size)})" if path.is_file() else ""
-    say(f"wrote {click.format_filename(path)}{size}{needed(path)}{_rounding(path)}")
-
-
-def _rounding(path: Path) -> str:
-    """Return how far points of a packed glTF file are off, "" of others."""
-    if path.suffix.lower() not in (".glb", ".gltf") or not path.is_file():
-        return ""
-    from mixseq_io.gltf.packing import told_rounding
-
-    error = told_rounding(path)
-    return "" if error is None else f", points off by up to {error:.2g} diagonals"
+    say(f"wrote {click.format_filename(path)}{size}{needed(path)}")
 
 
 def needed(path: Path) -> str:

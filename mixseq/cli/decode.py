@@ -183,7 +183,7 @@ def command(
                 table = texture_rows(report)
             else:
                 rig = settings.fit(sequence, progress)
-                mixseq.write_rig(target, rig, writing.get("meshopt"))
+                mixseq.write_rig(target, rig)
                 table = [] if quiet else rows(target, rig, sequence)
     if not quiet:
         print_table(table)

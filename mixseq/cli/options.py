@@ -117,12 +117,6 @@ def writer_options(command: Command) -> Command:
         help="Write glTF whose animation begins when the sequence does, and not at 0.",
     )
     @setting(
-        "--meshopt",
-        type=click.FloatRange(min=0, max=1, min_open=True, max_open=True),
-        metavar="E",
-        help="Quantise and pack glTF (EXT_meshopt_compression), points off by at most E diagonals, such as 1e-4.",
-    )
-    @setting(
         "--onto", type=FILE, help="The original file to build on, if it is not where the sequence came from."
     )
     @setting(
@@ -153,7 +147,6 @@ def writer_options(command: Command) -> Command:
         *args: Any,
         flatten: bool,
         keep_start: bool,
-        meshopt: float | None,
         onto: Path | None,
         clips: int | None,
         pack_from: Path | None,
@@ -166,7 +159,6 @@ def writer_options(command: Command) -> Command:
             "convert_units": convert_units,
             "flatten": flatten or None,
             "keep_start": keep_start or None,
-            "meshopt": meshopt,
             "onto": onto,
             "clips": clips,
             "pack_from": pack_from,

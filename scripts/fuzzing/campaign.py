@@ -1,105 +1,218 @@
 """Damaged files of all readers, each in a process of its own: an error of ours or sound values, and nothing else.
 
-Usage: scripts/fuzz --minutes N [--seed S] [--reader R ...] [--cases K] [--workers W]
+Usage: scripts/fuzz [--minutes N] [--cases K] [--seed S] [--reader R ...]
        scripts/fuzz --case SEED:READER:INDEX
 
 Cases follow from the seed. Every defect is printed at once with the command that repeats it, and at the end a table of
-what became of all. They are in out/fuzz/SEED.jsonl, from which the same command goes on; delete it to begin anew.
-`--case` leaves the damaged file in out/fuzz/case/work.
+what became of all. The last damaged file stays in out/fuzz/work.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
-import json
 import os
+import random
+import re
 import shutil
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
+from typing import Any, Literal, get_args
+
+import numpy as np
 
 import mixseq
 import mixseq_io
-from scripts.fuzzing.canary import lay_out
-from scripts.fuzzing.cases import Name, Outcome, prepare, run
-from scripts.fuzzing.readers import READERS
-from scripts.fuzzing.verdict import GOOD, KINDS
-from scripts.fuzzing.workers import fork_workers
+from mixseq.errors import MixseqWarning
+from scripts.fuzzing.damage import NotDamagedError, damage_bytes
+from scripts.fuzzing.readers import OUT, READERS, Reader
+from scripts.fuzzing.samples import Sample
+from scripts.fuzzing.sandbox import Ended, forked
 
-OUT = Path("out/fuzz").absolute()
-CORPUS = OUT / "corpus"
+FOLDER = Path("out/fuzz").absolute()
+WORK, LOG, FOUND, DAMAGE = (FOLDER / name for name in ("work", "log", "found", "damage"))
+MAX_MEGABYTES = 2048
+TRIES = 20
+"""Damages that are tried until one changes the file."""
+
+Kind = Literal["same", "sound", "refused", "traceback", "signal", "hang", "memory", "silent change", "escape"]
+"""In the file's favour: what was found is what was there before; it differs, but is valid; an error of ours and exit
+code 2. Then defects: a traceback or another exit code; death by a signal; no end; too much memory; damage under a
+checksum that nobody noticed, or what is no valid sequence; control characters that a terminal obeys."""
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+GOOD: tuple[Kind, ...] = ("same", "sound", "refused")
+
+Found = Literal["same", "differs", "invalid", "nothing"]
+
+_ERROR = re.compile(r"^mixseq: error: \S", re.MULTILINE)
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case: its class, the damage, and how the process ended."""
+
+    kind: Kind
+    damage: str
+    ended: Ended
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     _import_readers()
     gc.freeze()  # memory that nobody writes to is not copied
-    fork_workers()
     if options.case:
-        return _again(Name.of(options.case))
+        _, reader, _ = options.case.split(":")
+        prepare(reader)
+        outcome = run(options.case)
+        print(f"{outcome.kind}: {outcome.damage}\n{outcome.ended}")
+        return int(outcome.kind not in GOOD)
     readers = options.reader or list(READERS)
-    prepare(readers, CORPUS, OUT / "room-0")
-    log = OUT / f"{options.seed}.jsonl"
-    known = {outcome.case for outcome in _outcomes(log)}
+    for reader in readers:
+        prepare(reader)
+    counts: Counter[tuple[str, Kind]] = Counter()
     end = time.monotonic() + 60 * options.minutes
-    foremen = []
-    for number in range(options.workers):
-        process = os.fork()
-        if process == 0:
-            every = (
-                Name(options.seed, readers[count % len(readers)], count // len(readers))
-                for count in range(number, options.cases, options.workers)
-            )
-            _work((name for name in every if str(name) not in known), OUT / f"room-{number}", log, end)
-            os._exit(0)
-        foremen.append(process)
-    for process in foremen:
-        os.waitpid(process, 0)
-    outcomes = _outcomes(log)
-    print(table(outcomes))
-    return int(any(outcome.kind not in GOOD for outcome in outcomes))
-
-
-def _outcomes(log: Path) -> list[Outcome]:
-    lines = log.read_text().splitlines() if log.exists() else []
-    return [Outcome(**json.loads(line)) for line in lines]
-
-
-def _work(names: Iterable[Name], room: Path, log: Path, end: float) -> None:
-    """Run one case after the other until the time is over, in a folder of its own."""
-    canary = lay_out(room / "canary")
-    for name in names:
+    for number in range(options.cases):
         if time.monotonic() > end:
             break
-        outcome = run(name, CORPUS, room, canary)
-        with log.open("a") as file:
-            file.write(json.dumps(asdict(outcome)) + "\n")
+        reader = readers[number % len(readers)]
+        name = f"{options.seed}:{reader}:{number // len(readers)}"
+        outcome = run(name)
+        counts[reader, outcome.kind] += 1
         if outcome.kind not in GOOD:
-            last = (outcome.text.strip().splitlines() or [""])[-1].encode("unicode_escape").decode("ascii")
-            print(
-                f"{outcome.kind}: scripts/fuzz --case {name}\n    {outcome.damage}\n    {last[:200]}",
-                flush=True,
-            )
-    shutil.rmtree(room, ignore_errors=True)
+            last = ascii((outcome.ended.text.strip().splitlines() or [""])[-1][:200])
+            print(f"{outcome.kind}: scripts/fuzz --case {name}\n    {outcome.damage}\n    {last}", flush=True)
+    print(table(counts))
+    return int(any(kind not in GOOD for _, kind in counts))
 
 
-def _again(name: Name) -> int:
-    room = OUT / "case"
-    prepare([name.reader], CORPUS, room)
-    outcome = run(name, CORPUS, room, lay_out(room / "canary"))
-    print(json.dumps(asdict(outcome), indent=1))
-    return int(outcome.kind not in GOOD)
+def prepare(reader: str) -> None:
+    """Make the samples of a reader that are not there yet, and find what is in them, to compare with.
+
+    Raises
+    ------
+    RuntimeError
+        If one cannot be made or read.
+    """
+    for number, sample in enumerate(READERS[reader].samples):
+        folder = FOLDER / "samples" / f"{reader}-{number}"
+        if folder.with_suffix(".found").exists():
+            continue
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        ended = forked(lambda: _make(sample, folder), LOG)  # noqa: B023
+        if ended.code == 0:
+            _copy(folder)
+            ended = forked(lambda: _use(READERS[reader], sample, None, None), LOG)  # noqa: B023
+        if ended.code:
+            raise RuntimeError(f"{sample.argument} of {reader} cannot be made or read:\n{ended.text}")
+        (WORK / OUT).rename(folder.with_suffix(".found"))
 
 
-def table(outcomes: Iterable[Outcome]) -> str:
-    """A row for every reader, a column for every class."""
-    counts = Counter((outcome.reader, outcome.kind) for outcome in outcomes)
+def run(name: str) -> Outcome:
+    """Make a case, ``SEED:READER:INDEX``, and use it."""
+    _, reader_name, _ = name.split(":")
+    reader, rng = READERS[reader_name], random.Random(name)
+    number = rng.randrange(len(reader.samples))
+    folder = FOLDER / "samples" / f"{reader_name}-{number}"
+    _copy(folder)
+    ended = forked(lambda: _use(reader, reader.samples[number], rng, folder.with_suffix(".found")), LOG)
+    damage = DAMAGE.read_text() if DAMAGE.exists() else ""
+    found: Any = FOUND.read_text() if FOUND.exists() else "nothing"
+    noticed = reader.has_checksums and f" {damage_bytes.__name__} " in damage
+    return Outcome(classify(ended, found, noticed), damage, ended)
+
+
+def classify(ended: Ended, found: Found, noticed: bool) -> Kind:
+    """Return the class of a case, given what it found, and whether any change must be noticed."""
+    if ended.is_hung:
+        return "hang"
+    if ended.megabytes > MAX_MEGABYTES or "not enough memory" in ended.text:
+        return "memory"
+    if ended.code < 0:
+        return "signal"
+    if "Traceback" in ended.text or ended.code not in (0, 2):
+        return "traceback"
+    if _CONTROL.search(ended.text):
+        return "escape"
+    if ended.code == 2:
+        return "refused" if _ERROR.search(ended.text) else "traceback"
+    if found == "same":
+        return "same"
+    return "silent change" if noticed or found in ("invalid", "nothing") else "sound"
+
+
+def compare(out: Path, expected: Path) -> Found:
+    """Compare what a use found with what it found in the sound file."""
+    if not out.exists():
+        return "nothing"
+    if out.read_bytes()[:2] != b"PK":
+        return "same" if out.read_bytes() == expected.read_bytes() else "differs"
+    ours, theirs = _arrays(out), _arrays(expected)
+    if "points" in ours and not (ours["points"].size and np.isfinite(ours["points"]).all()):
+        return "invalid"
+    same = ours.keys() == theirs.keys() and all(
+        ours[name].dtype == theirs[name].dtype and np.array_equal(ours[name], theirs[name]) for name in ours
+    )
+    return "same" if same else "differs"
+
+
+def _arrays(file: Path) -> dict[str, Any]:
+    with np.load(file) as archive:
+        # where a sequence is from is another folder every time
+        return {name: archive[name] for name in archive.files if "origin" not in name}
+
+
+def _make(sample: Sample, folder: Path) -> int:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixseqWarning)
+        sample.make(folder)
+    return 0
+
+
+def _copy(folder: Path) -> None:
+    shutil.rmtree(WORK, ignore_errors=True)
+    shutil.copytree(folder, WORK)
+    for file in (FOUND, DAMAGE):
+        file.unlink(missing_ok=True)
+
+
+def _use(reader: Reader, sample: Sample, rng: random.Random | None, expected: Path | None) -> int:
+    """Damage a file of a sample, unless there is no generator, use it, and store what was found."""
+    os.chdir(WORK)
+    if rng is not None:
+        file = rng.choice(sorted(file for file in WORK.glob(sample.damaged) if file.is_file()))
+        DAMAGE.write_text(_damaged(reader, file, rng))
+    code = reader.use(Path(sample.argument))
+    if code == 0 and expected is not None:
+        FOUND.write_text(compare(WORK / OUT, expected))
+    return code
+
+
+def _damaged(reader: Reader, file: Path, rng: random.Random) -> str:
+    sound = file.read_bytes()
+    for _ in range(TRIES):
+        damage = rng.choice(reader.damages)
+        try:
+            label = damage(rng, file)
+        except NotDamagedError:
+            label = ""
+        if label and file.read_bytes() != sound:
+            return f"{file.relative_to(WORK)} {damage.__name__} {ascii(label)[:400]}"
+        file.write_bytes(sound)
+    return "nothing"
+
+
+def table(counts: Counter[tuple[str, Kind]]) -> str:
+    """Return a row for every reader, a column for every class."""
     readers = [reader for reader in READERS if any(reader == each for each, _ in counts)]
     lines = [f"| reader | cases | {' | '.join(KINDS)} |", "|---" + "|---:" * (len(KINDS) + 1) + "|"]
     for title, members in [*((reader, [reader]) for reader in readers), ("all", readers)]:
@@ -110,7 +223,11 @@ def table(outcomes: Iterable[Outcome]) -> str:
 
 def _import_readers() -> None:
     """Import what reads files, so that forked processes need not."""
-    for package, left_out in ((mixseq_io, ()), (mixseq, ("viewing", "plots", "scene", "blender.addon"))):
+    packages: Iterable[tuple[Any, tuple[str, ...]]] = (
+        (mixseq_io, ()),
+        (mixseq, ("viewing", "plots", "scene", "blender.addon")),
+    )
+    for package, left_out in packages:
         for module in walk_packages(package.__path__, f"{package.__name__}."):
             if not any(name in module.name for name in left_out):
                 import_module(module.name)
@@ -124,7 +241,6 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--reader", action="append", choices=READERS, help="only this one; may be given again"
     )
-    parser.add_argument("--workers", type=int, default=1, help="how many cases at a time")
     parser.add_argument("--case", metavar="SEED:READER:INDEX", help="the case that is to be repeated")
     return parser.parse_args(arguments)
 

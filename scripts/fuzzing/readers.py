@@ -1,177 +1,202 @@
-"""All readers: their samples, how these are damaged, and what is done with them."""
+"""All readers: what is done with their files, samples of these, and how they are damaged."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
-from scripts.fuzzing import uses
-from scripts.fuzzing.case import Damage
-from scripts.fuzzing.damage.of_archives import damage_archive
-from scripts.fuzzing.damage.of_bytes import damage_bytes
-from scripts.fuzzing.damage.of_h5 import damage_h5
-from scripts.fuzzing.damage.of_json import damage_gltf, damage_json
-from scripts.fuzzing.damage.of_text import damage_text
-from scripts.fuzzing.damage.of_usd import damage_usd
-from scripts.fuzzing.uses import Use
+import click
+import numpy as np
 
-Damages = tuple[tuple[Damage, int], ...]
+from mixseq.cli import main
+from mixseq.cli.batch.report import read_report, rows
+from mixseq.cli.group import exit_code
+from mixseq.operations.retiming_files import read_retiming
+from mixseq_io.correspondence.contacts import read_contacts
+from mixseq_io.correspondence.maps import read_map, to_correspondence
+from mixseq_io.correspondence.markers import read_markers
+from scripts.fuzzing import samples
+from scripts.fuzzing.damage import (
+    Damage,
+    damage_archive,
+    damage_bytes,
+    damage_h5,
+    damage_json,
+    damage_text,
+)
+from scripts.fuzzing.samples import Sample, written
 
+OUT = "out.npz"
+"""What a use writes into the folder of the file: an archive of arrays, or what the file said, as text."""
 
-@dataclass(frozen=True)
-class Sample:
-    """A folder of the corpus.
-
-    Attributes
-    ----------
-    folder : str
-        Its name.
-    argument : str
-        What is given to the commands, a file or a pattern in it.
-    damaged : str
-        Pattern of the files that are damaged, one at a time.
-    """
-
-    folder: str
-    argument: str
-    damaged: str = "*"
+Use = Callable[[Path], int]
+"""Uses a file as users do, and returns the exit code."""
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader.
-
-    Attributes
-    ----------
-    use : callable
-        What is done with a sample.
-    samples : tuple of Sample
-        What there is of it.
-    damages : tuple of callable and number
-        What is done to a file, and how often.
-    checksums : bool
-        Whether damage to the bytes must be noticed if it changes anything.
-    follows : bool
-        Whether files may name others, anywhere, that are read with them.
-    """
+    """What is done with a file, samples, ways to damage them, and whether all damaged bytes must be noticed."""
 
     use: Use
     samples: tuple[Sample, ...]
-    damages: Damages
-    checksums: bool = False
-    follows: bool = False
+    damages: tuple[Damage, ...]
+    has_checksums: bool = False
 
 
-def _models(*folders: str) -> tuple[Sample, ...]:
-    return tuple(Sample(folder, "model.h5") for folder in folders)
+def _command(*words: object) -> int:
+    try:
+        main([os.fspath(word) if isinstance(word, Path) else str(word) for word in words], prog_name="mixseq")
+    except SystemExit as left:
+        return left.code if isinstance(left.code, int) else int(left.code is not None)
+    return 0
 
 
-_H5: Damages = ((damage_bytes, 1), (damage_h5, 1))
-_BYTES: Damages = ((damage_bytes, 1),)
-_TEXT: Damages = ((damage_text, 3), (damage_bytes, 1))
-_ARCHIVE: Damages = ((damage_bytes, 1), (damage_archive, 2))
-_NUMBERED = "*_0001.*"
+def convert(file: Path) -> int:
+    return _command("info", file) or _command("convert", file, OUT, "-q")
+
+
+def decode(file: Path) -> int:
+    return _command("info", file) or _command("decode", file, OUT, "-q")
+
+
+def decode_compressed(file: Path) -> int:
+    """Decode, and verify what can be decoded, which may end as it likes."""
+    code = decode(file)
+    other = 0 if code else _command("verify", file)
+    return code if other in (0, 1, 2) else other
+
+
+def segment(file: Path) -> int:
+    return _command("segment", "mesh.npz", OUT, "--labels", file, "--no-picture", "-q")
+
+
+def edit(file: Path) -> int:
+    return _command("edit", "model.h5", OUT, "--script", "edits.toml", "-q")
+
+
+def calling(function: Callable[[Path], Any]) -> Use:
+    """Return a use that calls a function with the file; its errors are reported as those of commands are."""
+
+    def use(file: Path) -> int:
+        def call() -> None:
+            found = repr(function(file))
+            Path(OUT).write_text(found)
+            click.echo(found[:500])
+
+        return exit_code(call)
+
+    return use
+
+
+def map_of_arms(file: Path) -> Any:
+    mesh = samples.arm(1)
+    return to_correspondence(read_map(file), *[(mesh.points[0], mesh.faces)] * 2)
+
+
+def report_rows(file: Path) -> Any:
+    return list(rows(read_report(file.parent).without_lost().entries.values()))
+
+
+_H5 = (damage_bytes, damage_h5)
+_ARCHIVE = (damage_bytes, damage_archive, damage_archive)
+_TEXT = (damage_text, damage_text, damage_bytes)
+_JSON = (*_TEXT, damage_json, damage_json)
+_MESH, _ARM = written("mesh.npz"), samples.model()
+_ROWS = [[number, number] for number in range(32)]
 
 READERS: Mapping[str, Reader] = {
-    "h5": Reader(
-        uses.convert, (Sample("h5", "walk.h5"), Sample("sequence-v1", "model.h5")), _H5, checksums=True
-    ),
+    "h5": Reader(convert, (written("walk.h5", velocities=True),), _H5, has_checksums=True),
     "model": Reader(
-        uses.decode,
-        _models(
-            "model-mixed",
-            "model-free",
-            "model-vertex",
-            "model-gradient",
-            "model-lri",
-            "model-edge",
-            "model-v1",
-        ),
+        decode,
+        (_ARM, *(samples.model(space=each) for each in ("vertex", "gradient", "lri", "edge"))),
         _H5,
-        checksums=True,
+        has_checksums=True,
     ),
-    "compressed": Reader(
-        uses.decode_compressed,
-        _models("compressed", "compressed", "model-v4-coded", "model-v7-coded"),
-        _H5,
-        checksums=True,
-    ),
+    "compressed": Reader(decode_compressed, (samples.compressed("model.h5"),), _H5, has_checksums=True),
     "compressed-glb": Reader(
-        uses.decode_compressed,
-        (Sample("compressed-glb", "model.glb"),),
-        ((damage_bytes, 1), (damage_gltf, 2)),
-        checksums=True,
+        decode_compressed,
+        (samples.compressed("model.glb", still="plain"),),
+        (damage_bytes, damage_json),
+        has_checksums=True,
     ),
     "usd": Reader(
-        uses.convert_usd,
+        convert,
         (
-            Sample("usda", "walk.usda"),
-            Sample("usdc", "walk.usdc"),
-            Sample("usd-rig", "rig.usda"),
-            Sample("usd-clips", "walk.usd"),
+            written("walk.usda", velocities=True, flatten=True),
+            written("walk.usd", flatten=True, clips=2),
+            samples.rig("rig.usda", "skin"),
         ),
-        ((damage_bytes, 1), (damage_usd, 2)),
-        follows=True,
+        _TEXT,
     ),
-    "usdz": Reader(uses.convert_usd, (Sample("usdz", "walk.usdz"),), _ARCHIVE, follows=True),
-    "abc": Reader(uses.convert, (Sample("abc", "walk.abc"),), _BYTES),
+    "usdc": Reader(convert, (written("walk.usdc", flatten=True),), (damage_bytes,)),
+    "usdz": Reader(convert, (written("walk.usdz", flatten=True),), _ARCHIVE),
+    "abc": Reader(convert, (written("walk.abc", velocities=True),), (damage_bytes,)),
     "gltf": Reader(
-        uses.convert,
+        convert,
         (
-            Sample("gltf", "walk.gltf"),
-            Sample("glb", "walk.glb"),
-            Sample("packed", "walk.glb"),
-            Sample("draco", "walk.glb"),
-            Sample("skin", "rig.glb"),
-            Sample("morph", "rig.glb"),
+            written("walk.gltf", flatten=True),
+            written("walk.glb", flatten=True),
+            samples.packed("gltfpack-ext"),
+            samples.packed("draco"),
+            samples.rig("rig.glb", "skin"),
+            samples.rig("rig.glb", "morph"),
         ),
-        ((damage_bytes, 1), (damage_gltf, 3)),
+        (damage_bytes, damage_json, damage_json),
     ),
-    "npz": Reader(uses.convert, (Sample("npz", "walk.npz"), Sample("npz-deflated", "walk.npz")), _ARCHIVE),
-    "pc2": Reader(uses.convert, (Sample("pc2", "walk.pc2", "*.pc2"), Sample("pc2", "walk.pc2")), _BYTES),
-    "mdd": Reader(uses.convert, (Sample("mdd", "walk.mdd", "*.mdd"), Sample("mdd", "walk.mdd")), _BYTES),
-    "obj": Reader(
-        uses.convert, (Sample("obj", "walk_####.obj", _NUMBERED), Sample("obj", "walk_####.obj")), _TEXT
+    "npz": Reader(
+        convert, (written("walk.npz", velocities=True), written("walk.npz", compress=True)), _ARCHIVE
     ),
-    "ply": Reader(uses.convert, (Sample("ply", "walk_####.ply"),), ((damage_bytes, 1), (damage_text, 1))),
-    "stl": Reader(uses.convert, (Sample("stl", "walk_####.stl"), Sample("stl-text", "walk_####.stl")), _TEXT),
-    "off": Reader(uses.convert, (Sample("off", "walk_####.off"),), _TEXT),
+    "pc2": Reader(convert, (written("walk.pc2", "*.pc2"), written("walk.pc2")), (damage_bytes,)),
+    "mdd": Reader(convert, (written("walk.mdd", "*.mdd"), written("walk.mdd")), (damage_bytes,)),
+    "obj": Reader(convert, (written("walk_####.obj", "*1.obj"), written("walk_####.obj")), _TEXT),
+    "ply": Reader(convert, (written("walk_####.ply"),), (damage_bytes, damage_text)),
+    "stl": Reader(convert, (written("walk_####.stl"), samples.text("walk.stl", samples.stl_text())), _TEXT),
+    "off": Reader(convert, (written("walk_####.off"),), _TEXT),
     "labels": Reader(
-        uses.segment,
-        (Sample("labels-npz", "parts.npz", "parts.npz"), Sample("labels-npz", "mesh.npz")),
-        _ARCHIVE,
+        segment,
+        tuple(
+            samples.beside(each, _MESH)
+            for each in (
+                samples.array(
+                    "parts.npz", labels=np.arange(28) // 9, names=np.array(["arm", "bow", "hat", "cap"])
+                ),
+                written("parts.usda", flatten=True),
+            )
+        ),
+        (*_ARCHIVE, damage_text),
     ),
-    "labels-mesh": Reader(
-        uses.segment,
-        (Sample("labels-obj", "parts.obj", "parts.obj"), Sample("labels-usda", "parts.usda", "parts.usda")),
-        _TEXT,
-        follows=True,
-    ),
-    "markers": Reader(
-        uses.markers,
-        tuple(Sample("markers", f"markers.{kind}", f"markers.{kind}") for kind in ("txt", "json", "yaml")),
-        (*_TEXT, (damage_json, 1)),
-    ),
+    "markers": Reader(calling(read_markers), samples.MARKERS, _JSON),
     "maps": Reader(
-        uses.maps,
-        tuple(Sample("maps", f"map.{kind}", f"map.{kind}") for kind in ("txt", "json", "npz")),
-        (*_TEXT, (damage_json, 1), (damage_archive, 2)),
+        calling(map_of_arms),
+        (
+            samples.text("map.txt", "vertices\n" + "".join(f"{a} {b}\n" for a, b in _ROWS)),
+            samples.text("map.json", json.dumps({"vertices": _ROWS})),
+            samples.array("map.npz", vertices=np.arange(32)),
+        ),
+        (*_JSON, damage_archive),
     ),
-    "contacts": Reader(uses.contacts, (Sample("contacts", "contacts.json"),), (*_TEXT, (damage_json, 2))),
+    "contacts": Reader(
+        calling(read_contacts),
+        (samples.text("contacts.json", json.dumps({"left foot": [1, 2, 3], "right foot": [5, 6]})),),
+        _JSON,
+    ),
     "edits": Reader(
-        uses.edit,
-        (Sample("edits", "edits.toml", "edits.toml"), Sample("edits", "edits.toml", "*.csv")),
+        edit,
+        tuple(
+            replace(samples.beside(samples.EDITS, samples.KEYS, _ARM), damaged=each)
+            for each in ("edits.toml", "keys.csv")
+        ),
         _TEXT,
     ),
-    "retiming": Reader(
-        uses.retiming,
-        (Sample("retiming", "keys.csv", "keys.csv"), Sample("retiming", "keys.toml", "keys.toml")),
-        _TEXT,
-    ),
+    "retiming": Reader(calling(read_retiming), (samples.KEYS, samples.KEYS_TOML), _TEXT),
     "report": Reader(
-        uses.report,
-        (Sample("report", "models/report.json", "models/report.json"),),
-        ((damage_json, 3), (damage_text, 1)),
+        calling(report_rows),
+        (Sample("models/report.json", samples.report, "models/report.json"),),
+        (damage_json, damage_text),
     ),
 }
-"""Readers by their names. The order and the samples decide what a case is, so append to them."""
+"""Readers by their names."""

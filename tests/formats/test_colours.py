@@ -24,7 +24,7 @@ from mixseq.sequence import MeshSequence, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io import read, write
 from mixseq_io.colours import as_bytes, from_text, nearest_bytes, of_bytes, with_alpha, within_one
-from mixseq_io.numbered.colour_words import colours_of_words
+from mixseq_io.numbered.text_lines import colours_of_words
 from mixseq_io.surface_arrays import surface_arrays
 from tests.formats.conftest import painted
 from tests.meshes import bar

@@ -20,7 +20,7 @@ from mixseq.sequence import MeshSequence
 from mixseq_io import read, write
 from mixseq_io.numbered.names import find_frames, is_pattern, numbered_name
 
-KINDS = ("obj", "ply", "stl")
+KINDS = ("obj", "ply", "stl", "off")
 
 
 def moving(frames: int) -> MeshSequence:

@@ -1,13 +1,9 @@
-"""Alembic, writing: the archive that is copied with new points, and its meshes that a sequence fits.
-
-Which mesh of the archive a mesh of the sequence goes to is told by its path; where there is none, by its faces, if a
-single mesh has them.
-"""
+"""Alembic, writing: the archive that is copied with new points, and its meshes that a sequence fits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +11,7 @@ import numpy as np
 
 from mixseq.arrays import Index
 from mixseq.errors import FormatError
-from mixseq.polygon_matching import difference, matched
+from mixseq.polygon_matching import difference
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq_io.alembic.archive_meshes import Mesh, find_meshes
@@ -23,9 +19,9 @@ from mixseq_io.alembic.library import ERRORS, length, open_archive
 from mixseq_io.alembic.placing import Placing
 from mixseq_io.alembic.polymesh import Source, stored_polygons
 from mixseq_io.alembic.samples import determinant
-from mixseq_io.choosing import listed
+from mixseq_io.originals import fit_meshes
 from mixseq_io.reader import naming, reading
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.scene_meshes import SceneMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,30 +84,19 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
     with reading(path, "Alembic", *ERRORS), naming(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)
-        fits: list[Fit] = []
-        for scene_mesh in split(header):
-            taken = {fit.mesh.path for fit in fits}
-            left = [mesh for mesh in meshes if mesh.path not in taken]
-            fits.append(_fit(path, header, scene_mesh, left))
+        fits = fit_meshes(
+            path,
+            header,
+            {mesh.path: mesh for mesh in meshes},
+            partial(_fitted, path, header),
+            partial(_difference, path),
+        )
+        for fit in fits:
+            try:
+                fit.placing.check()
+            except FormatError as error:
+                raise FormatError(f"{path}: nothing can be laid over {fit.mesh.path!r}: {error}") from None
         return Original(path, archive, tuple(fits))
-
-
-def _fit(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, meshes: Sequence[Mesh]) -> Fit:
-    """Return the mesh that a mesh of the sequence came from."""
-    candidates = [mesh for mesh in meshes if mesh.path == scene_mesh.path] or meshes
-    fitting = [fit for mesh in candidates if (fit := _fitted(path, header, scene_mesh, mesh)) is not None]
-    wanted = scene_mesh.path or scene_mesh.name
-    if len(fitting) == 1:
-        try:
-            fitting[0].placing.check()
-        except FormatError as error:
-            raise FormatError(f"{path}: nothing can be laid over {wanted!r}: {error}") from None
-        return fitting[0]
-    if fitting:
-        several = listed([fit.mesh.path for fit in fitting])
-        raise FormatError(f"{path} has {len(fitting)} meshes with the faces of {wanted!r}, {several}")
-    why = f": {_difference(path, scene_mesh, candidates[0])}" if len(candidates) == 1 else ""
-    raise FormatError(f"{path} has no mesh with the faces of {wanted!r}{why}")
 
 
 def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mesh) -> Fit | None:
@@ -122,10 +107,10 @@ def _fitted(path: Path, header: SequenceHeader, scene_mesh: SceneMesh, mesh: Mes
     mirrored = determinant(placing.matrices[0]) < 0
     theirs, order = _polygons(path, scene_mesh, mesh, mirrored)
     read = Polygons(theirs.counts, theirs.indices[order])
-    ours = scene_mesh.as_numbered(read)
-    match = None if ours is None else matched(read, ours.polygons)
-    if ours is None or match is None:
+    found = scene_mesh.matched_to(read)
+    if found is None:
         return None
+    ours, match = found
     # Turning corners around twice changes nothing.
     return Fit(ours, mesh, match.corners[order], placing, mirrored)
 

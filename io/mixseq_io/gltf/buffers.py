@@ -34,7 +34,6 @@ GENERATOR = f"mixseq {__version__}"
 FLOAT, UNSIGNED = 5126, 5125
 COMPONENT_OF = {"f4": FLOAT, "u4": UNSIGNED, "u2": 5123, "u1": 5121}
 VERTICES, INDICES = 34962, 34963
-MESHOPT = "EXT_meshopt_compression"
 
 _LARGEST_GLB = 2**32 - 1
 _LARGEST_TEXT = 384 << 20  # of the buffer; browsers hold no string of more than 512 MiB
@@ -55,7 +54,6 @@ class Layout:
     def __init__(self, document: Json) -> None:
         self.document = document
         self.length = 0
-        self.unpacked = 0
         self.contents: list[tuple[int, Iterable[Chunk]]] = []
 
     def reserve(self, length: int, **properties: Any) -> int:
@@ -70,47 +68,6 @@ class Layout:
         number = self.reserve(length, **properties)
         self.contents.append((self.document["bufferViews"][number]["byteOffset"], data))
         return number
-
-    def add_packed(self, data: bytes, count: int, stride: int, properties: Json, **packing: str) -> int:
-        """Add a view of data that are packed by `mixseq_io.gltf.meshopt`; return its number.
-
-        Parameters
-        ----------
-        data : bytes
-            The packed data.
-        count, stride : int
-            How many elements they are, and the bytes of one of them when it is unpacked.
-        properties : dict
-            Of the view that readers see, such as its ``target``.
-        **packing
-            The ``mode``, and the ``filter`` if there is one.
-        """
-        start = _aligned(self.length)
-        self.length = start + len(data)
-        self.contents.append((start, [data]))
-        place = {
-            "buffer": 0,
-            "byteOffset": start,
-            "byteLength": len(data),
-            "byteStride": stride,
-            "count": count,
-        }
-        view = {
-            "buffer": 1,
-            "byteOffset": _aligned(self.unpacked),
-            "byteLength": count * stride,
-            **properties,
-            "extensions": {MESHOPT: {**place, **packing}},
-        }
-        self.unpacked = view["byteOffset"] + count * stride
-        require(self.document, MESHOPT)
-        return append(self.document, "bufferViews", view)
-
-    @property
-    def buffers(self) -> list[Json]:
-        """The buffers: what is written, and room for what readers unpack from it, which is nowhere in the file."""
-        room = {"byteLength": self.unpacked, "extensions": {MESHOPT: {"fallback": True}}}
-        return [{"byteLength": self.length}, *([room] if self.unpacked else [])]
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
         """Add an array with a view of its own; return its accessor.
@@ -152,13 +109,6 @@ def append(document: Json, member: str, entry: Json) -> int:
     entries = document.setdefault(member, [])
     entries.append(entry)
     return len(entries) - 1
-
-
-def require(document: Json, extension: str) -> None:
-    """Declare an extension without which the document cannot be read."""
-    for member in ("extensionsUsed", "extensionsRequired"):
-        if extension not in document.setdefault(member, []):
-            document[member].append(extension)
 
 
 def glb_size(layout: Layout) -> int:
@@ -203,7 +153,7 @@ def writing_buffer(path: Path, temporary: Path, layout: Layout) -> Iterator[Buff
         If the file becomes too large for its kind.
     """
     binary = path.suffix.lower() == ".glb"
-    layout.document["buffers"] = layout.buffers
+    layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, binary)
     with temporary.open("wb") as file, (_binary if binary else _text)(file, layout) as writer:
         for offset, data in layout.contents:
@@ -242,10 +192,7 @@ def _text(file: IO[bytes], layout: Layout) -> Iterator[BufferWriter]:
     start = f'{{"buffers":[{{"byteLength":{layout.length},"uri":"data:application/octet-stream;base64,'
     file.write(start.encode())
     yield BufferWriter(write)
-    file.write(b64encode(rest) + b'"}')
-    for buffer in layout.buffers[1:]:
-        file.write(b"," + _encoded(buffer))
-    file.write(b"],")
+    file.write(b64encode(rest) + b'"}],')
     members = {name: value for name, value in layout.document.items() if name != "buffers"}
     file.write(_encoded(members)[1:])
 

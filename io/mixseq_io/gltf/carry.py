@@ -15,7 +15,7 @@ taken out.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixseq.arrays import Index
-from mixseq.errors import FormatError
-from mixseq.polygon_matching import difference, matched
+from mixseq.polygon_matching import difference
 from mixseq.polygons import Polygons
 from mixseq.sequence import SequenceHeader
 from mixseq_io.blocks import warn
@@ -46,7 +45,8 @@ from mixseq_io.gltf.other_motion import OtherMotion, moved_by_animations, other_
 from mixseq_io.gltf.primitives import Primitive
 from mixseq_io.gltf.undoing import MARK, undoing
 from mixseq_io.gltf.welding import Weld, weld
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.originals import fit_meshes
+from mixseq_io.scene_meshes import SceneMesh
 
 _REPLACED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_", "WEIGHTS_", "_VERTEX")
 _TRIANGLES = 4
@@ -89,36 +89,17 @@ def find_places(document: Document, scene: Scene, header: SequenceHeader) -> lis
     FormatError
         If there is none, or one at an object's path with other triangles, or the file is damaged.
     """
-    left = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
-    places = []
-    for scene_mesh in split(header):
-        place = _place(document, scene, scene_mesh, left)
-        del left[scene.paths[place.node]]
-        places.append(place)
-    return places
+    meshes = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
 
+    def welded(node: int) -> Weld:
+        return weld(document, scene.nodes[node].index("mesh") or 0)
 
-def _place(document: Document, scene: Scene, scene_mesh: SceneMesh, left: Mapping[str, int]) -> Place:
-    """Find one of the meshes among those that are `left`, nodes by path."""
-    path = scene_mesh.path
-    paths = [path] if path in left else list(left)
-    welds = {each: weld(document, scene.nodes[left[each]].index("mesh") or 0) for each in paths}
-    found = [
-        place
-        for each, welded in welds.items()
-        if (place := _fitted(scene_mesh, left[each], welded)) is not None
-    ]
-    if len(found) == 1:
-        return found[0]
-    if path in welds:
-        raise FormatError(
-            f"{document.path}: the mesh {path!r} has other vertices or triangles than the sequence"
-            + _difference(scene_mesh, welds[path])
-        )
-    several = listed([scene.paths[place.node] for place in found])
-    others = f"{len(found)} meshes have its triangles, {several}" if found else "no mesh has its triangles"
-    raise FormatError(
-        f"{document.path} has no mesh at {path!r}, which is where {scene_mesh.name!r} was, and {others}"
+    return fit_meshes(
+        document.path,
+        header,
+        meshes,
+        lambda scene_mesh, node: _fitted(scene_mesh, node, welded(node)),
+        lambda scene_mesh, node: _difference(scene_mesh, welded(node)),
     )
 
 
@@ -130,19 +111,18 @@ def _fitted(scene_mesh: SceneMesh, node: int, welded: Weld) -> Place | None:
     theirs = _triangles(welded)
     for mirrored in (False, True):
         read = Polygons.from_triangles(_turned(theirs, mirrored))
-        ours = scene_mesh.as_numbered(read)
-        match = None if ours is None else matched(read, ours.polygons)
-        if ours is not None and match is not None:
+        found = scene_mesh.matched_to(read)
+        if found is not None:
+            ours, match = found
             return Place(ours, node, welded, mirrored, match.corners)
     return None
 
 
 def _difference(scene_mesh: SceneMesh, welded: Weld) -> str:
     if welded.count != scene_mesh.vertex_count:
-        return f", {welded.count} vertices and {scene_mesh.vertex_count}"
+        return f"it has {welded.count} vertices, the sequence {scene_mesh.vertex_count}"
     theirs = Polygons.from_triangles(_triangles(welded))
-    what = difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
-    return f": {what}" if what else ""
+    return difference(scene_mesh.polygons, theirs, ("the sequence", "the file"))
 
 
 def _triangles(welded: Weld) -> NDArray[np.int64]:

@@ -125,7 +125,7 @@ class Document:
         dtype, width = layout_of(accessor)
         count = accessor.integer("count")
         if "bufferView" in accessor:
-            values = self.stored(accessor)
+            values = self._numbers(accessor, dtype, (count, width))
         else:
             self.check_effort(count * width, accessor.place)
             values = np.zeros((count, width), dtype)
@@ -135,17 +135,6 @@ class Document:
             values = _normalised(values)
         values.flags.writeable = False
         return values[:, 0] if width == 1 else values
-
-    def stored(self, accessor: Fields) -> NDArray[Any]:
-        """Return the numbers ``(n, k)`` of an accessor as they are in its view: without sparse values, not normalised.
-
-        Raises
-        ------
-        FormatError
-            If it is not sound, or longer than the data.
-        """
-        dtype, width = layout_of(accessor)
-        return self._numbers(accessor, dtype, (accessor.integer("count"), width))
 
     @cached_property
     def data_size(self) -> int:

@@ -45,7 +45,7 @@ def prune(path: Path, document: Json) -> None:
     MixseqWarning
         If it has such extensions.
     """
-    unknown = unknown_extensions(document)
+    unknown = sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
     if unknown:
         warn(
             f"{path}: the data of its old animation is kept, too, because {listed(unknown)} may refer to it; "
@@ -62,11 +62,6 @@ def prune(path: Path, document: Json) -> None:
                 skin.pop(key, None)
     for kind in _PRUNED:
         _prune(document, kind)
-
-
-def unknown_extensions(document: Json) -> list[str]:
-    """Return the names of extensions in a document that may refer to meshes, accessors or buffer views."""
-    return sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
 
 
 def used_extensions(document: Json) -> set[str]:

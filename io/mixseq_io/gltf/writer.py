@@ -16,14 +16,13 @@ from mixseq.errors import SettingsError
 from mixseq.sequence import SequenceHeader
 from mixseq_io.atomic import replacing
 from mixseq_io.blocks import as_float32, checked, warn
-from mixseq_io.gltf.buffers import Layout
+from mixseq_io.gltf.buffers import Layout, writing_buffer
 from mixseq_io.gltf.carry import lay_over
 from mixseq_io.gltf.compression import plain
 from mixseq_io.gltf.document import load_document
 from mixseq_io.gltf.morphs import Morphs, MovingMesh, time_shift
 from mixseq_io.gltf.new_document import distinguishes, material_name, new_scene, owners, upright
 from mixseq_io.gltf.other_motion import NOTHING, OtherMotion
-from mixseq_io.gltf.packing import check_error, writing_document
 from mixseq_io.losses import lost_colours, lost_subdivision, warn_of_losses
 from mixseq_io.originals import opened_original
 from mixseq_io.reader import reading
@@ -41,7 +40,6 @@ def write_gltf(
     onto: str | os.PathLike[str] | None = None,
     keep_start: bool = False,
     sources: ArrayLike | None = None,
-    meshopt: float | None = None,
 ) -> None:
     """Write a glTF file: ``.glb`` is binary, ``.gltf`` text with everything in it.
 
@@ -59,9 +57,6 @@ def write_gltf(
         Let the animation begin when the sequence does. By default it begins at 0, and tells our reader when that is.
     sources : (T,) array-like, optional
         Times of the original that the frames show, in seconds: where they are others, a warning names what else moves.
-    meshopt : float, optional
-        Quantise and pack everything (``EXT_meshopt_compression``), points off by at most so many diagonals of their
-        mesh; see `mixseq_io.gltf.packing`.
 
     Raises
     ------
@@ -71,7 +66,7 @@ def write_gltf(
     InvalidSequenceError
         If points or times do not fit into float32.
     SettingsError
-        If both `flatten` and `onto` are given; or if what is written cannot be packed, see `packed`.
+        If both `flatten` and `onto` are given.
 
     Warns
     -----
@@ -81,7 +76,6 @@ def write_gltf(
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")
-    check_error(meshopt)
     overlay = None if flatten else _overlay(path, header, onto, sources)
     layout, meshes, others = overlay or (*new_scene(header), NOTHING)
     lost = [] if overlay else lost_alone(header)
@@ -89,7 +83,7 @@ def write_gltf(
     warn_of_many_frames(path, header)
     morphs = Morphs(layout, meshes, header, keep_start, others)
     _, numbered = checked(header, blocks, velocities)
-    with replacing(path) as temporary, writing_document(path, temporary, layout, meshopt) as writer:
+    with replacing(path) as temporary, writing_buffer(path, temporary, layout) as writer:
         for first, block, _ in numbered:
             # One by one, because a block may be the whole sequence.
             for frame, points in enumerate(block, start=first):

@@ -1,7 +1,7 @@
-"""Sequences of numbered files that hold one frame each: what OBJ, PLY, STL and OFF have in common.
+"""Sequences of numbered files that hold one frame each: the driver of OBJ, PLY, STL and OFF.
 
-A format brings a parser of one file and an encoder of one frame. Its parser gets the first frame's mesh along for
-all later files: where their faces are written in the same bytes, they need not be parsed again.
+A format is a parser of one file and an encoder of one frame. The parser is also given the first frame's mesh for all
+later files: where their faces are written in the same bytes, they need not be parsed again.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from mixseq.arrays import FloatArray
 from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
 from mixseq.frame_numbers import number_at
-from mixseq.sequence import Polygons, SequenceHeader
+from mixseq.sequence import DEFAULT_FPS, Polygons, SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.atomic import replacing_many
 from mixseq_io.blocks import checked, warn
 from mixseq_io.losses import lost_scale, lost_times, warn_of_losses
 from mixseq_io.numbered.names import files_of_pattern, find_frames, is_pattern, numbered_name
-from mixseq_io.reader import SequenceReader, naming
+from mixseq_io.reader import SequenceReader, naming, read_whole, reading
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,69 +49,146 @@ class MeshFile:
 
     points: FloatArray
     polygons: Polygons
-    source: Any
+    source: Any = None
     name: str = ""
     surface: Surface = Surface()  # noqa: RUF009 - frozen all the way down
     colour_text: bytes = b""
     told: bool = False
 
 
-Parser = Callable[[Path, MeshFile | None], MeshFile]
-"""Reads a file; the second argument is the first frame's, if this is a later one."""
+Parser = Callable[[Path, bytes, MeshFile | None], MeshFile]
+"""Parses the bytes of a file, given its name for messages, and the first frame's mesh if this is a later one."""
 
 Encoder = Callable[[FloatArray, int], Iterable[bytes]]
 """Turns points ``(V, 3)`` and the index of their frame into the contents of a file."""
 
 
-def open_files(path: Path, extension: str, parse: Parser, fps: float, allow_gaps: bool) -> SequenceReader:
-    """Open numbered files.
+@dataclass(frozen=True)
+class FrameFormat:
+    """A format of which every file holds one frame.
 
     Parameters
     ----------
-    path : Path
-        A pattern (``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``), a folder, or one file.
-    extension : str
-        That of the files to look for in a folder.
+    name : str
+        Its name in messages; in lower case its extension.
     parse : Parser
         Reads one file.
-    fps : float
-        Frames per second: a frame's time is ``number / fps``, see `mixseq.frame_numbers`.
-    allow_gaps : bool
-        Accept missing numbers.
-
-    Raises
-    ------
-    SettingsError
-        If `fps` is not positive.
-    FormatError, AmbiguousError
-        If there are no such files, several sequences of them, or damaged ones.
-    InvalidSequenceError
-        If numbers are missing, or a file's faces differ from the first's.
+    encoder : callable
+        Returns what writes one frame, given the pattern, for warnings, and the sequence's header.
+    lost : callable
+        Returns what the format cannot hold of a header's mesh, for the warning.
+    is_text : bool
+        Whether files are text, which takes more memory when it is parsed.
+    damage : tuple of exception types
+        What `parse` raises about a damaged file, besides errors of mixseq.
     """
-    if not (np.isfinite(fps) and fps > 0):
-        raise SettingsError(f"fps is {fps}; a positive number is expected")
-    files, numbers = find_frames(path, allow_gaps, extension)
-    with naming(files[0]):
-        first = parse(files[0], None)
-        header = SequenceHeader(
-            polygons=first.polygons,
-            vertex_count=len(first.points),
-            times=np.array(numbers) / fps,
-            fps=fps,
-            name=first.name or files[0].stem.rstrip("0123456789").rstrip("_-. ") or "mesh",
-            surface=first.surface,
-        )
-    return _FilesReader(path, header, files, first, parse)
+
+    name: str
+    parse: Parser
+    encoder: Callable[[Path, SequenceHeader], Encoder]
+    lost: Callable[[SequenceHeader], list[str]]
+    is_text: bool = False
+    damage: tuple[type[Exception], ...] = ()
+
+    def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
+        """Open numbered files.
+
+        Parameters
+        ----------
+        path : Path
+            A pattern (``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``), a folder, or one file.
+        fps : float
+            Frames per second: a frame's time is ``number / fps``, see `mixseq.frame_numbers`.
+        allow_gaps : bool
+            Accept missing numbers.
+
+        Raises
+        ------
+        SettingsError
+            If `fps` is not positive.
+        FormatError, AmbiguousError
+            If there are no such files, several sequences of them, or damaged ones.
+        InvalidSequenceError
+            If numbers are missing, or a file's faces differ from the first's.
+        """
+        if not (np.isfinite(fps) and fps > 0):
+            raise SettingsError(f"fps is {fps}; a positive number is expected")
+        files, numbers = find_frames(path, allow_gaps, f".{self.name.lower()}")
+        with naming(files[0]):
+            first = self.read(files[0])
+            header = SequenceHeader(
+                polygons=first.polygons,
+                vertex_count=len(first.points),
+                times=np.array(numbers) / fps,
+                fps=fps,
+                name=first.name or files[0].stem.rstrip("0123456789").rstrip("_-. ") or "mesh",
+                surface=first.surface,
+            )
+        return _FilesReader(path, header, files, first, self)
+
+    def read(self, file: Path, like: MeshFile | None = None) -> MeshFile:
+        """Read a file, given the first frame's mesh if this is a later one."""
+        with reading(file, a_file(self.name), *self.damage):
+            return self.parse(file, read_whole(file, self.is_text), like)
+
+    def write(
+        self,
+        path: Path,
+        header: SequenceHeader,
+        blocks: Iterable[FloatArray],
+        velocities: Iterable[FloatArray] | None = None,
+        start: int | None = None,
+    ) -> None:
+        """Write one file per frame.
+
+        Parameters
+        ----------
+        path : Path
+            A pattern (``walk_####.obj``, ``walk_%04d.obj``), or a file name if there is only one frame.
+        header, blocks, velocities
+            See `mixseq_io.write_blocks`; velocities are lost.
+        start : int, optional
+            Number of the first file; by default that of the first frame, or 1 where that is no whole number from 0 on.
+
+        Raises
+        ------
+        OutputError
+            If there are several frames and no pattern, or files cannot be written.
+        SettingsError
+            If `start` is negative.
+        """
+        if start is not None and start < 0:
+            raise SettingsError(f"start is {start}; files are numbered from 0 or more")
+        if header.frame_count > 1 and not is_pattern(path):
+            raise OutputError(
+                f"{path}: {a_file(self.name)} holds one frame, this sequence has {header.frame_count}; give a pattern "
+                f"such as {path.stem.rstrip('*')}_####{path.suffix}"
+            )
+        own = number_at(header.times[0], header.fps)
+        first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
+        lost = lost_times(header, first if start is None else own)
+        lost += lost_scale(header, velocities is not None) + self.lost(header)
+        warn_of_losses(path, f"{self.name} files", lost)
+        names = [numbered_name(path, number) for number in range(first, first + header.frame_count)]
+        encode = self.encoder(path, header)
+        with replacing_many(path) as folder:
+            _, numbered = checked(header, blocks, velocities)
+            for done, block, _ in numbered:
+                for frame, points in enumerate(block, start=done):
+                    with (folder / names[frame]).open("wb") as file:
+                        file.writelines(encode(points, frame))
+        if is_pattern(path):
+            _warn_of_others(path, set(names))
 
 
 class _FilesReader(SequenceReader):
     def __init__(
-        self, path: Path, header: SequenceHeader, files: Sequence[Path], first: MeshFile, parse: Parser
+        self, path: Path, header: SequenceHeader, files: Sequence[Path], first: MeshFile, form: FrameFormat
     ) -> None:
         super().__init__(path, header)
         self._files = files
         self._first = first
-        self._parse = parse
+        self._form = form
 
     def _read_blocks(self, size: int) -> Iterator[FloatArray]:
         for start in range(0, len(self._files), size):
@@ -122,7 +199,7 @@ class _FilesReader(SequenceReader):
         first = self._files[0]
         where = f"{self._files[frame]} (frame {self.header.frame_number(frame)})"
         with naming(where):
-            mesh = self._parse(self._files[frame], self._first)
+            mesh = self._form.read(self._files[frame], self._first)
         if len(mesh.points) != self.header.vertex_count:
             raise InvalidSequenceError(
                 f"{where} has {len(mesh.points)} vertices, {first} has {self.header.vertex_count}; "
@@ -147,78 +224,9 @@ def _alike(colours: CornerValues | None, first: CornerValues | None) -> bool:
     return np.array_equal(colours.at_corners, first.at_corners, equal_nan=True)
 
 
-def write_files(
-    path: Path,
-    kind: str,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None,
-    encode: Encoder,
-    *,
-    start: int | None,
-    lost: Sequence[str] = (),
-) -> None:
-    """Write one file per frame.
-
-    Parameters
-    ----------
-    path : Path
-        A pattern (``walk_####.obj``, ``walk_%04d.obj``), or a file name if there is only one frame.
-    kind : str
-        The format's name.
-    header, blocks, velocities
-        See `mixseq_io.write_blocks`; velocities are lost.
-    encode : Encoder
-        Makes one file's contents.
-    start : int, optional
-        Number of the first file; by default that of the first frame, or 1 where that is no whole number from 0 on.
-    lost : sequence of str
-        What else the format cannot hold, for the warning.
-
-    Raises
-    ------
-    OutputError
-        If there are several frames and no pattern, or files cannot be written.
-    SettingsError
-        If `start` is negative.
-    """
-    if start is not None and start < 0:
-        raise SettingsError(f"start is {start}; files are numbered from 0 or more")
-    if header.frame_count > 1 and not is_pattern(path):
-        raise OutputError(
-            f"{path}: {a_file(kind)} holds one frame, this sequence has {header.frame_count}; give a pattern "
-            f"such as {path.stem.rstrip('*')}_####{path.suffix}"
-        )
-    own = number_at(header.times[0], header.fps)
-    first = start if start is not None else int(own) if own >= 0 and own.is_integer() else 1
-    warn_of_losses(
-        path,
-        f"{kind} files",
-        [
-            *lost_times(header, first if start is None else own),
-            *lost_scale(header, velocities is not None),
-            *lost,
-        ],
-    )
-    names = [numbered_name(path, number) for number in range(first, first + header.frame_count)]
-    with replacing_many(path) as folder:
-        _, numbered = checked(header, blocks, velocities)
-        for done, block, _ in numbered:
-            for frame, points in enumerate(block, start=done):
-                with (folder / names[frame]).open("wb") as file:
-                    file.writelines(encode(points, frame))
-    if is_pattern(path):
-        _warn_of_others(path, set(names))
-
-
 def a_file(kind: str) -> str:
     """Return "a file" of a format whose name is spelt out: "a PLY file", "an OBJ file"."""
     return f"{'a' if kind.startswith('P') else 'an'} {kind} file"
-
-
-def excerpt(line: bytes) -> str:
-    """Return the beginning of a line of a file for a message."""
-    return repr(line.strip()[:40].decode("ascii", errors="replace"))
 
 
 def _warn_of_others(path: Path, written: set[str]) -> None:

@@ -39,42 +39,17 @@ import numpy as np
 
 from mixseq.arrays import FloatArray
 from mixseq.geometry.normals import shared_normals
-from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.surface import FaceSet
 from mixseq_io.colours import colours_of_vertices
 from mixseq_io.losses import lost_colours, lost_surface
-from mixseq_io.numbered.frame_files import Encoder, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, FrameFormat
 from mixseq_io.numbered.obj_groups import NOTHING
-from mixseq_io.numbered.obj_parser import FIRST_LINE, LAST_LINE, parse_obj
-from mixseq_io.reader import SequenceReader
+from mixseq_io.numbered.obj_parser import LAST_LINE, parse_obj
+from mixseq_io.numbered.text_lines import WRITTEN_BY, number_lines
 
 
-def open_obj(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered OBJ files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
-    return open_files(path, ".obj", parse_obj, fps, allow_gaps)
-
-
-def write_obj(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
-    start: int | None = None,
-) -> None:
-    """Write one OBJ file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
-    write_files(
-        path,
-        "OBJ",
-        header,
-        blocks,
-        velocities,
-        obj_encoder(header),
-        start=start,
-        lost=lost_in_obj(header),
-    )
-
-
-def obj_encoder(header: SequenceHeader) -> Encoder:
+def obj_encoder(path: Path, header: SequenceHeader) -> Encoder:
     """Return what turns points ``(V, 3)`` into the parts of an OBJ file; all but the numbers is made once."""
     objects = header.objects
     vertices = np.cumsum([0, *(each.vertex_count for each in objects)])
@@ -82,18 +57,18 @@ def obj_encoder(header: SequenceHeader) -> Encoder:
     names = [f"o {_one_line(each.name)}\n".encode(errors="replace") for each in objects]
     lines = _face_lines(header)
     faces = ["".join(lines[a:b]).encode(errors="replace") for a, b in pairwise(polygons)]
-    uvs = b"" if header.surface.uvs is None else _lines("vt", header.surface.uvs.values)
+    uvs = b"" if header.surface.uvs is None else number_lines("vt ", header.surface.uvs.values)
     hard_edges = header.surface.hard_edges
     colours = colours_of_vertices(header, 3)
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        yield FIRST_LINE + str(points.dtype).encode() + b"\n"
+        yield WRITTEN_BY + str(points.dtype).encode() + b"\n"
         yield uvs
         if hard_edges is not None:
-            yield _lines("vn", shared_normals(points[None], header.polygons, hard_edges)[0])
+            yield number_lines("vn ", shared_normals(points[None], header.polygons, hard_edges)[0])
         for name, (a, b), own in zip(names, pairwise(vertices), faces, strict=True):
             yield name
-            yield _lines("v", points[a:b], colours[a:b])
+            yield number_lines("v ", points[a:b], colours[a:b])
             yield own
         yield LAST_LINE + b"\n"
 
@@ -117,15 +92,6 @@ def lost_in_obj(header: SequenceHeader) -> list[str]:
     if any(len(each.name.split()) != 1 for each in sets if not each.material):
         lost.append("spaces in the names of face sets (underscores are written)")
     return lost
-
-
-def _lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
-    """Return a line for every row of numbers, with the digits that give back the same number; and maybe its end."""
-    number = " %.9g" if rows.dtype == np.float32 else " %.17g"
-    line = keyword + number * rows.shape[1]
-    lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
-    text: str = lines % tuple(rows.reshape(-1).tolist())
-    return text.encode()
 
 
 def _face_lines(header: SequenceHeader) -> list[str]:
@@ -176,3 +142,6 @@ def _material_names(sets: Sequence[FaceSet]) -> dict[str, str]:
 
 def _one_line(name: str) -> str:
     return " ".join(name.split())
+
+
+OBJ = FrameFormat("OBJ", parse_obj, obj_encoder, lost_in_obj, is_text=True)

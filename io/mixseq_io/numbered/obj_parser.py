@@ -14,12 +14,10 @@ from mixseq.geometry.normals import hard_edges_of_normals
 from mixseq.polygons import Polygons
 from mixseq.surface import WHITE, CornerValues, Surface
 from mixseq_io.blocks import warn
-from mixseq_io.numbered.colour_words import colours_of_words
-from mixseq_io.numbered.frame_files import MeshFile, excerpt
+from mixseq_io.numbered.frame_files import MeshFile
 from mixseq_io.numbered.obj_groups import Statement, grouped
-from mixseq_io.reader import read_whole, reading
+from mixseq_io.numbered.text_lines import WRITTEN_BY, colours_of_words, excerpt
 
-FIRST_LINE = b"# Written by mixseq, "
 LAST_LINE = b"# end of mesh"
 _EXPECTED = {
     b"v": "a vertex; three numbers are expected",
@@ -38,14 +36,16 @@ _LARGEST = 2**31 - 1
 _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
 
-def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
-    """Read an OBJ file.
+def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
+    """Parse an OBJ file.
 
     Parameters
     ----------
     file : Path
-        The file.
-    like : MeshFile, optional
+        Its name.
+    data : bytes
+        Its content.
+    like : MeshFile or None
         The first frame: a file with the same lines of faces need not have them parsed again. What else is on the
         mesh, but its colours, is only read without it.
 
@@ -56,7 +56,7 @@ def parse_obj(file: Path, like: MeshFile | None = None) -> MeshFile:
     InvalidSequenceError
         If a face has less than three corners.
     """
-    lines = _read_lines(file, like)
+    lines = _read_lines(file, data, like)
     faces = (lines.faces, lines.vertices_before)
     if like is not None and len(lines.points) == len(like.points) and faces == like.source:
         surface = Surface(colours=_colours(file, like.polygons, lines, like))
@@ -104,12 +104,11 @@ class _Lines:
         return b"\n".join(self.behind_points)
 
 
-def _read_lines(file: Path, like: MeshFile | None) -> _Lines:
+def _read_lines(file: Path, data: bytes, like: MeshFile | None) -> _Lines:
     """Sort the lines of a file, those of a first frame, or only vertices and faces."""
     whole, colours = like is None, like is None or not like.told
-    with reading(file, "an OBJ file"):
-        lines = read_whole(file, text=True).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
-    if lines and lines[0].startswith(FIRST_LINE) and lines[-1] != LAST_LINE:
+    lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    if lines and lines[0].startswith(WRITTEN_BY) and lines[-1] != LAST_LINE:
         raise FormatError(f"{file} ends in the middle; it is truncated, write it again")
     found = _Lines()
     coordinates: list[float] = []
@@ -153,7 +152,7 @@ def _read_lines(file: Path, like: MeshFile | None) -> _Lines:
         warn(
             f"{file}, line {number}: {excerpt(line)} is no statement of OBJ files and left out{more}; is it damaged?"
         )
-    dtype = np.float32 if lines[0] == FIRST_LINE + b"float32" else np.float64
+    dtype = np.float32 if lines[0] == WRITTEN_BY + b"float32" else np.float64
     with np.errstate(over="ignore"):
         found.points = np.array(coordinates).reshape(-1, 3).astype(dtype)
     return found

@@ -19,40 +19,19 @@ import numpy as np
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
-from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.surface import CornerValues, Surface
 from mixseq_io.colours import colours_of_vertices, with_alpha
-from mixseq_io.losses import lost_colours, lost_surface
-from mixseq_io.numbered.colour_words import colours_of_words
-from mixseq_io.numbered.frame_files import Encoder, MeshFile, excerpt, open_files, write_files
-from mixseq_io.reader import SequenceReader, naming, read_whole, reading
+from mixseq_io.losses import lost_colours, lost_polygons, lost_surface
+from mixseq_io.numbered.frame_files import Encoder, FrameFormat, MeshFile
+from mixseq_io.numbered.text_lines import WRITTEN_BY, colours_of_words, excerpt, number_lines
 
-_COMMENT = b"# Written by mixseq, "
 _COLOUR = 4
 """Most numbers that may follow the corners of a face."""
 
 
-def open_off(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered OFF files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
-    return open_files(path, ".off", parse_off, fps, allow_gaps)
-
-
-def write_off(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
-    start: int | None = None,
-) -> None:
-    """Write one OFF file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
-    lost = lost_surface(header, held=("colours",)) + lost_colours(header, corners=False)
-    if not header.polygons.only_triangles:
-        lost.append("polygons (they are cut into triangles)")
-    write_files(path, "OFF", header, blocks, velocities, _encoder(header), start=start, lost=lost)
-
-
-def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
-    """Read an OFF file.
+def parse_off(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
+    """Parse an OFF file.
 
     Raises
     ------
@@ -63,29 +42,28 @@ def parse_off(file: Path, like: MeshFile | None = None) -> MeshFile:
     """
     from trimesh.exchange.off import load_off
 
-    with reading(file, "an OFF file", ValueError, TypeError, IndexError, NameError, OverflowError):
-        data = read_whole(file, text=True)
-        lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
-        of_vertices = _check_lines(file, lines)
-        text = b"\n".join(lines).decode("ascii")
-        if len(text.splitlines()) != len(lines):
-            raise ValueError("it has characters that end a line of text only")
-        mesh = load_off(StringIO(text))
-        ours = data.removeprefix(b"C").startswith(b"OFF\n" + _COMMENT + b"float32")
-        vertices: FloatArray = np.asarray(mesh["vertices"]).astype(np.float32 if ours else np.float64)
-        faces = np.asarray(mesh["faces"]).reshape(-1, 3)
-        coloured = lines[0].startswith(b"C") and not (like is not None and like.told)
-        texts = [b"".join(line.split(None, 3)[3:]) for line in of_vertices] if coloured else []
-        colour_text = b"\n".join(texts)
-        same = like is not None and colour_text == like.colour_text
-        numbers = None if same else _colours(file, texts, like)
-    with naming(file):
-        polygons = Polygons.from_triangles(faces.astype(np.int64))
-        colours = None if numbers is None else CornerValues(numbers, polygons.indices)
-        surface = like.surface if like is not None and same else Surface(colours=colours)
-        return MeshFile(
-            points=vertices, polygons=polygons, source=None, surface=surface, colour_text=colour_text
-        )
+    lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]
+    of_vertices = _check_lines(file, lines)
+    text = b"\n".join(lines).decode("ascii")
+    if len(text.splitlines()) != len(lines):
+        raise ValueError("it has characters that end a line of text only")
+    mesh = load_off(StringIO(text))
+    is_single = data.removeprefix(b"C").startswith(b"OFF\n" + WRITTEN_BY + b"float32")
+    polygons = Polygons.from_triangles(np.asarray(mesh["faces"]).reshape(-1, 3).astype(np.int64))
+    coloured = lines[0].startswith(b"C") and not (like is not None and like.told)
+    texts = [b"".join(line.split(None, 3)[3:]) for line in of_vertices] if coloured else []
+    colour_text = b"\n".join(texts)
+    if like is not None and colour_text == like.colour_text:
+        surface = like.surface
+    else:
+        numbers = _colours(file, texts, like)
+        surface = Surface(colours=None if numbers is None else CornerValues(numbers, polygons.indices))
+    return MeshFile(
+        points=np.asarray(mesh["vertices"]).astype(np.float32 if is_single else np.float64),
+        polygons=polygons,
+        surface=surface,
+        colour_text=colour_text,
+    )
 
 
 def _colours(file: Path, texts: list[bytes], like: MeshFile | None) -> FloatArray | None:
@@ -121,19 +99,31 @@ def _check_lines(file: Path, lines: list[bytes]) -> list[bytes]:
     return body[:vertices]
 
 
-def _encoder(header: SequenceHeader) -> Encoder:
+def _encoder(path: Path, header: SequenceHeader) -> Encoder:
     counts = f"{header.vertex_count} {len(header.faces)} 0\n".encode()
     faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in header.faces.tolist()).encode()
-
     colours = colours_of_vertices(header, 4)
     kind = b"COFF\n" if colours else b"OFF\n"
 
     def encode(points: FloatArray, frame: int) -> Iterable[bytes]:
-        digits = "%.9g" if points.dtype == np.float32 else "%.17g"
-        line = f"{digits} {digits} {digits}"
-        lines = "".join(f"{line}{colour}\n" for colour in colours) or f"{line}\n" * len(points)
-        yield kind + _COMMENT + str(points.dtype).encode() + b"\n" + counts
-        yield (lines % tuple(points.reshape(-1).tolist())).encode()
+        yield kind + WRITTEN_BY + str(points.dtype).encode() + b"\n" + counts
+        yield number_lines("", points, colours)
         yield faces
 
     return encode
+
+
+def _lost(header: SequenceHeader) -> list[str]:
+    return (
+        lost_surface(header, held=("colours",)) + lost_colours(header, corners=False) + lost_polygons(header)
+    )
+
+
+OFF = FrameFormat(
+    "OFF",
+    parse_off,
+    _encoder,
+    _lost,
+    is_text=True,
+    damage=(ValueError, TypeError, IndexError, NameError, OverflowError),
+)

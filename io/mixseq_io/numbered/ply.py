@@ -30,39 +30,21 @@ from numpy.typing import NDArray
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError
 from mixseq.polygons import Polygons
-from mixseq.sequence import DEFAULT_FPS, SequenceHeader
+from mixseq.sequence import SequenceHeader
 from mixseq.surface import NO_UV, WHITE, CornerValues, Surface
 from mixseq_io.blocks import warn
 from mixseq_io.colours import LARGEST_BYTE, as_bytes, from_text, with_alpha, within_one
 from mixseq_io.losses import lost_colours, lost_surface
-from mixseq_io.numbered.frame_files import Encoder, MeshFile, open_files, write_files
+from mixseq_io.numbered.frame_files import Encoder, FrameFormat, MeshFile
 from mixseq_io.numbered.ply_elements import Column, Columns, read_elements
-from mixseq_io.reader import SequenceReader, read_whole, reading
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _COLOUR = ("red", "green", "blue", "alpha")
 _KINDS = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 
-def open_ply(path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-    """Open numbered PLY files; parameters and errors are those of `mixseq_io.numbered.frame_files.open_files`."""
-    return open_files(path, ".ply", parse_ply, fps, allow_gaps)
-
-
-def write_ply(
-    path: Path,
-    header: SequenceHeader,
-    blocks: Iterable[FloatArray],
-    velocities: Iterable[FloatArray] | None = None,
-    start: int | None = None,
-) -> None:
-    """Write one PLY file per frame; parameters and errors are those of `mixseq_io.numbered.frame_files.write_files`."""
-    lost = lost_surface(header, held=("uvs", "colours")) + lost_colours(header)
-    write_files(path, "PLY", header, blocks, velocities, ply_encoder(header), start=start, lost=lost)
-
-
-def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
-    """Read a PLY file; one whose faces are the same bytes as in `like` need not have them parsed again.
+def parse_ply(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
+    """Parse a PLY file; one whose faces are the same bytes as in `like` need not have them parsed again.
 
     Raises
     ------
@@ -71,25 +53,24 @@ def parse_ply(file: Path, like: MeshFile | None = None) -> MeshFile:
     InvalidSequenceError
         If a face has less than three corners.
     """
-    with reading(file, "a PLY file", ValueError, OverflowError, UnicodeDecodeError):
-        elements, source = read_elements(read_whole(file), None if like is None else like.source)
-        points = _side_by_side(elements.get("vertex", {}), "x", "y", "z")
-        if points is None:
-            raise FormatError(f"{file} cannot be read as a PLY file: it has no vertices with x, y and z")
-        if like is not None and "face" not in elements:
-            colours = _colours_of_vertices(elements["vertex"], like.polygons)
-            names = {each.name for each in like.source.element.properties}
-            if "color" in names or (colours is None and _COLOUR[0] in names):  # those of the faces
-                colours = like.surface.colours
-            surface = Surface(colours=colours)
-            return MeshFile(points=points, polygons=like.polygons, source=source, surface=surface)
-        faces = elements.get("face", {})
-        if "tristrips" in elements:
-            raise FormatError(f"{file} has triangle strips, which are not read; export its faces one by one")
-        corners = faces.get("vertex_indices", faces.get("vertex_index"))
-        if corners is None or corners.counts is None:
-            raise FormatError(f"{file} cannot be read as a PLY file: it has no faces with vertex_indices")
-        indices = _whole(corners.values)
+    elements, source = read_elements(data, None if like is None else like.source)
+    points = _side_by_side(elements.get("vertex", {}), "x", "y", "z")
+    if points is None:
+        raise FormatError(f"{file} cannot be read as a PLY file: it has no vertices with x, y and z")
+    if like is not None and "face" not in elements:
+        colours = _colours_of_vertices(elements["vertex"], like.polygons)
+        names = {each.name for each in like.source.element.properties}
+        if "color" in names or (colours is None and _COLOUR[0] in names):  # those of the faces
+            colours = like.surface.colours
+        surface = Surface(colours=colours)
+        return MeshFile(points=points, polygons=like.polygons, source=source, surface=surface)
+    faces = elements.get("face", {})
+    if "tristrips" in elements:
+        raise FormatError(f"{file} has triangle strips, which are not read; export its faces one by one")
+    corners = faces.get("vertex_indices", faces.get("vertex_index"))
+    if corners is None or corners.counts is None:
+        raise FormatError(f"{file} cannot be read as a PLY file: it has no faces with vertex_indices")
+    indices = _whole(corners.values)
     polygons = Polygons(corners.counts, indices)
     return MeshFile(
         points=points,
@@ -205,7 +186,7 @@ def _of_lists(column: Column, polygons: Polygons, default: Sequence[float]) -> N
     return values
 
 
-def ply_encoder(header: SequenceHeader) -> Encoder:
+def _encoder(path: Path, header: SequenceHeader) -> Encoder:
     """Return what turns points ``(V, 3)`` into the parts of a PLY file; the faces are made once."""
     polygons, surface = header.polygons, header.surface
     columns: list[tuple[str, NDArray[Any]]] = []  # names, and numbers of vertices
@@ -275,3 +256,10 @@ def _face_bytes(polygons: Polygons, lists: Sequence[NDArray[np.float32]]) -> byt
             words[place + column] = each[:, column]
         starts = starts + 1 + width * counts
     return words.tobytes()
+
+
+def _lost(header: SequenceHeader) -> list[str]:
+    return lost_surface(header, held=("uvs", "colours")) + lost_colours(header)
+
+
+PLY = FrameFormat("PLY", parse_ply, _encoder, _lost, damage=(ValueError, OverflowError))

@@ -213,7 +213,7 @@ def write_cache(
     warn_of_losses(
         path, f"{kind} files", [*lost, *lost_scale(header, velocities is not None), *lost_in_obj(header)]
     )
-    encode = obj_encoder(header)
+    encode = obj_encoder(mesh, header)
     with replacing_many(target) as folder, (folder / target.name).open("wb") as file:
         file.write(start)
         _, numbered = checked(header, blocks, velocities)

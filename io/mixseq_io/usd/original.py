@@ -1,8 +1,4 @@
-"""USD, writing: the file that new points are laid over, and its meshes that a sequence fits.
-
-Which mesh of the file a mesh of the sequence goes to is told by its path; where there is none, by its faces, if a
-single mesh has them.
-"""
+"""USD, writing: the file that new points are laid over, and its meshes that a sequence fits."""
 
 from __future__ import annotations
 
@@ -14,12 +10,12 @@ from pxr import Usd, UsdGeom
 
 from mixseq.arrays import FloatArray, IntArray
 from mixseq.errors import FormatError, OutputError
-from mixseq.polygon_matching import PolygonMatch, difference, matched
+from mixseq.polygon_matching import PolygonMatch, difference
 from mixseq.polygons import Polygons, reversed_corners
 from mixseq.sequence import SequenceHeader
-from mixseq_io.scene_meshes import SceneMesh, split
+from mixseq_io.originals import fit_meshes
+from mixseq_io.scene_meshes import SceneMesh
 from mixseq_io.usd.diagnostics import reading_usd
-from mixseq_io.usd.paths import is_prim_path
 from mixseq_io.usd.prims import open_stage, prims_of
 from mixseq_io.usd.seams import Weld, unwelded, weld
 
@@ -103,26 +99,14 @@ def open_original(path: Path, header: SequenceHeader) -> Original:
     rate = stage.GetTimeCodesPerSecond()
     if not 0 < rate < np.inf:
         raise OutputError(f"{path} has {rate:g} time codes per second, a positive number is needed")
-    fits = tuple(_fit(path, stage, scene_mesh) for scene_mesh in split(header))
-    if len({fit.mesh.GetPath() for fit in fits}) < len(fits):
-        raise OutputError(f"{path} has fewer meshes than the sequence, which has {len(fits)}")
-    return Original(path, stage, fits)
+    try:
+        meshes = {str(prim.GetPath()): mesh for prim in prims_of(path, stage) if (mesh := UsdGeom.Mesh(prim))}
+        return Original(path, stage, tuple(fit_meshes(path, header, meshes, _fitted, _difference)))
+    except FormatError as error:
+        raise OutputError(str(error)) from error
 
 
-def _fit(path: Path, stage: Usd.Stage, scene_mesh: SceneMesh) -> Fit:
-    """Return the mesh that a mesh of the sequence came from."""
-    named = stage.GetPrimAtPath(scene_mesh.path) if is_prim_path(scene_mesh.path) else None
-    candidates = [named] if named and UsdGeom.Mesh(named) else prims_of(path, stage)
-    meshes = [mesh for prim in candidates if (mesh := UsdGeom.Mesh(prim))]
-    fitting = [fit for mesh in meshes if (fit := _fit_to(mesh, scene_mesh)) is not None]
-    if len(fitting) != 1:
-        what = f"{len(fitting)} meshes" if fitting else "no mesh"
-        why = _difference(meshes[0], scene_mesh) if len(meshes) == 1 and not fitting else ""
-        raise OutputError(f"{path} has {what} with the faces of {scene_mesh.path or scene_mesh.name!r}{why}")
-    return fitting[0]
-
-
-def _difference(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> str:
+def _difference(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> str:
     """Return what the first difference is to the only mesh that could have been meant."""
     stored, places = _stored(mesh)
     if stored is None:
@@ -130,12 +114,11 @@ def _difference(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> str:
     for seams in (weld(mesh, places), unwelded(len(places))):
         if seams.vertex_count == scene_mesh.vertex_count:
             theirs = Polygons(stored.counts, seams.of_point[stored.indices])
-            what = difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
-            return f": {what}" if what else ""
-    return f": it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
+            return difference(scene_mesh.polygons, theirs, ("the sequence", str(mesh.GetPath())))
+    return f"it has {len(places)} points, the sequence {scene_mesh.vertex_count} vertices"
 
 
-def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
+def _fitted(scene_mesh: SceneMesh, mesh: UsdGeom.Mesh) -> Fit | None:
     """Lay a mesh of the sequence over one of the file; None if it has other faces."""
     stored, places = _stored(mesh)
     if stored is None:
@@ -150,9 +133,9 @@ def _fit_to(mesh: UsdGeom.Mesh, scene_mesh: SceneMesh) -> Fit | None:
         # Readers reverse left-handed faces.
         for turned in (False, True):
             read = Polygons(theirs.counts, theirs.indices[reverse]) if turned else theirs
-            ours = scene_mesh.as_numbered(read)
-            match = None if ours is None else matched(read, ours.polygons)
-            if ours is not None and match is not None:
+            found = scene_mesh.matched_to(read)
+            if found is not None:
+                ours, match = found
                 # Turning corners around twice changes nothing.
                 corners = match.corners[reverse] if turned else match.corners
                 return Fit(ours, mesh, points, PolygonMatch(match.polygons, corners), turned, seams)

@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 import mixseq
 from mixseq.arrays import Float
-from mixseq.errors import InvalidSequenceError, OutputError, SettingsError
+from mixseq.errors import InvalidSequenceError, OutputError
 from mixseq.rigging.rigs import Morph, Skin
 from mixseq.sequence import MeshSequence
 from mixseq_io.rig_measuring import measure
@@ -195,11 +195,6 @@ def test_x_up_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="USD stages have Y or Z up, this mesh has X"):
         mixseq.write_rig(tmp_path / "a.usda", hinge(up_axis="X"))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_usd_is_not_packed(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="only glTF is packed by meshopt; leave it out"):
-        mixseq.write_rig(tmp_path / "a.usda", hinge(), meshopt=1e-3)
 
 
 def test_what_is_too_large_for_float32_is_refused_and_an_old_file_stays(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Colours behind the coordinates of vertices, as words of a text file."""
+"""Lines of OBJ, OFF and STL text: numbers with all their digits, colours behind coordinates, excerpts for messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,23 @@ import numpy as np
 from mixseq.arrays import FloatArray
 from mixseq.errors import FormatError
 from mixseq_io.colours import from_text
-from mixseq_io.numbered.frame_files import MeshFile, excerpt
+from mixseq_io.numbered.frame_files import MeshFile
+
+WRITTEN_BY = b"# Written by mixseq, "
+"""Begins a comment in our own files, which goes on with the precision of the points: float32 or float64."""
+
+
+def excerpt(line: bytes) -> str:
+    """Return the beginning of a line of a file for a message."""
+    return repr(line.strip()[:40].decode("ascii", errors="replace"))
+
+
+def number_lines(keyword: str, rows: FloatArray, ends: Sequence[str] = ()) -> bytes:
+    """Return a line for every row of numbers, with the digits that give back the same number; and maybe its end."""
+    line = keyword + " ".join(["%.9g" if rows.dtype == np.float32 else "%.17g"] * rows.shape[1])
+    lines = "".join(f"{line}{end}\n" for end in ends) if ends else f"{line}\n" * len(rows)
+    text: str = lines % tuple(rows.reshape(-1).tolist())
+    return text.encode()
 
 
 def colours_of_words(
