@@ -174,7 +174,8 @@ def encode(
         progress(done, count, "encoding frames")
     turns, centres = space.poses(placement)
     steady = space.placements(Poses(continued(turns), centres))  # what is interpolated in time must not jump
-    return Encoded(sequence.header, space, shapes, steady, samples, pose)
+    held = space.held(samples.reshape(count, -1, 3), some, steady).reshape(count, -1)
+    return Encoded(sequence.header, space, shapes, steady, held, pose)
 
 
 def _encoded(shared: tuple[ShapeSpace, Index], points: FloatArray) -> tuple[Float, Float]:

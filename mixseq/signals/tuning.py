@@ -129,11 +129,10 @@ class Trial:
         parts, bodies = space.part_poses(self.encoded.poses), space.poses(self.encoded.placement)
         world = articulation.placed(Poses(parts.turns, parts.centres), bodies)
         world = world._replace(rotations=continued(world.rotations))
-        found = PosePrediction(articulation, self.encoded.operator, world, in_body).of(self.rows)
-        placed = articulation.bodies_of(found)
-        seen = articulation.with_relations(articulation.seen_from_bodies(found, placed))
+        placed, found = PosePrediction(articulation, self.encoded.operator, world, in_body).of(self.rows)
+        seen = articulation.with_relations(found)
         shapes = space.split(np.pad(self._shapes, ((0, 0), (0, space.placement_dim + space.correction_dim))))
-        none = np.zeros((len(found.centres), space.correction_dim))
+        none = np.zeros((len(self.frames), space.correction_dim))
         return space.join(MixedBlocks(*shapes[:3], *seen, *placed, none))
 
     def _errors(self, points: Float) -> Float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixseq.arrays import Float, FloatArray
+from mixseq.arrays import Float, FloatArray, Index
 from mixseq.errors import SettingsError
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.prediction.operator import Operator
@@ -139,6 +139,10 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         """
         placed = self.placements(predicted_alone(operator.at(times), self.poses(placements)))
         return np.zeros((len(times), 0)), placed
+
+    def held(self, points: Float, vertices: Index, placements: Float) -> Float:
+        """Return points ``(T, n, 3)`` of vertices ``(n,)`` as seen from placements ``(T, P)``; here as they are."""
+        return points
 
     def corrections(self, poses: Float, targets: Float) -> Float:
         """Return the corrections ``(N, C)`` that shapes with poses ``(N, pose_dim)`` need to have targets."""

@@ -34,7 +34,7 @@ from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.geometry.rotations import continued, inverse, product, quaternions
+from mixseq.geometry.rotations import continued, inverse, product, quaternions, rotations_of, turned
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
@@ -494,11 +494,17 @@ class MixedSpace(ShapeSpace):
         parts, bodies = self.part_poses(poses), self.poses(placements)
         world = self.articulation.placed(Poses(parts.turns, parts.centres), bodies)
         world = world._replace(rotations=continued(world.rotations))
-        predicted = PosePrediction(self.articulation, operator, world, in_body).at(times)
-        found = self.articulation.bodies_of(predicted)
-        seen = self.articulation.seen_from_bodies(predicted, found)
+        found, seen = PosePrediction(self.articulation, operator, world, in_body).at(times)
         placed = self.placements(found._replace(rotations=continued(found.rotations, bodies.rotations[0])))
         return np.concatenate([each.reshape(len(times), -1) for each in seen], axis=1), placed
+
+    def held(self, points: Float, vertices: Index, placements: Float) -> Float:
+        """Implement `ShapeSpace.held`: as seen from the body of the part that a vertex follows most."""
+        bodies = self.poses(placements)
+        weights = self.skinning_weights[vertices]
+        body = self.articulation.bodies[np.asarray(weights.argmax(axis=1)).reshape(-1)]
+        back = np.swapaxes(rotations_of(bodies.rotations), -1, -2)[:, body]
+        return turned(back, points - self.scale * bodies.centres[:, body])
 
     def corrections(self, poses: Float, targets: Float) -> Float:
         """Implement `ShapeSpace.corrections`."""

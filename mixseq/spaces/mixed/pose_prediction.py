@@ -1,8 +1,10 @@
 r"""Poses of parts between frames, predicted in the world, as seen from the body, and by their neighbours.
 
 Every rotation is chained and every centre a weighted sum (`mixseq.prediction.poses`), in the axes of the world, where
-feet stand, and in those of the body, where a turn of the body is no motion of its parts. Where two parts meet, each
-also sees the other move. A pose is the matrix :math:`X = (R^T; t)` with four rows, a relation :math:`X_j = G_{ij} X_i`.
+feet stand, and in those of the body, where a turn of the body is no motion of its parts. Bodies go where the first
+prediction has them; what is predicted is how parts stand as seen from them, so that it does not depend on how bodies
+are turned. Where two parts meet, each also sees the other move. A pose is the matrix :math:`X = (R^T; t)` with four
+rows, a relation :math:`X_j = G_{ij} X_i`.
 Predictions disagree; the poses that agree best with all of them minimise
 
 .. math:: \sum_i |X_i - \hat X_i|^2_{P_i} + \lambda \sum_{ij} |X_j - \hat G_{ij} X_i|^2_{P_{ij}} ,
@@ -24,15 +26,18 @@ from functools import cached_property
 
 import numpy as np
 
-from mixseq.arrays import Float, Index
+from mixseq.arrays import Float, Index, Mask
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import continued, quaternions, rotations_of, turned
 from mixseq.prediction.operator import Operator, Rows
 from mixseq.prediction.poses import Poses, chained, predicted_alone
 from mixseq.spaces.mixed.articulation import Articulation
 
-RELATION_WEIGHT = 0.3
-r"""Weight :math:`\lambda` of a relation against a pose: errors of neighbours go together."""
+RELATION_WEIGHT = 2.0
+r"""Weight :math:`\lambda` of a relation against a pose; chosen on half of the animations of the benchmarks."""
+
+USELESS = 2.0
+"""Parts are not predicted in the world where errors are larger than those in the body by this factor."""
 
 PRIOR = 6.0
 """Rows of errors n that the isotropic covariance stands for."""
@@ -65,67 +70,75 @@ class PosePrediction:
     poses: Poses
     in_body: bool = True
 
-    def at(self, times: Float) -> Poses:
-        """Predict the poses ``(N, p)`` at times ``(N,)``; at the frames they are those of the frames."""
-        rows = self.operator.at(times)
-        alone = predicted_alone(rows, self.poses)
+    def at(self, times: Float) -> tuple[Poses, Poses]:
+        """Predict poses at times ``(N,)``: of the bodies ``(N, B)``, and of parts as seen from them ``(N, p)``.
+
+        At the frames they are those of the frames.
+        """
+        rows, known = self.operator.at(times), np.isin(times, self.operator.times)[:, None, None]
+        bodies, alone = (predicted_alone(rows, each) for each in self._bodies)
         if len(self.operator.times) < 3:
-            return self._seen_from_bodies(rows)
-        predicted = self.of(rows)
-        known = np.isin(times, self.operator.times)[:, None, None]
-        turns = continued(predicted.rotations, alone.rotations[0])
-        return Poses(
-            np.where(known, alone.rotations, turns), np.where(known, alone.centres, predicted.centres)
-        )
+            return bodies, alone
+        found, seen = self.of(rows)
+        return _kept(bodies, found, known), _kept(alone, seen, known)
 
-    def of(self, rows: Rows) -> Poses:
-        """Predict poses by weights of frames: quaternions of any sign."""
+    def of(self, rows: Rows) -> tuple[Poses, Poses]:
+        """Predict poses of bodies, and of parts as seen from them, by weights of frames: quaternions of any sign."""
         found = [self._predicted(part) for part in _parts_of(rows)]
-        return Poses(*(np.concatenate(blocks) for blocks in zip(*found, strict=True)))
+        bodies, seen = (
+            Poses(*(np.concatenate(blocks) for blocks in zip(*each, strict=True)))
+            for each in zip(*found, strict=True)
+        )
+        return bodies, seen
 
-    def _predicted(self, rows: Rows) -> Poses:
-        guesses, precisions = zip(*self._guesses(rows), strict=True)
-        own: Float = np.sum(precisions, axis=0)
-        weighted = [precision @ _stacked(guess) for guess, precision in zip(guesses, precisions, strict=True)]
+    def _predicted(self, rows: Rows) -> tuple[Poses, Poses]:
+        bodies, in_world = self._seen_in_world(rows)
+        world, body = self._precisions
+        guesses = [] if world is None else [(in_world, world)]
+        if body is not None:
+            guesses.append((predicted_alone(rows, self._bodies[1]), body))
+        own: Float = np.sum([precision for _, precision in guesses], axis=0)
+        weighted = [precision @ _stacked(guess) for guess, precision in guesses]
         mean = np.asarray(np.linalg.solve(own, np.sum(weighted, axis=0)), dtype=np.float64)
         own = own / len(guesses)
         parts = self.articulation.pairs
         if not len(parts):
             turns = np.swapaxes(mean[:, :, :3], -1, -2)
-            return Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
+            return bodies, Poses(quaternions(nearest_rotations(turns)), mean[:, :, 3])
         seen = _relations(rows, self._related, self.articulation.pivots)
-        return Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
+        return bodies, Poses(*_fused(mean, own, seen, RELATION_WEIGHT * self._relation_precisions, parts))
 
-    def _guesses(self, rows: Rows) -> Iterator[tuple[Poses, Float]]:
-        """Yield poses that are predicted without neighbours, and precisions ``(p, 4, 4)``."""
-        in_world, in_body = self._precisions
-        yield predicted_alone(rows, self.poses), in_world
-        if in_body is not None:
-            yield self._seen_from_bodies(rows), in_body
+    def _seen_in_world(self, rows: Rows) -> tuple[Poses, Poses]:
+        """Poses of the bodies of parts that are predicted in the world, and of the parts as seen from them."""
+        predicted = predicted_alone(rows, self.poses)
+        bodies = self.articulation.bodies_of(predicted)
+        return bodies, self.articulation.seen_from_bodies(predicted, bodies)
 
     @cached_property
     def _bodies(self) -> tuple[Poses, Poses]:
-        """Poses of the bodies, and those of parts as seen from them."""
+        """Poses of the bodies at the frames, and those of parts as seen from them."""
         bodies = self.articulation.bodies_of(self.poses)
         bodies = bodies._replace(rotations=continued(bodies.rotations))
         seen = self.articulation.seen_from_bodies(self.poses, bodies)
         return bodies, seen._replace(rotations=continued(seen.rotations))
-
-    def _seen_from_bodies(self, rows: Rows) -> Poses:
-        bodies, seen = (predicted_alone(rows, each) for each in self._bodies)
-        return self.articulation.placed(seen, bodies)
 
     @cached_property
     def _left_out(self) -> tuple[Index, Rows]:
         return self.operator.left_out()
 
     @cached_property
-    def _precisions(self) -> tuple[Float, Float | None]:
-        (left, rows), own, radii = self._left_out, _stacked(self.poses), self.articulation.radii
-        world = _precision(_stacked(predicted_alone(rows, self.poses)) - own[left], radii)
+    def _precisions(self) -> tuple[Float | None, Float | None]:
+        """Precisions ``(p, 4, 4)`` of parts as seen from their bodies, predicted in the world and in the body.
+
+        None where a prediction is not used.
+        """
+        (left, rows), own, radii = self._left_out, _stacked(self._bodies[1]), self.articulation.radii
+        in_world = _stacked(self._seen_in_world(rows)[1]) - own[left]
         if not self.in_body:
-            return world, None
-        return world, _precision(_stacked(self._seen_from_bodies(rows)) - own[left], radii)
+            return _precision(in_world, radii), None
+        in_body = _stacked(predicted_alone(rows, self._bodies[1])) - own[left]
+        useless = np.linalg.norm(in_world) > USELESS * np.linalg.norm(in_body)
+        return None if useless else _precision(in_world, radii), _precision(in_body, radii)
 
     @cached_property
     def _related(self) -> Poses:
@@ -140,6 +153,12 @@ class PosePrediction:
         everywhere = Rows(np.arange(count)[:, None], np.ones((count, 1)), count)
         errors = _relations(rows, self._related, pivots) - _relations(everywhere, self._related, pivots)[left]
         return _precision(errors[..., :3], self.articulation.radii[self.articulation.pairs[:, 1]])
+
+
+def _kept(frames: Poses, predicted: Poses, known: Mask) -> Poses:
+    """Return predicted poses, but those of the frames where times are known ``(N, 1, 1)``."""
+    turns = continued(predicted.rotations, frames.rotations[0])
+    return Poses(np.where(known, frames.rotations, turns), np.where(known, frames.centres, predicted.centres))
 
 
 def _parts_of(rows: Rows) -> Iterator[Rows]:
