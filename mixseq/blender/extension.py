@@ -38,19 +38,7 @@ PLATFORMS = {
 
 @dataclass(frozen=True)
 class Release:
-    """What versions of Blender have in common.
-
-    Parameters
-    ----------
-    first : str
-        The first of them.
-    end : str or None
-        The first later one that is none of them; None if there is none yet.
-    python : str
-        Version of their Python.
-    numpy : str
-        Requirement that tells their NumPy.
-    """
+    """What versions of Blender have in common."""
 
     first: str
     end: str | None
@@ -65,13 +53,7 @@ RELEASES = {
 
 
 def this_platform() -> str:
-    """Return Blender's name for the platform of this machine.
-
-    Raises
-    ------
-    SettingsError
-        If there are no wheels for it.
-    """
+    """Return Blender's name for the platform of this machine."""
     system = {"linux": "linux", "darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
     machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(
         platform.machine().lower(), platform.machine()
@@ -89,22 +71,7 @@ def archive_name(platform: str, release: Release) -> str:
 
 
 def write_extension(path: Path, platform: str, release: Release) -> None:
-    """Write the extension for a platform and the versions of a release.
-
-    Parameters
-    ----------
-    path : Path
-        The archive.
-    platform : str
-        One of `PLATFORMS`.
-    release : Release
-        Which versions of Blender.
-
-    Raises
-    ------
-    OutputError
-        If libraries cannot be downloaded, or the archive cannot be written.
-    """
+    """Write the extension for a platform and the versions of a release."""
     with replacing(path) as temporary, TemporaryDirectory() as scratch:
         folder = Path(scratch)
         found = download(folder, release.python, release.numpy, PLATFORMS[platform])

@@ -19,13 +19,7 @@ MEMORY = 512 << 20
 
 
 class Frames:
-    """Arrays that were made, as many as there is memory for; those used last.
-
-    Parameters
-    ----------
-    memory : int
-        Bytes that they may take; one is kept however large it is.
-    """
+    """Arrays that were made, as many as there is memory for; those used last."""
 
     def __init__(self, memory: int = MEMORY) -> None:
         self.memory = memory
@@ -62,13 +56,7 @@ class Frames:
 
 
 class Models:
-    """Models by the files they are in, read again when these change.
-
-    Parameters
-    ----------
-    load : callable
-        Reads one.
-    """
+    """Models by the files they are in, read again when these change."""
 
     def __init__(self, load: Callable[[Path], Model]) -> None:
         self._load = load
@@ -76,13 +64,7 @@ class Models:
         self._lock = Lock()
 
     def get(self, path: Path) -> Model:
-        """Return the model in a file: the same one until the file changes.
-
-        Raises
-        ------
-        MixseqError
-            If it cannot be read; a file that is damaged is not read again before it changes.
-        """
+        """Return the model in a file: the same one until the file changes."""
         try:
             told = path.stat()
         except OSError as error:

@@ -32,15 +32,7 @@ def seconds(frame: float, frame_offset: float, fps: float) -> float:
 
 @dataclass(frozen=True)
 class Placing:
-    """How a model stands in a scene.
-
-    Parameters
-    ----------
-    up_axis : {"X", "Y", "Z"}
-        Axis of the model that points up.
-    scale : float
-        Blender's units per unit of the model.
-    """
+    """How a model stands in a scene."""
 
     up_axis: str
     scale: float
@@ -58,15 +50,7 @@ class Placing:
 
 @dataclass(frozen=True)
 class Motion:
-    """A model that stands in a scene. Two of the same model that stand alike are equal.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    placing : Placing
-        How it stands.
-    """
+    """A model that stands in a scene. Two of the same model that stand alike are equal."""
 
     model: Model
     placing: Placing
@@ -80,13 +64,7 @@ class Motion:
         return float(np.clip(time, self.model.start, self.model.end))
 
     def points(self, time: float) -> Single:
-        """Return the vertices ``(V, 3)``, in Blender's axes and units, at a time in seconds.
-
-        Raises
-        ------
-        MixseqError
-            If they cannot be decoded.
-        """
+        """Return the vertices ``(V, 3)``, in Blender's axes and units, at a time in seconds."""
         points: Single = np.ascontiguousarray(
             self._conversion.values(self.model(self.held(time))), np.float32
         )
@@ -94,20 +72,7 @@ class Motion:
 
 
 def part_of(header: SequenceHeader, name: str) -> tuple[slice, slice]:
-    """Return the vertices and the polygons of one of the meshes that a model joins.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        Tells them.
-    name : str
-        Path or name of the mesh; "" is all.
-
-    Raises
-    ------
-    SettingsError
-        If there is none.
-    """
+    """Return the vertices and the polygons of one of the meshes that a model joins."""
     if not name:
         return slice(0, header.vertex_count), slice(0, len(header.polygons.counts))
     vertex = polygon = 0
@@ -129,19 +94,7 @@ def fitting(model: Model, points: Float, frames: int = 9) -> tuple[str, Placing]
 
     Importers turn and scale points, or leave that to the object: the placing is that with which some frame is nearest.
 
-    Parameters
-    ----------
-    model : Model
-        The model.
-    points : (V, 3) float
-        The vertices of the mesh, wherever it is in its motion.
-    frames : int
-        How many frames are looked at.
-
-    Raises
-    ------
-    SettingsError
-        If no mesh of the model has so many vertices.
+    Shapes: points ``(V, 3)``.
     """
     header = model.header
     names = ["", *part_names(header)]

@@ -68,10 +68,7 @@ class MeshParts:
     def sharp(self, edges: IntArray) -> Mask:
         """Return which edges ``(E,)`` are hard: at one of their ends, corners beside them do not share a normal.
 
-        Parameters
-        ----------
-        edges : (sum of counts,) int
-            Edge from every corner to the next one of its polygon.
+        Shapes: edges ``(sum of counts,)``.
         """
         hard = np.zeros(int(edges.max(initial=-1)) + 1, dtype=bool)
         if self.groups is None:

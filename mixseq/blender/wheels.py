@@ -90,24 +90,7 @@ def requirements() -> list[str]:
 
 
 def download(folder: Path, python: str, numpy: str, tags: Sequence[str]) -> list[Path]:
-    """Have pip download the wheels of `LIBRARIES`, and return their paths.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    python : str
-        Version of Python that they are for, "3.11".
-    numpy : str
-        Requirement that says which NumPy they find there.
-    tags : sequence of str
-        Platforms that they may be for, as wheels name them.
-
-    Raises
-    ------
-    OutputError
-        If there is no pip, or it does not find them.
-    """
+    """Have pip download the wheels of `LIBRARIES`, and return their paths."""
     words = ["download", "--quiet", "--only-binary=:all:", "--dest", str(folder), "--python-version", python]
     words += [word for tag in tags for word in ("--platform", tag)]
     command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *words, numpy, *requirements()]

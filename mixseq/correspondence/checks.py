@@ -65,18 +65,10 @@ NAMED = 6
 
 @dataclass(frozen=True, eq=False)
 class Suspicion:
-    """Markers that do not fit the others.
+    """Markers that do not fit the others."""
 
-    Attributes
-    ----------
-    numbers : (k,) int64
-        Which.
-    why : str
-        What is wrong with them, and what to do.
-    """
-
-    numbers: Index
-    why: str
+    numbers: Index  # (k,) which
+    why: str  # what is wrong with them, and what to do
 
 
 def check_markers(
@@ -88,28 +80,7 @@ def check_markers(
 ) -> None:
     """Refuse markers that cannot be meant as they are, and warn of those that seem wrong.
 
-    Parameters
-    ----------
-    markers : Markers
-    source_points : (V, 3) float
-        The source at rest.
-    target_points : (V', 3) float
-        The target at rest.
-    source_topology, target_topology : Topology, optional
-        Their connectivity, to refuse markers on vertices that no triangle uses; these then do not count as the mesh's
-        extent.
-
-    Raises
-    ------
-    SettingsError
-        If there are fewer than four different markers, vertices that do not exist or that no triangle uses, a vertex
-        that is paired with two others, markers on a line, or such that fit a mirrored mesh far better.
-
-    Warns
-    -----
-    MixseqWarning
-        If all markers are on a plane, but the mesh is not; if two of them, or two groups, seem exchanged; if one seems
-        wrong.
+    Shapes: source_points ``(V, 3)``; target_points ``(V', 3)``.
     """
     once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
     if len(once) < FEWEST:
@@ -136,13 +107,7 @@ def check_markers(
 
 
 def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
-    """Refuse markers on vertices that two meshes do not have, or that no triangle of theirs uses.
-
-    Raises
-    ------
-    SettingsError
-        If there are any.
-    """
+    """Refuse markers on vertices that two meshes do not have, or that no triangle of theirs uses."""
     for side, vertices, topology in (("source", markers.source, source), ("target", markers.target, target)):
         _check_vertices(markers, side, vertices, topology.vertex_count)
         _check_used(markers, side, vertices, topology)
@@ -151,18 +116,7 @@ def check_numbers(markers: Markers, source: Topology, target: Topology) -> None:
 def suspicions(markers: Markers, source: Float, target: Float, diagonal: float) -> list[Suspicion]:
     """Find markers that seem wrong among the others: two exchanged, two groups exchanged, single ones.
 
-    Parameters
-    ----------
-    markers : Markers
-    source, target : (n, 3) float64
-        Where they are on the source and on the target, both at rest.
-    diagonal : float
-        That of the target, of which messages tell distances.
-
-    Returns
-    -------
-    list of Suspicion
-        None if there are fewer than eight markers that differ, or more than a thousand.
+    Shapes: source, target ``(n, 3)``.
     """
     once = np.sort(np.unique(np.stack([markers.source, markers.target]), axis=1, return_index=True)[1])
     if not FEWEST_COMPARED <= len(once) <= MOST_COMPARED:

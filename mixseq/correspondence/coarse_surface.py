@@ -28,43 +28,16 @@ COUNT = 2500
 
 @dataclass(frozen=True, eq=False)
 class CoarseSurface:
-    """The largest component of a mesh, thinned out, of area one.
+    """The largest component of a mesh, thinned out, of area one."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Its vertices, as numbered in the mesh.
-    mesh : TriangleMesh
-        The surface.
-    centre : (3,) float64
-        Where its origin is, in the mesh's unit.
-    size : float
-        The mesh's units to one of its own.
-    """
-
-    vertices: Index
-    mesh: TriangleMesh
-    centre: Float
-    size: float
+    vertices: Index  # (n,) its vertices, as numbered in the mesh
+    mesh: TriangleMesh  # the surface
+    centre: Float  # (3,) where its origin is, in the mesh's unit
+    size: float  # the mesh's units to one of its own
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology, count: int = COUNT) -> CoarseSurface:
-        """Thin out the component with the largest area.
-
-        Parameters
-        ----------
-        points : (V, 3) float
-            The mesh in one pose.
-        topology : Topology
-            Its faces.
-        count : int
-            About so many vertices are left.
-
-        Raises
-        ------
-        SettingsError
-            If no triangle has an area.
-        """
+        """Thin out the component with the largest area: points ``(V, 3)``."""
         x = np.asarray(points, np.float64)
         areas = TriangleMesh(x, topology).face_areas
         if not areas.sum() > 0:

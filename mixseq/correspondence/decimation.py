@@ -29,26 +29,7 @@ ROUND = 0.15
 
 
 def decimate(points: Float, faces: Index, count: int, keep: Index | None = None) -> tuple[Index, Index]:
-    """Thin out a mesh.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Vertices.
-    faces : (m, 3) int64
-        Triangles.
-    count : int
-        Number of vertices wanted. More are left where none could go without harm.
-    keep : (k,) int64, optional
-        Vertices that stay.
-
-    Returns
-    -------
-    kept : (c,) int64
-        The vertices that stay, ascending; vertices that no face uses do not.
-    coarse : (k, 3) int64
-        Triangles between them, by their place in `kept`.
-    """
+    """Thin out a mesh: points ``(n, 3)``; faces ``(m, 3)``; keep ``(k,)``; result ``(c,)``, ``(k, 3)``."""
     from mixseq.correspondence.decimation_kernels import collapse
 
     topology = Topology(faces, len(points))

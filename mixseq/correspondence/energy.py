@@ -41,43 +41,21 @@ _LEAST_AREA = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SoftConstraints:
-    """Points of a mesh that are drawn to goals: soft position constraints.
+    """Points of a mesh that are drawn to goals: soft position constraints."""
 
-    Attributes
-    ----------
-    corners : (n, k) int64
-        Vertices that the points are between: one, or the corners of a triangle.
-    barycentric : (n, k) float64
-        Their weights in the point, which add to one.
-    goals : (n, 3) float64
-        Where the points should be.
-    weights : (n,) float64
-        Weights of the squared distances from there.
-    """
-
-    corners: Index
-    barycentric: Float
-    goals: Float
-    weights: Float
+    corners: Index  # (n, k) vertices that the points are between: one, or the corners of a triangle
+    barycentric: Float  # (n, k) their weights in the point, which add to one
+    goals: Float  # (n, 3) where the points should be
+    weights: Float  # (n,) weights of the squared distances from there
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """The energy of a mesh, of which each vertex is in a triangle, and some triangle has an area.
+    """The energy of a mesh, of which each vertex is in a triangle, and some triangle has an area."""
 
-    Attributes
-    ----------
-    mesh : TriangleMesh
-        The mesh before it is deformed, in a unit of about its size.
-    bending : float
-        The length over which maps are alike.
-    shear : float
-        The weight of similarities against affine maps.
-    """
-
-    mesh: TriangleMesh
-    bending: float
-    shear: float
+    mesh: TriangleMesh  # the mesh before it is deformed, in a unit of about its size
+    bending: float  # the length over which maps are alike
+    shear: float  # the weight of similarities against affine maps
 
     @cached_property
     def areas(self) -> Float:
@@ -122,22 +100,7 @@ class Energy:
     def minimise(
         self, stiffness: float, maps: Float, constraints: list[SoftConstraints]
     ) -> tuple[Float, Float]:
-        r"""Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy.
-
-        Parameters
-        ----------
-        stiffness : float
-            :math:`\alpha`.
-        maps : (V, 3, 3) float64
-            Maps whose nearest similarities are wanted.
-        constraints : list of SoftConstraints
-            What draws the mesh; every component needs one.
-
-        Raises
-        ------
-        ReconstructionError
-            If nothing holds a component.
-        """
+        r"""Find the positions ``(V, 3)`` and maps ``(V, 3, 3)`` of least energy."""
         count, size = len(maps), 4 * len(maps)
         values = stiffness * self._matrix.data
         right = np.zeros((count, 4, 3))

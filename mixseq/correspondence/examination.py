@@ -31,25 +31,14 @@ STIFF = CorrespondenceSettings(RegistrationSettings(softest=1e-2, steps=5))
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What was found out about markers.
+    """What was found out about markers."""
 
-    Attributes
-    ----------
-    suspicions : tuple of Suspicion
-        Markers that do not fit the others.
-    residuals : (n,) float64, optional
-        How far a stiff map stays from every marker, in diagonals of the target; none if there are fewer than ten, or
-        no map was found.
-    coverage : float
-        Share of the target's area that the map covers.
-    refusal : str
-        Why there is no map; empty otherwise.
-    """
-
-    suspicions: tuple[Suspicion, ...] = ()
+    suspicions: tuple[Suspicion, ...] = ()  # markers that do not fit the others
+    # (n,) how far a stiff map stays from every marker, in diagonals of the target; none if there are fewer than ten, or
+    # no map was found.
     residuals: Float | None = None
-    coverage: float = 0.0
-    refusal: str = ""
+    coverage: float = 0.0  # share of the target's area that the map covers
+    refusal: str = ""  # why there is no map; empty otherwise
 
     @property
     def suspects(self) -> frozenset[int]:

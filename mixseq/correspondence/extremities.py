@@ -37,31 +37,16 @@ EIGENVECTORS = 80
 
 @dataclass(frozen=True, eq=False)
 class Extremities:
-    """Extremities of a surface, the most prominent first.
+    """Extremities of a surface, the most prominent first."""
 
-    Attributes
-    ----------
-    vertices : (e,) int64
-        Where they are, as numbered in the mesh.
-    points : (e, 3) float64
-        The same, in the unit of the coarse surface.
-    prominences : (e,) float64
-        How prominent they are; all lengths are in roots of the area.
-    radii : (e,) float64
-        How far from it the mean distance is as large but for 0.01: 0.02 to 0.07 of a hoof; a round head has more, so
-        that where its tip is remains open.
-    distances : (e, e) float64
-        Distances along the surface between them.
-    signatures : (e, 6) float64
-        Logarithms of their heat kernel signatures.
-    """
-
-    vertices: Index
-    points: Float
-    prominences: Float
+    vertices: Index  # (e,) where they are, as numbered in the mesh
+    points: Float  # (e, 3) the same, in the unit of the coarse surface
+    prominences: Float  # (e,) how prominent they are; all lengths are in roots of the area
+    # (e,) how far from it the mean distance is as large but for 0.01: 0.02 to 0.07 of a hoof; a round head has more, so
+    # that where its tip is remains open.
     radii: Float
-    distances: Float
-    signatures: Float
+    distances: Float  # (e, e) distances along the surface between them
+    signatures: Float  # (e, 6) logarithms of their heat kernel signatures
 
     @classmethod
     def of(cls, surface: CoarseSurface) -> Extremities:
@@ -79,15 +64,7 @@ class Extremities:
 
 
 def far_apart(surface: CoarseSurface, count: int) -> tuple[Index, Float]:
-    """Choose vertices of a surface that are far from each other (Gonzalez 1985).
-
-    Returns
-    -------
-    samples : (k,) int64
-        The vertices.
-    distances : (k, n) float64
-        Their distances along the surface to all.
-    """
+    """Choose vertices of a surface that are far from each other (Gonzalez 1985): result ``(k,)``, ``(k, n)``."""
     sample = int(surface.distances(np.array([0]))[0].argmax())
     samples: list[int] = []
     rows: list[Float] = []
@@ -108,15 +85,7 @@ def mean_distance(surface: CoarseSurface) -> Float:
 
 
 def maxima(values: Float, surface: CoarseSurface) -> tuple[Index, Float]:
-    """Find the maxima of values ``(n,)`` on a surface.
-
-    Returns
-    -------
-    vertices : (m,) int64
-        Where they are, the most prominent first.
-    prominences : (m,) float64
-        Their prominences; that of the highest is down to the least value.
-    """
+    """Find the maxima of values ``(n,)`` on a surface: result ``(m,)``, ``(m,)``."""
     adjacency = surface.mesh.topology.vertex_adjacency.tocsr()
     peak = np.full(len(values), -1)  # of the island that a vertex is on, while the sea falls
     islands: dict[int, list[int]] = {}

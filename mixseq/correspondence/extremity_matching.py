@@ -60,30 +60,15 @@ HEAT = 0.2
 
 @dataclass(frozen=True)
 class Matched:
-    """A pair of extremities, and how sure it is.
+    """A pair of extremities, and how sure it is."""
 
-    Attributes
-    ----------
-    first, second : int
-        Their numbers in either list.
-    margin : float
-        By how much any other matching costs more.
-    """
-
-    first: int
-    second: int
-    margin: float
+    first: int  # their numbers in either list
+    second: int  # their numbers in either list
+    margin: float  # by how much any other matching costs more
 
 
 def match_extremities(first: Extremities, second: Extremities) -> list[Matched]:
-    """Match the extremities of two bodies.
-
-    Returns
-    -------
-    list of Matched
-        The sure pairs, the surest of the prominent ones first, then the surest of the others; none if fewer than four
-        are sure. Blunt ones help to find them, and are left out.
-    """
+    """Match the extremities of two bodies."""
     prominent = _prominent_pairs(first, second)
     if len(prominent) < 4:  # which could be turned at will
         return []

@@ -29,19 +29,7 @@ ADDS_TO_ONE = 1e-3
 
 
 def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
-    """Complete a map of vertices.
-
-    Parameters
-    ----------
-    vertices : (V',) int
-        The source vertex that every target vertex is, -1 for none.
-    source, target : (V, 3) float and (F, 3) int
-        Points and triangles of the meshes at rest.
-
-    Raises
-    ------
-    SettingsError
-        If there are not as many as target vertices, one does not exist in the source, or all are -1.
+    """Complete a map of vertices: vertices ``(V',)``; source, target ``(V, 3)``.
 
     Examples
     --------
@@ -56,20 +44,7 @@ def from_vertices(vertices: ArrayLike, source: Mesh, target: Mesh) -> Correspond
 
 
 def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
-    """Complete a map of triangles.
-
-    Parameters
-    ----------
-    triangles : (F',) int
-        The source triangle that every target triangle is, -1 for none.
-    source, target : (V, 3) float and (F, 3) int
-        Points and triangles of the meshes at rest.
-
-    Raises
-    ------
-    SettingsError
-        If there are not as many as target triangles, one does not exist in the source, or all are -1.
-    """
+    """Complete a map of triangles: triangles ``(F',)``; source, target ``(V, 3)``."""
     a, b = _mesh(source), _mesh(target)
     numbers = _numbers(triangles, len(b.faces), len(a.faces), "triangles")
     corners, weights = _vertices_of(numbers, a, b)
@@ -79,19 +54,7 @@ def from_triangles(triangles: ArrayLike, source: Mesh, target: Mesh) -> Correspo
 def from_barycentric(corners: ArrayLike, weights: ArrayLike, source: Mesh, target: Mesh) -> Correspondence:
     """Complete a map of target vertices to points of the source.
 
-    Parameters
-    ----------
-    corners : (V', 3) int
-        Source vertices that every target vertex is between, all -1 for none.
-    weights : (V', 3) float
-        Their weights, which add to one.
-    source, target : (V, 3) float and (F, 3) int
-        Points and triangles of the meshes at rest.
-
-    Raises
-    ------
-    SettingsError
-        If shapes do not fit, a corner does not exist, weights do not add to one, or all corners are -1.
+    Shapes: corners ``(V', 3)``; weights ``(V', 3)``; source, target ``(V, 3)``.
     """
     a, b = _mesh(source), _mesh(target)
     flat = np.asarray(corners).reshape(-1)
@@ -172,16 +135,7 @@ def _vertices_of(triangles: Index, source: TriangleMesh, target: TriangleMesh) -
 def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index) -> Index:
     """The one source vertex that all mapped triangles around a target vertex have, or -1.
 
-    Parameters
-    ----------
-    vertex : (n,) int64
-        Target vertices, one for every corner of a mapped triangle.
-    candidates : (n, 3) int64
-        The vertices of its source triangle.
-    same_corner : (n,) int64
-        That at the same place as the target vertex in its triangle; it decides where several are shared.
-    around : (V',) int64
-        Mapped triangles around every target vertex.
+    Shapes: vertex ``(n,)``; candidates ``(n, 3)``; same_corner ``(n,)``; around ``(V',)``.
     """
     result = np.full(len(around), -1)
     for votes in (candidates, same_corner[:, None]):
@@ -196,19 +150,7 @@ def _shared(vertex: Index, candidates: Index, same_corner: Index, around: Index)
 def _complete(
     source: TriangleMesh, target: TriangleMesh, corners: Index, weights: Float, faces: Index
 ) -> Correspondence:
-    """Complete a map of vertices.
-
-    Parameters
-    ----------
-    source, target : TriangleMesh
-        The meshes at rest.
-    corners : (V', 3) int64
-        Source vertices that every target vertex is between; all -1 where it is on nothing. One must be on something.
-    weights : (V', 3) float64
-        Their weights, which add to one.
-    faces : (F',) int64
-        The source triangle that moves every target triangle, as far as it is known; elsewhere -1.
-    """
+    """Complete a map of vertices: corners ``(V', 3)``; weights ``(V', 3)``; faces ``(F',)``."""
     matched = np.asarray((corners >= 0).all(axis=1))
     whole = np.asarray(matched[target.faces].all(axis=1))
     open_faces = np.flatnonzero(whole & (faces < 0))

@@ -81,20 +81,12 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Components of a source and of a target that markers join: shoes and shoes, a body and a body.
+    """Components of a source and of a target that markers join: shoes and shoes, a body and a body."""
 
-    Attributes
-    ----------
-    source_faces, target_faces : (n,) int64
-        Triangles of these components.
-    source_vertices, target_vertices : (n,) int64
-        Their vertices.
-    """
-
-    source_faces: Index
-    target_faces: Index
-    source_vertices: Index
-    target_vertices: Index
+    source_faces: Index  # (n,) triangles of these components
+    target_faces: Index  # (n,) triangles of these components
+    source_vertices: Index  # (n,) their vertices
+    target_vertices: Index  # (n,) their vertices
 
 
 def pair_components(source: Topology, target: Topology, markers: Markers) -> tuple[Pairing, ...]:
@@ -125,18 +117,11 @@ def pair_components(source: Topology, target: Topology, markers: Markers) -> tup
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """The map ``x -> scale * rotation x + translation``.
+    """The map ``x -> scale * rotation x + translation``."""
 
-    Attributes
-    ----------
-    scale : float
-    rotation : (3, 3) float64
-    translation : (3,) float64
-    """
-
-    scale: float
-    rotation: Float
-    translation: Float
+    scale: float  #
+    rotation: Float  # (3, 3)
+    translation: Float  # (3,)
 
     def __call__(self, points: Float) -> Float:
         """Move points ``(..., 3)``."""
@@ -144,13 +129,7 @@ class Similarity:
 
 
 def fit_similarity(source: Float, target: Float) -> Similarity:
-    """Find the similarity that best moves points ``(n, 3)`` onto others.
-
-    Raises
-    ------
-    SettingsError
-        If the points of either side are all in one place.
-    """
+    """Find the similarity that best moves points ``(n, 3)`` onto others."""
     rotation, _ = kabsch(source, target)
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     x, y = (source - from_centre) @ rotation.T, target - to_centre

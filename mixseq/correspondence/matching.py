@@ -23,18 +23,10 @@ from mixseq.errors import SettingsError
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """Which closest points count; both values are ours.
+    """Which closest points count; both values are ours."""
 
-    Attributes
-    ----------
-    largest_angle : float
-        Largest angle between the normals, in degrees.
-    largest_distance : float
-        Largest distance, in diagonals of the target.
-    """
-
-    largest_angle: float = 75.0
-    largest_distance: float = 0.05
+    largest_angle: float = 75.0  # largest angle between the normals, in degrees
+    largest_distance: float = 0.05  # largest distance, in diagonals of the target
 
     def __post_init__(self) -> None:
         if not 0 < self.largest_angle <= 180:
@@ -45,59 +37,42 @@ class MatchingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A correspondence, and what was found without filling in.
+    """A correspondence, and what was found without filling in."""
 
-    Attributes
-    ----------
-    correspondence : Correspondence
-        The map.
-    found_vertices, found_faces : (V',), (F',) bool
-        Which found a closest point themselves; others were filled in, or follow.
-    distances : (V',) float64
-        Distances of vertices from what they found, in the unit of the points; infinite where they found nothing.
-    """
-
-    correspondence: Correspondence
-    found_vertices: Mask
-    found_faces: Mask
+    correspondence: Correspondence  # the map
+    found_vertices: (
+        Mask  # (V',), (F',) which found a closest point themselves; others were filled in, or follow
+    )
+    found_faces: Mask  # (V',), (F',) which found a closest point themselves; others were filled in, or follow
+    # (V',) distances of vertices from what they found, in the unit of the points; infinite where they found nothing.
     distances: Float
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good a correspondence is. Distances are in diagonals of the target.
+    """How good a correspondence is. Distances are in diagonals of the target."""
 
-    Attributes
-    ----------
-    source_coverage : float
-        Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
-    target_coverage : float
-        Share of the target's area whose triangles found a match themselves.
-    mean, p99, largest : float
-        Distances of the target's vertices from the registered source: mean, 99th percentile, maximum.
-    flipped : int
-        Triangles of the target whose normal is against that of their triangle of the registered source.
-    filled_vertices, filled_faces : int
-        How many took over the match of a neighbour.
-    followers : int
-        Components of the target that follow a vertex; vertices that no triangle uses are none.
-    marker_distances : (n,) float64
-        Distances of marked vertices of the registered source from the vertices of the target that they should be at.
-    markers : Markers
-        The markers.
-    """
-
+    # Share of the source's area that, registered, lies on the target: within the distance and the angle of matches.
     source_coverage: float
-    target_coverage: float
-    mean: float
-    p99: float
-    largest: float
-    flipped: int
-    filled_vertices: int
-    filled_faces: int
-    followers: int
+    target_coverage: float  # share of the target's area whose triangles found a match themselves
+    mean: (
+        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
+    )
+    p99: (
+        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
+    )
+    largest: (
+        float  # distances of the target's vertices from the registered source: mean, 99th percentile, maximum
+    )
+    flipped: (
+        int  # triangles of the target whose normal is against that of their triangle of the registered source
+    )
+    filled_vertices: int  # how many took over the match of a neighbour
+    filled_faces: int  # how many took over the match of a neighbour
+    followers: int  # components of the target that follow a vertex; vertices that no triangle uses are none
+    # (n,) distances of marked vertices of the registered source from the vertices of the target that they should be at.
     marker_distances: Float
-    markers: Markers
+    markers: Markers  # the markers
 
     def worst_markers(self, count: int = 5) -> list[tuple[str, float]]:
         """Names and distances of the markers that were missed by most, the worst first."""
@@ -111,19 +86,7 @@ def match(
     pairings: tuple[Pairing, ...],
     settings: MatchingSettings | None = None,
 ) -> Matches:
-    """Find the point of a source that every vertex of a target is, and the triangle that every triangle is.
-
-    Parameters
-    ----------
-    registered : TriangleMesh
-        The source, deformed to lie on the target.
-    target : TriangleMesh
-        The target.
-    pairings : tuple of Pairing
-        Which components may match.
-    settings : MatchingSettings, optional
-        What counts.
-    """
+    """Find the point of a source that every vertex of a target is, and the triangle that every triangle is."""
     settings = MatchingSettings() if settings is None else settings
     vertex_count, face_count = len(target.points), len(target.faces)
     # Vertices and, after them, triangles, by their centroids: both are nodes of the graph along the mesh.

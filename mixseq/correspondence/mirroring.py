@@ -63,38 +63,15 @@ FACING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Partners of the points of a body on its other side.
+    """Partners of the points of a body on its other side."""
 
-    Attributes
-    ----------
-    mesh : TriangleMesh
-        The body.
-    surface : CoarseSurface
-        The same, thinned out.
-    partners : (n,) int64
-        The vertex of the coarse surface that every other one is.
-    """
-
-    mesh: TriangleMesh
-    surface: CoarseSurface
-    partners: Index
+    mesh: TriangleMesh  # the body
+    surface: CoarseSurface  # the same, thinned out
+    partners: Index  # (n,) the vertex of the coarse surface that every other one is
 
     @classmethod
     def of(cls, points: FloatArray, topology: Topology) -> Mirror | None:
-        """Find which point is which on the other side; None if no two sides are alike.
-
-        Parameters
-        ----------
-        points : (V, 3) float
-            A body in any pose.
-        topology : Topology
-            Its faces.
-
-        Raises
-        ------
-        SettingsError
-            If no triangle has an area.
-        """
+        """Find which point is which on the other side; None if no two sides are alike: points ``(V, 3)``."""
         with one_blas_thread():
             surface = CoarseSurface.of(points, topology)
             partners = _partners(surface)

@@ -29,20 +29,11 @@ _CURE = "turn its triangles over (faces[:, ::-1]; in a modelling program: flip t
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Which way components face.
+    """Which way components face."""
 
-    Attributes
-    ----------
-    faces : (c,) int64
-        A triangle of every component.
-    areas : (c,) float64
-        Their areas.
-    signs : (c,) int64
-        1 if the triangles are counter-clockwise seen from outside, -1 if clockwise, 0 if there is no outside.
-    """
-
-    faces: Index
-    areas: Float
+    faces: Index  # (c,) a triangle of every component
+    areas: Float  # (c,) their areas
+    # (c,) 1 if the triangles are counter-clockwise seen from outside, -1 if clockwise, 0 if there is no outside.
     signs: Index
 
     @property
@@ -80,22 +71,7 @@ def check_orientation(
 ) -> None:
     """Refuse meshes of which one is inside out, as far as they have an outside.
 
-    Parameters
-    ----------
-    source_points, target_points : (V, 3) and (V', 3) float
-        Both at rest.
-    source_faces, target_faces : (F, 3) and (F', 3) int
-        Their triangles.
-
-    Raises
-    ------
-    SettingsError
-        If most of the target, by area, faces the other way than most of the source.
-
-    Warns
-    -----
-    MixseqWarning
-        If single components of the target are inside out.
+    Shapes: source_points, target_points ``(V, 3)``; source_faces, target_faces ``(F, 3)``.
     """
     source, target = orientation(source_points, source_faces), orientation(target_points, target_faces)
     if source.sign * target.sign == -1:
@@ -118,19 +94,7 @@ def check_facing(
 ) -> None:
     """Refuse a target that faces away from the source that was fitted to it, where one of them has no outside.
 
-    Parameters
-    ----------
-    registered : (V, 3) float
-        The source, deformed to lie on the target.
-    source_faces : (F, 3) int
-        Its triangles.
-    target_points, target_faces : (V', 3) float and (F', 3) int
-        The target.
-
-    Raises
-    ------
-    SettingsError
-        If most of the target, by area, faces the other way than what is closest.
+    Shapes: registered ``(V, 3)``; source_faces ``(F, 3)``; target_points, target_faces ``(V', 3)``.
     """
     if orientation(registered, source_faces).sign * orientation(target_points, target_faces).sign != 0:
         return  # `check_orientation` knows better

@@ -64,33 +64,21 @@ ALIKE = 2.5
 
 @dataclass(frozen=True, eq=False)
 class Exchanges:
-    """How well two markers fit as they are and with their targets exchanged, for all pairs of markers.
+    """How well two markers fit as they are and with their targets exchanged, for all pairs of markers."""
 
-    Attributes
-    ----------
-    first, second : (m,) int64
-        The markers.
-    straight, exchanged : (m,) float64
-        Root mean square distance of both from where the others say that they should be: as they are, and exchanged.
-    """
-
-    first: Index
-    second: Index
+    first: Index  # (m,) the markers
+    second: Index  # (m,) the markers
+    # (m,) root mean square distance of both from where the others say that they should be: as they are, and exchanged.
     straight: Float
+    # (m,) root mean square distance of both from where the others say that they should be: as they are, and exchanged.
     exchanged: Float
 
 
 @dataclass(frozen=True, eq=False)
 class Bending:
-    """The bending energy of thin-plate splines through fixed sources.
+    """The bending energy of thin-plate splines through fixed sources."""
 
-    Attributes
-    ----------
-    matrix : (n, n) float64
-        The matrix B above.
-    """
-
-    matrix: Float
+    matrix: Float  # (n, n) the matrix B above
 
     @classmethod
     def of(cls, sources: Float, slack: float = SLACK) -> Self:
@@ -101,19 +89,7 @@ class Bending:
         return cls(np.asarray(free @ np.linalg.solve(free.T @ kernel @ free, free.T)))
 
     def left_out(self, targets: Float) -> tuple[Float, Float]:
-        """Leave out every marker in turn.
-
-        Parameters
-        ----------
-        targets : (n, 3) float64
-
-        Returns
-        -------
-        distances : (n,) float64
-            From where the others say that it should be.
-        surprises : (n,) float64
-            Square roots of the energy that this costs: distances that count less where the others are far away.
-        """
+        """Leave out every marker in turn: targets ``(n, 3)``; result ``(n,)``, ``(n,)``."""
         force = np.linalg.norm(self.matrix @ targets, axis=1)
         own = np.diag(self.matrix)
         known = own > _NO_SUPPORT * own.mean()
@@ -139,20 +115,7 @@ def _mean_size(a: Float, b: Float) -> Float:
 
 
 def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, float, float]]:
-    """Find markers whose targets seem exchanged, the most striking first.
-
-    Parameters
-    ----------
-    bending : Bending
-        Of the sources ``(n, 3)``, which are normalised: centred, with a root mean square distance of 1 from there.
-    target : (n, 3) float64
-        The targets, normalised.
-
-    Returns
-    -------
-    list of (int, int, float, float)
-        Two markers, and how far they are from where they should be: as they are, and exchanged.
-    """
+    """Find markers whose targets seem exchanged, the most striking first: target ``(n, 3)``."""
     target, found = target.copy(), []
     for _ in range(min(len(target) // 4, MOST_FOUND)):
         pairs = bending.exchanges(target)
@@ -172,15 +135,7 @@ def exchanged_pairs(bending: Bending, target: Float) -> list[tuple[int, int, flo
 def wrong_markers(source: Float, target: Float) -> list[tuple[int, float, float]]:
     """Find markers far from where the others say that they should be, the most striking first.
 
-    Parameters
-    ----------
-    source, target : (n, 3) float64
-        Normalised, as for `exchanged_pairs`.
-
-    Returns
-    -------
-    list of (int, float, float)
-        A marker, its distance, and how much energy that takes: the square root, in medians of all.
+    Shapes: source, target ``(n, 3)``.
     """
     kept, found = np.arange(len(source)), []
     for _ in range(min(len(source) // 4, MOST_FOUND)):
@@ -210,19 +165,7 @@ def groups(points: Float) -> list[Index]:
 def exchanged_groups(bending: Bending, source: Float, target: Float) -> tuple[Index, Index, float, float]:
     """Find the two groups that exchanging brings closest to where the other markers say that they should be.
 
-    Parameters
-    ----------
-    bending : Bending
-        Of the sources.
-    source, target : (n, 3) float64
-        The markers.
-
-    Returns
-    -------
-    first, second : (a,) and (b,) int64
-        The groups; empty if there are no two.
-    straight, exchanged : float
-        Root mean square distance of both centres from where they should be, as they are and exchanged.
+    Shapes: source, target ``(n, 3)``; result ``(a,)``.
     """
     matrix, force = bending.matrix, bending.matrix @ target
     best = np.zeros(0, np.int64), np.zeros(0, np.int64), 1.0, 1.0

@@ -33,37 +33,19 @@ _BEGINNING = 3  # minimisations with markers alone, ours: similarities follow fr
 
 @dataclass(frozen=True)
 class RegistrationSettings:
-    """How a source is registered. All values are ours, tried on horse to camel and cat to lion; none is critical.
+    """How a source is registered. All values are ours, tried on horse to camel and cat to lion; none is critical."""
 
-    Attributes
-    ----------
-    stiffest, softest : float
-        First and last stiffness.
-    steps : int
-        Number of stiffnesses, evenly spaced in their logarithm.
-    rounds : int
-        How often closest points are sought at every stiffness.
-    bending : float
-        Length over which maps are alike, in diagonals of the target.
-    shear : float
-        Weight of similarities against affine maps.
-    markers : float
-        Weight of all markers together; that of either surface is 1.
-    largest_angle : float
-        Closest points whose normals differ by more, in degrees, do not count.
-    largest_distance, last_distance : float
-        Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
-    """
-
-    stiffest: float = 1.0
-    softest: float = 1e-5
-    steps: int = 10
-    rounds: int = 2
-    bending: float = 0.1
-    shear: float = 0.1
-    markers: float = 1.0
-    largest_angle: float = 60.0
+    stiffest: float = 1.0  # first and last stiffness
+    softest: float = 1e-5  # first and last stiffness
+    steps: int = 10  # number of stiffnesses, evenly spaced in their logarithm
+    rounds: int = 2  # how often closest points are sought at every stiffness
+    bending: float = 0.1  # length over which maps are alike, in diagonals of the target
+    shear: float = 0.1  # weight of similarities against affine maps
+    markers: float = 1.0  # weight of all markers together; that of either surface is 1
+    largest_angle: float = 60.0  # closest points whose normals differ by more, in degrees, do not count
+    # Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
     largest_distance: float = 0.1
+    # Nor those that are farther, in diagonals of the target, at the first and the last stiffness.
     last_distance: float = 0.02
 
     def __post_init__(self) -> None:
@@ -80,20 +62,12 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A source that was deformed to lie on a target.
+    """A source that was deformed to lie on a target."""
 
-    Attributes
-    ----------
-    points : (V, 3) float64
-        The source's vertices, deformed, in the target's unit.
-    similarity : Similarity
-        The motion and scaling that it began with.
-    residuals : (steps * rounds,) float64
-        Root mean square of the distances of source vertices to what drew them, in diagonals of the target.
-    """
-
-    points: Float
-    similarity: Similarity
+    points: Float  # (V, 3) the source's vertices, deformed, in the target's unit
+    similarity: Similarity  # the motion and scaling that it began with
+    # (steps * rounds,) root mean square of the distances of source vertices to what drew them, in diagonals of the
+    # target.
     residuals: Float
 
 
@@ -120,11 +94,6 @@ def register(
         How it is done.
     progress : callable
         Told every minimisation.
-
-    Raises
-    ------
-    SettingsError
-        If the markers of either mesh are all in one place.
     """
     settings = RegistrationSettings() if settings is None else settings
     similarity = fit_similarity(source.points[markers.source], target.points[markers.target])
@@ -168,27 +137,14 @@ def _with_the_rest(source: TriangleMesh, vertices: Index, points: Float, maps: F
 
 @dataclass(frozen=True, eq=False)
 class DataTerm:
-    """The components of a source that are fitted, as a mesh of their own, and what draws them to the target.
+    """The components of a source that are fitted, as a mesh of their own, and what draws them to the target."""
 
-    Attributes
-    ----------
-    vertices : (n,) int64
-        Its vertices, ascending, as numbered in the source.
-    mesh : TriangleMesh
-        That mesh before it is deformed.
-    target : TriangleMesh
-        The target.
-    pairings : tuple of Pairing
-        What belongs together, with the source's vertices and triangles numbered as in that mesh.
-    markers : SoftConstraints
-        The markers.
-    """
-
-    vertices: Index
-    mesh: TriangleMesh
-    target: TriangleMesh
+    vertices: Index  # (n,) its vertices, ascending, as numbered in the source
+    mesh: TriangleMesh  # that mesh before it is deformed
+    target: TriangleMesh  # the target
+    # What belongs together, with the source's vertices and triangles numbered as in that mesh.
     pairings: tuple[Pairing, ...]
-    markers: SoftConstraints
+    markers: SoftConstraints  # the markers
 
     @classmethod
     def of(
@@ -236,23 +192,7 @@ class DataTerm:
     def constraints(
         self, points: Float, largest_angle: float, reach: float
     ) -> tuple[list[SoftConstraints], float]:
-        """Find what draws the mesh where it is now: the markers, and closest points both ways.
-
-        Parameters
-        ----------
-        points : (n, 3) float64
-            Where its vertices are now.
-        largest_angle : float
-            Largest angle between normals, in degrees.
-        reach : float
-            Largest distance.
-
-        Returns
-        -------
-        constraints : list of SoftConstraints
-        residual : float
-            Root mean square distance of the mesh's vertices, by area, from what draws them; 0 if nothing does.
-        """
+        """Find what draws the mesh where it is now: the markers, and closest points both ways; points ``(n, 3)``."""
         moved, target = TriangleMesh(points, self.mesh.topology), self.target
         own_areas, areas = self._areas
         result, squares, total = [self.markers], 0.0, 0.0

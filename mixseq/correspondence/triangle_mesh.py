@@ -15,18 +15,10 @@ from mixseq.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """A triangle mesh in one pose.
+    """A triangle mesh in one pose."""
 
-    Attributes
-    ----------
-    points : (V, 3) float64
-        Vertices.
-    topology : Topology
-        Its faces.
-    """
-
-    points: Float
-    topology: Topology
+    points: Float  # (V, 3) vertices
+    topology: Topology  # its faces
 
     @cached_property
     def faces(self) -> Index:
@@ -95,18 +87,7 @@ class TriangleMesh:
     def nearest_by_component(self, vertices: Index, among: Index) -> Index:
         """Find the vertices that are nearest to whole components.
 
-        Parameters
-        ----------
-        vertices : (n,) int64
-            Vertices of some components, ascending.
-        among : (m,) int64
-            Vertices of other components, at least one.
-
-        Returns
-        -------
-        (n,) int64
-            For each vertex the one of the others that is nearest to any of the given vertices of its component; of
-            equals that of the lowest of these.
+        Shapes: vertices ``(n,)``; among ``(m,)``; result ``(n,)``.
         """
         from scipy.spatial import cKDTree
 
@@ -142,18 +123,10 @@ class TriangleMesh:
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """Finds the closest points on some triangles of a mesh.
+    """Finds the closest points on some triangles of a mesh."""
 
-    Attributes
-    ----------
-    mesh : TriangleMesh
-        The mesh.
-    triangles : (n,) int64
-        Its triangles that count.
-    """
-
-    mesh: TriangleMesh
-    triangles: Index
+    mesh: TriangleMesh  # the mesh
+    triangles: Index  # (n,) its triangles that count
 
     @cached_property
     def _nearest(self) -> Nearest:
@@ -162,14 +135,7 @@ class ClosestPoints:
     def query(self, points: Float, normals: Float | None = None, largest_angle: float = 90.0) -> Found:
         """Find closest points, where the mesh faces the same way; triangles are numbered as in the mesh.
 
-        Parameters
-        ----------
-        points : (n, 3) float64
-            What they shall be close to.
-        normals : (n, 3) float64, optional
-            Unit normals there; without them any direction counts.
-        largest_angle : float
-            Largest angle between the normals, in degrees.
+        Shapes: points ``(n, 3)``; normals ``(n, 3)``.
         """
         found = self._nearest.query(points, normals, largest_angle)
         return Found(

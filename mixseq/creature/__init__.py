@@ -89,17 +89,7 @@ def skin_weights(points: Float, faces: Index) -> Float:
     A vertex belongs to the nearest bone; diffusion over the mesh softens the borders. It spreads along the
     surface, so that a leg never feels the other leg, and by `SOFTNESS` edges at most.
 
-    Parameters
-    ----------
-    points : (V, 3) float64
-        Rest pose.
-    faces : (F, 3) int64
-        Triangles.
-
-    Returns
-    -------
-    (V, B) float64
-        Rows add up to one.
+    Shapes: points ``(V, 3)``; faces ``(F, 3)``; result ``(V, B)``.
     """
     weights: Float = np.eye(len(NAMES))[np.argmin(bone_distances(points), axis=1)]
     mean = neighbour_mean(faces, len(points))

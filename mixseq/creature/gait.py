@@ -92,20 +92,7 @@ SWINGS = (
 
 
 def pose(phase: Float) -> tuple[Float, Float]:
-    """Pose the skeleton.
-
-    Parameters
-    ----------
-    phase : (T,) float64
-        Position in the cycle, of period 1.
-
-    Returns
-    -------
-    rotations : (T, B, 3, 3) float64
-        World rotation of each bone away from its rest pose.
-    heads : (T, B, 3) float64
-        World position of each bone's head, in metres.
-    """
+    """Pose the skeleton: phase ``(T,)``; result ``(T, B, 3, 3)``, ``(T, B, 3)``."""
     turns = np.tile(np.eye(3), (len(phase), len(NAMES), 1, 1))
     for swing in SWINGS:
         angle = np.radians(swing.degrees) * np.cos(2 * np.pi * (swing.cycles * phase - swing.delay))
@@ -123,20 +110,7 @@ def pose(phase: Float) -> tuple[Float, Float]:
 
 
 def paw_path(phase: Float) -> tuple[Float, Float, Float]:
-    """Path of a paw that lands at phase 0.
-
-    Parameters
-    ----------
-    phase : (T,) float64
-        Position in the cycle, of period 1.
-
-    Returns
-    -------
-    forward, height : (T,) float64
-        Position of the toes, in metres from where they rest.
-    pitch : (T,) float64
-        Angle of the sole in radians; negative when the heel is up.
-    """
+    """Path of a paw that lands at phase 0: phase ``(T,)``; result ``(T,)``, ``(T,)``."""
     phase = phase % 1.0
     air = np.clip((phase - DUTY) / (1 - DUTY), 0, 1)
     # in the air a cubic that leaves and lands at the speed of the ground
@@ -189,18 +163,7 @@ def _place_leg(leg: Leg, phase: Float, rotations: Float, heads: Float) -> None:
 def _reach(hip: Float, ankle: Float, rest: Float) -> tuple[Float, Float]:
     """Find the knee between a hip and an ankle.
 
-    Parameters
-    ----------
-    hip, ankle : (T, 3) float64
-        Where the ends of the two bones are.
-    rest : (3, 3) float64
-        Hip, knee and ankle in the rest pose; they tell the lengths and to which side the knee bends.
-
-    Returns
-    -------
-    knee : (T, 3) float64
-    side : (T, 3) float64
-        Unit normal of the plane of the leg: the direction of +z, made perpendicular to the leg.
+    Shapes: hip, ankle ``(T, 3)``; rest ``(3, 3)``; result ``(T, 3)``, ``(T, 3)``.
     """
     thigh, shank = np.linalg.norm(np.diff(rest, axis=0), axis=1)
     span = np.linalg.norm(ankle - hip, axis=1, keepdims=True)

@@ -105,15 +105,7 @@ def bone_distances(points: Float) -> Float:
     The hull of two balls is a cone with round ends. Of the balls along its axis, the one that is nearest to a
     point lies off the foot of the perpendicular by the slope of the cone, towards the thicker end.
 
-    Parameters
-    ----------
-    points : (..., 3) float64
-        Points in the rest pose, metres.
-
-    Returns
-    -------
-    (..., B) float64
-        Negative inside, in metres.
+    Shapes: points ``(..., 3)``; result ``(..., B)``.
     """
     radius = np.array([bone.head_radius for bone in BONES])
     sine = (radius - np.array([bone.tail_radius for bone in BONES])) / LENGTHS
@@ -128,15 +120,7 @@ def bone_distances(points: Float) -> Float:
 def body_distance(points: Float) -> Float:
     """Implicit function of the whole fox: the bones' flesh, melted together where it meets.
 
-    Parameters
-    ----------
-    points : (..., 3) float64
-        Points in the rest pose, metres.
-
-    Returns
-    -------
-    (...) float64
-        Negative inside; close to a distance near the surface, in metres.
+    Shapes: points ``(..., 3)``; result ``(...)``.
     """
     first, *others = np.moveaxis(bone_distances(points), -1, 0)
     body: Float = first

@@ -20,25 +20,7 @@ Implicit = Callable[[Float], Float]
 def polygonise(
     implicit: Implicit, low: Float, high: Float, cell: float, rounds: int = 6
 ) -> tuple[Float, Index]:
-    """Mesh the zero set of a function.
-
-    Parameters
-    ----------
-    implicit : (..., 3) -> (...)
-        Negative inside, close to a signed distance near its zero set.
-    low, high : (3,) float64
-        A box that encloses the shape with at least a cell to spare.
-    cell : float
-        Grid spacing, about the length of an edge.
-    rounds : int
-        Relaxation steps.
-
-    Returns
-    -------
-    points : (V, 3) float64
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    """
+    """Mesh the zero set of a function: implicit ``(..., 3)``; low, high ``(3,)``; result ``(V, 3)``, ``(F, 3)``."""
     shape = np.ceil((high - low) / cell).astype(int) + 1
     origin = (low + high - (shape - 1) * cell) / 2  # centred: a symmetric shape gets a symmetric mesh
     lattice = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
@@ -49,19 +31,7 @@ def polygonise(
 
 
 def surface_nets(values: Float) -> tuple[Float, Index]:
-    """Quads of the zero set of grid values.
-
-    Parameters
-    ----------
-    values : (X, Y, Z) float64
-        Samples, negative inside; the boundary of the grid is outside.
-
-    Returns
-    -------
-    points : (V, 3) float64
-        In grid units: the mean of the points where the surface cuts the edges of a cell.
-    quads : (Q, 4) int64
-    """
+    """Quads of the zero set of grid values: values ``(X, Y, Z)``; result ``(V, 3)``, ``(Q, 4)``."""
     cuts, rings = [], []
     for axis in range(3):
         u, v = np.eye(3, dtype=np.int64)[[(axis + 1) % 3, (axis + 2) % 3]]

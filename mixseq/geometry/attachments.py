@@ -17,47 +17,20 @@ from mixseq.arrays import Float, Index
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
-    """A tree of pieces: each but the root is attached to another one at a vertex.
+    """A tree of pieces: each but the root is attached to another one at a vertex."""
 
-    Attributes
-    ----------
-    root : int
-        The piece that holds all others.
-    pieces : (n,) int64
-        The others, each after the piece that holds it.
-    own, other : (n,) int64
-        The vertex by which each is held, and the one that holds it.
-    holders : (n,) int64
-        The piece of that vertex.
-    """
-
-    root: int
-    pieces: Index
-    own: Index
-    other: Index
-    holders: Index
+    root: int  # the piece that holds all others
+    pieces: Index  # (n,) the others, each after the piece that holds it
+    own: Index  # (n,) the vertex by which each is held, and the one that holds it
+    other: Index  # (n,) the vertex by which each is held, and the one that holds it
+    holders: Index  # (n,) the piece of that vertex
 
     def __len__(self) -> int:
         return len(self.pieces)
 
 
 def attach(pieces: Sequence[Index], points: Float, leaders: Index) -> Attachments:
-    """Attach every piece of a mesh but the largest to another one.
-
-    Parameters
-    ----------
-    pieces : sequence of (n_k,) int64
-        Vertices of every piece.
-    points : (V, 3) float64
-        The mesh at rest.
-    leaders : (V,) int64
-        The vertex that each vertex follows, itself if none.
-
-    Returns
-    -------
-    Attachments
-        The piece with the largest bounding box that follows nobody is the root.
-    """
+    """Attach every piece of a mesh but the largest to another one: points ``(V, 3)``; leaders ``(V,)``."""
     led = np.array([bool((leaders[each] != each).all()) for each in pieces])
     sizes = np.array([np.linalg.norm(np.ptp(points[each], axis=0)) for each in pieces])
     root = int(np.argmax(np.where(led, -1.0, sizes)))

@@ -27,13 +27,7 @@ NO_AREA = 1e-12
 
 
 def corners_of(points: FloatArray, faces: IntArray) -> Float:
-    """Return the corners ``(F, 3, 3)`` of the triangles ``(F, 3)`` of points ``(V, 3)``.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the shapes are others, a triangle names a vertex that is not there, or one of its corners is not finite.
-    """
+    """Return the corners ``(F, 3, 3)`` of the triangles ``(F, 3)`` of points ``(V, 3)``."""
     points, faces = np.asarray(points, dtype=np.float64), np.asarray(faces)
     if points.ndim != 2 or points.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise InvalidSequenceError(
@@ -75,20 +69,11 @@ def unit_normals(corners: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
-    """Triangles in boxes in boxes.
+    """Triangles in boxes in boxes."""
 
-    Attributes
-    ----------
-    order : (F,) int64
-        Triangle at every place of the tree.
-    firsts : (L + 1,) int64
-        First place of every leaf, and F.
-    boxes : (2 L, 6) float64
-        Least x, y, z and largest x, y, z of every node; infinite and minus infinite where a node is empty.
-    """
-
-    order: Index
-    firsts: Index
+    order: Index  # (F,) triangle at every place of the tree
+    firsts: Index  # (L + 1,) first place of every leaf, and F
+    # (2 L, 6) least x, y, z and largest x, y, z of every node; infinite and minus infinite where a node is empty.
     boxes: Float
 
     @classmethod

@@ -19,22 +19,7 @@ def self_intersections(points: FloatArray, faces: IntArray) -> Index:
     one plane. Neither do triangles without area. Corners are in common also if they are different vertices at the
     same place, as at seams.
 
-    Parameters
-    ----------
-    points : (V, 3) float
-        Points.
-    faces : (F, 3) int
-        Triangles.
-
-    Returns
-    -------
-    (k, 2) int64
-        Numbers i < j of the triangles, in lexicographic order.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If points and faces are no triangle mesh, or a corner is not finite.
+    Shapes: points ``(V, 3)``; faces ``(F, 3)``; result ``(k, 2)``.
 
     Examples
     --------

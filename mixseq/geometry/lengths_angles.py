@@ -125,17 +125,7 @@ def wrap(angles: FloatArray) -> Float:
 def unwrap_angles(angles: FloatArray, reference: FloatArray | None = None) -> Float:
     """Add whole turns so that each angle stays within half a turn of the frame before.
 
-    Parameters
-    ----------
-    angles : (T, H) float
-        Angles in radians, frame by frame.
-    reference : (H,) float, optional
-        What the first frame follows; without it the first frame stays as it is.
-
-    Returns
-    -------
-    (T, H) float64
-        The same angles modulo one turn, without jumps. Linear operations are meaningful only on these.
+    Shapes: angles ``(T, H)``; reference ``(H,)``; result ``(T, H)``.
 
     Examples
     --------

@@ -20,57 +20,30 @@ ROUNDING = 1e-12  # of cosines, so that angles of 0 and 180 degrees count what t
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Closest points of a mesh.
+    """Closest points of a mesh."""
 
-    Attributes
-    ----------
-    faces : (n,) int64
-        Their triangles; -1 where there is none: no triangle faces the same way, or the mesh is empty.
-    weights : (n, 3) float64
-        Their barycentric coordinates, in [0, 1] and adding to one; 0 where there is none.
-    distances : (n,) float64
-        Their distances from the queries, in the unit of the points; infinite where there is none.
-    """
-
-    faces: Index
-    weights: Float
-    distances: Float
+    faces: Index  # (n,) their triangles; -1 where there is none: no triangle faces the same way, or the mesh is empty
+    weights: Float  # (n, 3) their barycentric coordinates, in [0, 1] and adding to one; 0 where there is none
+    distances: Float  # (n,) their distances from the queries, in the unit of the points; infinite where there is none
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """A triangle mesh that can be asked for its closest points.
+    """A triangle mesh that can be asked for its closest points."""
 
-    Attributes
-    ----------
-    tree : BoxTree
-        Boxes around the triangles.
-    corners : (F, 3, 3) float64
-        Corners of the triangles, in the order of the tree, and those of a triangle by x, y, z: triangles that share
-        a side run along it the same way, seams or not, and compute the same bits, so that ties are ties.
-    sorting : (F, 3) int64
-        Which corner of triangle f (in the mesh's order) comes first, second, third in that.
-    normals : (F, 3) float64
-        Unit normals in the order of the tree, NaN where a triangle has no area.
-    bounds : (2 L, 6) float64
-        Least and largest x, y, z of the normals in every node of the tree.
-    """
-
-    tree: BoxTree
+    tree: BoxTree  # boxes around the triangles
+    # (F, 3, 3) corners of the triangles, in the order of the tree, and those of a triangle by x, y, z: triangles that
+    # share a side run along it the same way, seams or not, and compute the same bits, so that ties are ties.
     corners: Float
-    sorting: Index
-    normals: Float
-    bounds: Float
+    sorting: (
+        Index  # (F, 3) which corner of triangle f (in the mesh's order) comes first, second, third in that
+    )
+    normals: Float  # (F, 3) unit normals in the order of the tree, NaN where a triangle has no area
+    bounds: Float  # (2 L, 6) least and largest x, y, z of the normals in every node of the tree
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Nearest:
-        """Prepare the mesh of triangles ``(F, 3)`` of points ``(V, 3)``.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If they are no triangle mesh, or a corner is not finite.
-        """
+        """Prepare the mesh of triangles ``(F, 3)`` of points ``(V, 3)``."""
         corners = corners_of(points, faces)
         tree = BoxTree.of(corners)
         sorting = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=-1)
@@ -81,28 +54,7 @@ class Nearest:
     def query(
         self, queries: FloatArray, normals: FloatArray | None = None, largest_angle: float = 90.0
     ) -> Found:
-        """Find the closest points.
-
-        Parameters
-        ----------
-        queries : (n, 3) float
-            Points.
-        normals : (n, 3) float, optional
-            Directions, of any length: only triangles whose normal (counter-clockwise, from outside) is within the
-            largest angle count, and none for a direction of length 0. By default all count, also those without area,
-            as segments or points.
-        largest_angle : float
-            In degrees, from 0 to 180.
-
-        Returns
-        -------
-        Found
-            Of several equally close triangles the first of the mesh.
-
-        Raises
-        ------
-        SettingsError
-            If shapes do not fit, a query is not finite, or the angle is outside its range.
+        """Find the closest points: queries ``(n, 3)``; normals ``(n, 3)``.
 
         Examples
         --------

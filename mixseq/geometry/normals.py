@@ -43,19 +43,7 @@ def shared_normals(
 ) -> NDArray[np.float32]:
     """Return one normal per group of corners.
 
-    Parameters
-    ----------
-    points : (T, V, 3) float
-        Frames.
-    polygons : Polygons
-        Faces, counter-clockwise seen from outside.
-    groups : (sum of counts,) int, optional
-        Group of every corner, from 0 on; by default the corner's vertex.
-
-    Returns
-    -------
-    (T, G, 3) float32
-        Unit vectors; (0, 0, 1) where a group has no area.
+    Shapes: points ``(T, V, 3)``; groups ``(sum of counts,)``; result ``(T, G, 3)``.
     """
     of_corner = polygons.indices if groups is None else groups
     count = points.shape[1] if groups is None else int(of_corner.max(initial=-1)) + 1
@@ -81,17 +69,7 @@ def _of_triangles(points: FloatArray, polygons: Polygons) -> NDArray[np.float64]
 def hard_edges_of_normals(polygons: Polygons, normals: FloatArray) -> NDArray[np.int32] | None:
     """Find which corners share a normal: those of one vertex whose authored normals are equal.
 
-    Parameters
-    ----------
-    polygons : Polygons
-        Faces.
-    normals : (sum of counts, 3) float
-        The authored normal of every corner, in one frame.
-
-    Returns
-    -------
-    (sum of counts,) int32, or None
-        Group of every corner, see `shared_normals`; None if every vertex has a single normal.
+    Shapes: normals ``(sum of counts, 3)``; result ``(sum of counts,)``.
     """
     # To three digits: exporters recompute normals of one vertex face by face.
     keys = np.column_stack([polygons.indices, np.rint(normals * 1e3).astype(np.int64)])

@@ -13,13 +13,7 @@ _FRAMES = 256  # compared at once with all frames
 
 
 def nearest_rotations(matrices: FloatArray) -> Float:
-    """Return the rotations ``(..., 3, 3)`` nearest to the given matrices in the Frobenius norm.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If an entry is not finite.
-    """
+    """Return the rotations ``(..., 3, 3)`` nearest to the given matrices in the Frobenius norm."""
     return _nearest(np.asarray(matrices, dtype=np.float64), held=-1.0)
 
 
@@ -44,24 +38,7 @@ def _nearest(matrices: Float, held: float) -> Float:
 def kabsch(source: FloatArray, target: FloatArray, weights: FloatArray | None = None) -> tuple[Float, Float]:
     """Find the rigid motions ``x -> R x + t`` that best move a point set onto others (Kabsch 1976).
 
-    Parameters
-    ----------
-    source : (..., N, 3) float
-        Points to move.
-    target : (..., N, 3) float
-        Where they should go; leading dimensions broadcast, so that one source meets many targets.
-    weights : (N,) float, optional
-        Weight of every point.
-
-    Returns
-    -------
-    rotation : (..., 3, 3) float64
-    translation : (..., 3) float64
-
-    Notes
-    -----
-    Fewer than three points, or points on a line, leave a rotation free; then the one closest to the identity
-    is taken, by a term too small to matter elsewhere.
+    Shapes: source ``(..., N, 3)``; target ``(..., N, 3)``; weights ``(N,)``; result ``(..., 3, 3)``, ``(..., 3)``.
 
     Examples
     --------
@@ -91,25 +68,7 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
 
     This is generalised Procrustes analysis without scale.
 
-    Parameters
-    ----------
-    points : (T, N, 3) float
-        One point set, frame by frame.
-    sweeps : int
-        At most this many rounds of aligning all frames to the mean.
-    tolerance : float
-        Stop when the mean moves by less than this, relative to its size.
-
-    Returns
-    -------
-    (N, 3) float64
-        Mean shape, centred, oriented like the first frame. Aligning every frame to it minimises the squared
-        differences between all pairs of aligned frames (Williams and Bennamoun 2000, for complete overlap).
-
-    Notes
-    -----
-    The mean is a sum of the frames, each multiplied by a 3x3 matrix, so the rounds need only the products of all pairs
-    of coordinates over the points, ``(3T, 3T)``; the points are looked at twice.
+    Shapes: points ``(T, N, 3)``; result ``(N, 3)``.
     """
     count = points.shape[1]
     centres = points.mean(axis=1, dtype=np.float64)
@@ -142,17 +101,7 @@ def mean_shape(points: FloatArray, sweeps: int = 50, tolerance: float = 1e-10) -
 
 
 def bend(first: FloatArray, second: FloatArray) -> float:
-    """How far two moving bodies turn against each other.
-
-    Parameters
-    ----------
-    first, second : (T, 3, 3) float
-        Their rotations, frame by frame.
-
-    Returns
-    -------
-    float
-        Largest angle in degrees between their relative rotations in any two frames.
+    """How far two moving bodies turn against each other: first, second ``(T, 3, 3)``.
 
     Examples
     --------

@@ -47,16 +47,7 @@ def _orthogonalise(a: Float, v: Float) -> None:
 
 @compiled
 def nearest(matrices: Float, held: float) -> Float:
-    """Return the rotations ``(N, 3, 3)`` nearest to matrices.
-
-    Parameters
-    ----------
-    matrices : (N, 3, 3) float64
-        The matrices.
-    held : float
-        Where the second singular value is at most so much of the first, the rotation is free about an axis, and the one
-        near the identity is taken; negative takes any.
-    """
+    """Return the rotations ``(N, 3, 3)`` nearest to matrices."""
     result = np.empty_like(matrices)
     a, v = np.empty((3, 3)), np.empty((3, 3))
     sizes, u, w = np.empty(3), np.empty(3), np.empty(3)

@@ -100,15 +100,7 @@ def exponentials(vectors: FloatArray) -> Float:
 
 
 def continued(quaternions: FloatArray, reference: FloatArray | None = None) -> Float:
-    """Return the quaternions ``(T, ..., 4)`` of a sequence with signs that do not jump.
-
-    Parameters
-    ----------
-    quaternions : (T, ..., 4) float
-        Frame by frame, of any sign.
-    reference : (..., 4) float, optional
-        What the first frame stays near to; by default it keeps its sign.
-    """
+    """Return the quaternions ``(T, ..., 4)`` of a sequence with signs that do not jump: reference ``(..., 4)``."""
     q = np.array(quaternions, dtype=np.float64)
     before = q[:1] if reference is None else np.asarray(reference)[None]
     cosines = np.einsum("t...i,t...i->t...", q, np.concatenate([before, q[:-1]]))
@@ -120,10 +112,7 @@ def spins(quaternions: FloatArray, rates: FloatArray) -> Float:
 
     .. math:: \omega = 2\, \mathrm{Im}(\dot q\, \bar q) / |q|^2
 
-    Parameters
-    ----------
-    quaternions, rates : (..., 4) float
-        Quaternions of any length, and their derivatives by time.
+    Shapes: quaternions, rates ``(..., 4)``.
     """
     squares = np.einsum("...i,...i->...", quaternions, quaternions)[..., None]
     return np.asarray(
@@ -153,17 +142,7 @@ def vectors(rotations: FloatArray) -> Float:
 def continuous_vectors(rotations: FloatArray, reference: FloatArray | None = None) -> Float:
     """Return rotation vectors that follow a sequence of rotations without jumps.
 
-    Parameters
-    ----------
-    rotations : (T, ..., 3, 3) float
-        Rotation matrices, frame by frame.
-    reference : (..., 3) float, optional
-        Rotation vectors that the first frame stays close to; the shortest branch without it.
-
-    Returns
-    -------
-    (T, ..., 3) float64
-        Rotation vectors; each is the branch of the logarithm nearest to the frame before.
+    Shapes: rotations ``(T, ..., 3, 3)``; reference ``(..., 3)``; result ``(T, ..., 3)``.
     """
     return unwrap(vectors(rotations), reference)
 

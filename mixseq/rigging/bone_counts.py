@@ -32,19 +32,7 @@ def fewest_bones(
     wanted: float,
     most: int,
 ) -> tuple[Skin, float]:
-    """Return a skin with the fewest bones that reaches an error, to within a tenth, and the error that it has.
-
-    Parameters
-    ----------
-    roughly, free : callable
-        Error of so many free bones, after some rounds and after all.
-    hung : callable
-        Hangs them into a tree; the skin, and its error.
-    wanted : float
-        The error.
-    most : int
-        Number of bones at most; a skin of so many is returned if none is good enough.
-    """
+    """Return a skin with the fewest bones that reaches an error, to within a tenth, and the error that it has."""
     few, enough, left, tries = 0, most + 1, _CONVERGED, 0
     best: tuple[Skin, float] | None = None
     tried: tuple[Skin, float] | None = None

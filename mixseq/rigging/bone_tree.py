@@ -30,24 +30,7 @@ _FAR = 1.0  # diagonals that a joint without touch counts as apart
 
 
 def bone_tree(faces: Index, binding: Binding, motions: Float) -> tuple[Index, Joints]:
-    """Find the tree of bones.
-
-    Parameters
-    ----------
-    faces : (F, 3) int64
-        Triangles.
-    binding : Binding
-        How vertices follow the bones, in diagonals; every bone has vertices.
-    motions : (B, 4, 3T) float64
-        Transposed motions of the bones.
-
-    Returns
-    -------
-    order : (B,) int64
-        The bones in an order with parents before children, children of a bone next to each other.
-    joints : Joints
-        Of the bones in that order; only the root slides.
-    """
+    """Find the tree of bones: faces ``(F, 3)``; motions ``(B, 4, 3T)``; result ``(B,)``."""
     bones, frames = len(motions), motions.shape[2] // 3
     weights = _weights(binding, bones)
     mass = np.asarray(weights.sum(axis=0), dtype=np.float64).reshape(-1)

@@ -17,24 +17,12 @@ from mixseq.sequence import Frames, SequenceHeader, bounding_diagonal
 
 @dataclass(frozen=True, eq=False)
 class Centred:
-    """A sequence and where its frames are.
+    """A sequence and where its frames are."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    points : (T, V, 3) float64
-        In the file's units.
-    centres : (T, 3) float64
-        Mean of the points of every frame.
-    diagonal : float
-        That of the first frame, or one.
-    """
-
-    header: SequenceHeader
-    points: Float
-    centres: Float
-    diagonal: float
+    header: SequenceHeader  # mesh and times
+    points: Float  # (T, V, 3) in the file's units
+    centres: Float  # (T, 3) mean of the points of every frame
+    diagonal: float  # that of the first frame, or one
 
     @classmethod
     def of(cls, sequence: Frames) -> Centred:
@@ -54,19 +42,7 @@ class Centred:
         return np.ascontiguousarray(self.frames.swapaxes(0, 1).reshape(self.header.vertex_count, -1))
 
     def skin(self, binding: Binding, motions: Float, skeleton: Skeleton, origin: Float) -> Skin:
-        """Return a skin in the file's units.
-
-        Parameters
-        ----------
-        binding : Binding
-            How vertices follow the bones, in diagonals.
-        motions : (B, 4, 3T) float64
-            Transposed motions from there to the frames.
-        skeleton : Skeleton
-            The bones, in the file's units.
-        origin : (3,) float64
-            Where the origin of the rest positions is, in the file's units.
-        """
+        """Return a skin in the file's units: motions ``(B, 4, 3T)``; origin ``(3,)``."""
         order = np.argsort(-binding.weights, axis=1, kind="stable")
         weights = np.take_along_axis(binding.weights, order, axis=1)
         influences = np.take_along_axis(binding.influences, order, axis=1)

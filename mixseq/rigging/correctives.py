@@ -33,21 +33,11 @@ _RANK = 1e-14  # variances below this, relative to the largest, are rounding
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Displacements as a sum of targets.
+    """Displacements as a sum of targets."""
 
-    Attributes
-    ----------
-    shapes : (M, V, 3) float64
-        The targets.
-    weights : (T, M) float64
-        How much of every target.
-    error : float
-        Largest distance that is left, in the units of the displacements.
-    """
-
-    shapes: Float
-    weights: Float
-    error: float
+    shapes: Float  # (M, V, 3) the targets
+    weights: Float  # (T, M) how much of every target
+    error: float  # largest distance that is left, in the units of the displacements
 
 
 def principal_shapes(displacements: Float) -> tuple[Float, Float]:
@@ -70,17 +60,7 @@ def fit_targets(
 ) -> Targets:
     """Fit the fewest targets that bring all distances to a bound, or as many as allowed.
 
-    Parameters
-    ----------
-    displacements : (T, V, 3) float64
-        What targets are to add up to.
-    bound : float or None
-        Largest distance; None takes as many targets as allowed.
-    most : int or None
-        Number of targets at most; None takes as many as there are.
-    shown : callable
-        Tells what is left of a frame to be seen: of (frame, rest of its displacement ``(V, 3)``) it returns
-        the distances ``(V,)``.
+    Shapes: displacements ``(T, V, 3)``.
     """
     shapes, weights = principal_shapes(displacements)
     most = len(shapes) if most is None else min(most, len(shapes))
@@ -102,22 +82,7 @@ def fit_targets(
 def fit_correctives(skin: Skin, points: Float, bound: float, most: int) -> tuple[Skin, float]:
     """Add corrective targets to a skin until every vertex is within a bound, or there are `most`.
 
-    Parameters
-    ----------
-    skin : Skin
-        A skin, weights of a vertex decreasing; targets that it has are replaced.
-    points : (T, V, 3) float64
-        The sequence.
-    bound : float
-        Largest distance, in the units of the points.
-    most : int
-        Number of targets at most.
-
-    Returns
-    -------
-    skin : Skin
-    error : float
-        Largest distance that is left, in the units of the points.
+    Shapes: points ``(T, V, 3)``.
     """
     turns = rotation_matrices(skin.rotations)
     bare = replace(

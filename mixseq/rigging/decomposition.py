@@ -42,24 +42,7 @@ def free_bones(
 ) -> tuple[Binding, Float]:
     """Find weights, rest positions and motions of bones that know nothing of each other.
 
-    Parameters
-    ----------
-    tracks : (V, 3T) float64
-        Positions of every vertex, frame by frame; centred, in diagonals.
-    labels : (V,) int64
-        The bone that every vertex starts with.
-    most : int
-        Number of bones: those of the labels are merged if they are more, and others seeded if they are fewer.
-    rounds : int
-        At most so many rounds of weights and motions.
-    told : callable
-        Told how many of them are done.
-
-    Returns
-    -------
-    binding : Binding
-    motions : (B, 4, 3T) float64
-        Transposed motions of the bones.
+    Shapes: tracks ``(V, 3T)``; labels ``(V,)``; result ``(B, 4, 3T)``.
     """
     labels = merged(tracks, labels, most)
     rest = tracks[:, :3].copy()

@@ -25,46 +25,23 @@ ROUGH = 4
 
 @dataclass(frozen=True, eq=False)
 class FreeBones:
-    """Bones that know nothing of each other.
+    """Bones that know nothing of each other."""
 
-    Attributes
-    ----------
-    binding : Binding
-        How vertices follow them, in diagonals.
-    motions : (B, 4, 3T) float64
-        Their transposed motions.
-    errors : (float, float)
-        Largest distance from the sequence in diagonals, and KG error in percent.
-    """
-
-    binding: Binding
-    motions: Float
+    binding: Binding  # how vertices follow them, in diagonals
+    motions: Float  # (B, 4, 3T) their transposed motions
+    # (float, float) largest distance from the sequence in diagonals, and KG error in percent.
     errors: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class FoundBones:
-    """What finds bones in a sequence.
+    """What finds bones in a sequence."""
 
-    Attributes
-    ----------
-    sequence : Centred
-        The animation.
-    tracks : (V, 3T) float64
-        Its positions of every vertex, centred, in diagonals.
-    faces : (F, 3) int64
-        Triangles.
-    rounds : int
-        At most so many rounds of weights and motions.
-    progress : callable
-        Told how far a fit is.
-    """
-
-    sequence: Centred
-    tracks: Float
-    faces: Index
-    rounds: int
-    progress: Progress
+    sequence: Centred  # the animation
+    tracks: Float  # (V, 3T) its positions of every vertex, centred, in diagonals
+    faces: Index  # (F, 3) triangles
+    rounds: int  # at most so many rounds of weights and motions
+    progress: Progress  # told how far a fit is
 
     @classmethod
     def of(cls, sequence: Centred, rounds: int, progress: Progress) -> FoundBones:
@@ -72,15 +49,7 @@ class FoundBones:
         return cls(sequence, sequence.tracks, sequence.header.faces.astype(np.int64), rounds, progress)
 
     def free(self, bones: int | ArrayLike | None, rounds: int | None = None) -> FreeBones:
-        """Fit free bones: so many at most, or from the labels ``(F,)`` of triangles, or from parts by motion.
-
-        Raises
-        ------
-        SettingsError
-            If there cannot be so many.
-        SegmentationError
-            If there is not one label for every triangle.
-        """
+        """Fit free bones: so many at most, or from the labels ``(F,)`` of triangles, or from parts by motion."""
         labels, most = self._starting(bones)
         rounds = self.rounds if rounds is None else rounds
         binding, motions = free_bones(self.tracks, labels, most, rounds, self._told)

@@ -47,28 +47,7 @@ def fit_to_skeleton(
     rounds: int,
     progress: Progress,
 ) -> Skin:
-    """Fit weights and motions of a skeleton to a sequence.
-
-    Parameters
-    ----------
-    sequence : Centred
-        The animation.
-    skeleton : Skeleton
-        The joints at rest.
-    bind_pose : MeshSequence or None
-        The mesh around them, in a single frame; None for the first frame of the animation.
-    rounds : int
-        At most so many rounds of weights and motions, twice.
-    progress : callable
-        Told how far the work is.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the bind pose is of another mesh.
-    SettingsError
-        If the skeleton does not stand in its mesh, or the bind pose has another size than the animation.
-    """
+    """Fit weights and motions of a skeleton to a sequence."""
     if bind_pose is None:
         shape = sequence.points[0]
         _check_place(

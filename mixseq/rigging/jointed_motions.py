@@ -51,20 +51,11 @@ _JOINT_HELD = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """How bones hang together.
+    """How bones hang together."""
 
-    Attributes
-    ----------
-    parents : (B,) int64
-        The bone above each, which stands before it; -1 for roots.
-    pivots : (B, 3) float64
-        Joints with the parents, in the rest shape; what roots turn about.
-    sliding : (B,) bool
-        Whether the joint has a translation of its own; roots have.
-    """
-
-    parents: Index
-    pivots: Float
+    parents: Index  # (B,) the bone above each, which stands before it; -1 for roots
+    pivots: Float  # (B, 3) joints with the parents, in the rest shape; what roots turn about
+    # (B,) whether the joint has a translation of its own; roots have.
     sliding: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
     @classmethod
@@ -94,26 +85,7 @@ def attached(motions: Float, joints: Joints) -> Float:
 def move(
     tracks: Float, binding: Binding, motions: Float, joints: Joints, fit_pivots: bool = True
 ) -> tuple[Float, Joints]:
-    """Fit the motions of bones, and their joints.
-
-    Parameters
-    ----------
-    tracks : (V, 3T) float64
-        Positions of every vertex, frame by frame.
-    binding : Binding
-        How vertices follow the bones.
-    motions : (B, 4, 3T) float64
-        Transposed motions to start from, of joints that do not slide the rotations only. Bones that move no vertex move
-        as those above them.
-    joints : Joints
-    fit_pivots : bool
-        Whether joints that do not slide are fitted too. If not, bones hold a little to those above, as at rest.
-
-    Returns
-    -------
-    motions : (B, 4, 3T) float64
-    joints : Joints
-    """
+    """Fit the motions of bones, and their joints: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``; result ``(B, 4, 3T)``."""
     idle = _idle(binding, joints)
     stiffness = 0.0 if fit_pivots else _STIFFNESS
     fit = _Fit(tracks, binding, attached(_following(motions, joints, idle), joints), joints, stiffness)

@@ -55,29 +55,12 @@ _SAME = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LowRank:
-    """A mesh whose parts are sums of basis vectors; the formula is at the head of this module.
+    """A mesh whose parts are sums of basis vectors; the formula is at the head of this module."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    parts : (V,) int
-        The part of every vertex, 0 to P - 1.
-    basis : (V, K) float64
-        Basis vectors, the largest number of each in each part 1 or -1; 0 where a part needs fewer.
-    coefficients : (T, P, K, 3) float64
-        Coordinates of the basis vectors in every frame, in the file's units.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If arrays do not fit each other.
-    """
-
-    header: SequenceHeader
-    parts: Index
-    basis: Float
-    coefficients: Float
+    header: SequenceHeader  # mesh and times
+    parts: Index  # (V,) the part of every vertex, 0 to P - 1
+    basis: Float  # (V, K) basis vectors, the largest number of each in each part 1 or -1; 0 where a part needs fewer
+    coefficients: Float  # (T, P, K, 3) coordinates of the basis vectors in every frame, in the file's units
 
     def __post_init__(self) -> None:
         vertices, rank = self.basis.shape

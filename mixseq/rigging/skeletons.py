@@ -136,15 +136,11 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class LocalMotion:
-    """How joints stand to their parents, and roots to the world.
+    """How joints stand to their parents, and roots to the world."""
 
-    Attributes
-    ----------
-    rotations : (..., B, 4) float64
-        Unit quaternions x, y, z, w, from the axes of the joint to those of its parent.
-    translations : (..., B, 3) float64
-        Joints in the axes of their parents, from their joints on, in the file's units.
-    """
-
-    rotations: Float
-    translations: Float
+    rotations: (
+        Float  # (..., B, 4) unit quaternions x, y, z, w, from the axes of the joint to those of its parent
+    )
+    translations: (
+        Float  # (..., B, 3) joints in the axes of their parents, from their joints on, in the file's units
+    )

@@ -31,26 +31,13 @@ _AT_ONCE = 1 << 21  # entries of sums over the frames that are held at once
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """How vertices follow bones.
+    """How vertices follow bones."""
 
-    Attributes
-    ----------
-    rest : (V, 3) float64
-        Rest positions.
-    influences : (V, 4) int64
-        Bones.
-    weights : (V, 4) float64
-        Their weights.
-    errors : (V,) float64
-        Squared errors, summed over the frames, and what the weights cost.
-    costs : (V, B) float64 or None
-        What a whole weight of a bone costs, next to the squared errors; None where all bones are as good.
-    """
-
-    rest: Float
-    influences: Index
-    weights: Float
-    errors: Float
+    rest: Float  # (V, 3) rest positions
+    influences: Index  # (V, 4) bones
+    weights: Float  # (V, 4) their weights
+    errors: Float  # (V,) squared errors, summed over the frames, and what the weights cost
+    # (V, B) what a whole weight of a bone costs, next to the squared errors; None where all bones are as good.
     costs: Float | None = None
 
     def matrix(self, bones: int) -> sparse.csr_array:
@@ -63,19 +50,7 @@ class Binding:
 
 
 def bind(tracks: Float, motions: Float, start: Binding, free_rest: bool = True) -> Binding:
-    """Fit weights, and rest positions with them.
-
-    Parameters
-    ----------
-    tracks : (V, 3T) float64
-        Positions of every vertex, frame by frame.
-    motions : (B, 4, 3T) float64
-        Transposed motions of the bones, frame by frame.
-    start : Binding
-        Rest positions, and weights to improve on; weights of zero are none.
-    free_rest : bool
-        Whether rest positions are fitted too; where weights have costs they are not.
-    """
+    """Fit weights, and rest positions with them: tracks ``(V, 3T)``; motions ``(B, 4, 3T)``."""
     from mixseq.rigging.weight_kernels import fit_vertices
 
     bones, frames = len(motions), motions.shape[2] // 3

@@ -33,27 +33,13 @@ MARGIN = 1.15
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where meshes stand in the scene, with Y up and the ground at zero.
+    """Where meshes stand in the scene, with Y up and the ground at zero."""
 
-    Attributes
-    ----------
-    up_axes : tuple of str
-        Axis of each mesh that points up.
-    scale : float
-        Units of the scene per unit of the meshes.
-    boxes : (n, 2, 3) float64
-        Lowest and highest places of every mesh, seen from its origin, in units of the scene.
-    offsets : (n, 3) float64
-        Where the origins of the meshes are, in units of the scene.
-    view : View
-        From where they are seen.
-    """
-
-    up_axes: tuple[str, ...]
-    scale: float
-    boxes: Float
-    offsets: Float
-    view: View
+    up_axes: tuple[str, ...]  # axis of each mesh that points up
+    scale: float  # units of the scene per unit of the meshes
+    boxes: Float  # (n, 2, 3) lowest and highest places of every mesh, seen from its origin, in units of the scene
+    offsets: Float  # (n, 3) where the origins of the meshes are, in units of the scene
+    view: View  # from where they are seen
 
     @property
     def low(self) -> Float:
@@ -97,14 +83,7 @@ class Arrangement:
 
         What the camera looks at stays where it is: from near the nearest mesh, otherwise the middle of the row.
 
-        Parameters
-        ----------
-        azimuth : float
-            Degrees, as of `View`.
-        looked_at : (3,) float
-            What the camera turns about.
-        distance : float
-            How far away it is from that.
+        Shapes: looked_at ``(3,)``.
         """
         offsets = _row(self.boxes, azimuth)
         moved = (self.offsets - offsets) * [1, 0, 1]

@@ -19,15 +19,7 @@ TRAVELS = 0.5
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera that circles the mesh.
-
-    Parameters
-    ----------
-    azimuth : float
-        Degrees around the up axis. With Y up, 0 looks along -z at a mesh whose +x points right.
-    elevation : float
-        Degrees above the horizon.
-    """
+    """An orthographic camera that circles the mesh."""
 
     azimuth: float = 30.0
     elevation: float = 14.0
@@ -44,27 +36,13 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where a mesh is seen from, during a film of N frames.
+    """Where a mesh is seen from, during a film of N frames."""
 
-    Attributes
-    ----------
-    view : View
-        The view of the first frame.
-    turn : float
-        Degrees by which it turns until the first frame comes again, after N.
-    centres : (N, 3) float
-        What it looks at, and turns about, in each frame, Y up.
-    ground : float
-        Height of the ground.
-    limits : (4,) float
-        Screen rectangle that holds all frames.
-    """
-
-    view: View
-    turn: float
-    centres: Float
-    ground: float
-    limits: Limits
+    view: View  # the view of the first frame
+    turn: float  # degrees by which it turns until the first frame comes again, after N
+    centres: Float  # (N, 3) what it looks at, and turns about, in each frame, Y up
+    ground: float  # height of the ground
+    limits: Limits  # (4,) screen rectangle that holds all frames
 
     def at(self, frame: int) -> View:
         """Return the view in a frame."""
@@ -87,17 +65,7 @@ def facing(poses: FloatArray, up_axis: str = "Y") -> float:
     It faces where it travels. One that stays where it is faces where modellers and formats have the front: +z with Y up
     (glTF 2.0, section 3.4), -y with Z up (Blender, Maya), where +x is to its left in both.
 
-    Parameters
-    ----------
-    poses : (n, V, 3) float
-        Poses of a motion in the order of time; the first and the last count.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-
-    Returns
-    -------
-    float
-        Degrees, as `View.azimuth`.
+    Shapes: poses ``(n, V, 3)``.
 
     Examples
     --------
@@ -119,14 +87,7 @@ def three_quarter_view(
     Of the two views, from the left and from the right, it is the one where +x points more to the right, and +z more to
     the camera, with Y up.
 
-    Parameters
-    ----------
-    poses : (V, 3) or (n, V, 3) float
-        One pose, or poses of a motion in the order of time, see `facing`.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    turn, elevation : float
-        Degrees.
+    Shapes: poses ``(V, 3)``.
 
     Examples
     --------
@@ -144,17 +105,7 @@ def three_quarter_view(
 
 
 def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None) -> View:
-    """Return the view that was asked for, or a `three_quarter_view`.
-
-    Parameters
-    ----------
-    ends : (2, V, 3) float
-        The first and the last pose.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    camera : (float, float), optional
-        Degrees from the body's front, to its left, and above the horizon.
-    """
+    """Return the view that was asked for, or a `three_quarter_view`: ends ``(2, V, 3)``; camera ``(float, float)``."""
     if camera is None:
         return three_quarter_view(ends, up_axis)
     return View(facing(ends, up_axis) + camera[0], camera[1])
@@ -163,24 +114,7 @@ def seen_from(ends: FloatArray, up_axis: str, camera: tuple[float, float] | None
 def shared_limits(
     points: FloatArray, up_axis: str = "Y", view: View | None = None, margin: float = 0.04
 ) -> Limits:
-    """Return the screen rectangle that holds all poses and their shadows.
-
-    Parameters
-    ----------
-    points : (..., V, 3) float
-        One pose or many.
-    up_axis : {"X", "Y", "Z"}
-        Axis that points up.
-    view : View, optional
-        The camera, by default `three_quarter_view`.
-    margin : float
-        Space around, as a share of the larger side.
-
-    Returns
-    -------
-    left, right, bottom, top : float
-        In units of the points.
-    """
+    """Return the screen rectangle that holds all poses and their shadows: points ``(..., V, 3)``."""
     world = y_up(points, up_axis).reshape(-1, 3)
     shadow = world * [1, 0, 1] + [0, world[:, 1].min(), 0]
     screen = np.concatenate([world, shadow]) @ (view or three_quarter_view(points, up_axis)).rows.T

@@ -52,38 +52,16 @@ SHARES = {"error": 1.0, "strain": SHARE, "curvature": SHARE}
 
 @dataclass(frozen=True, eq=False)
 class Colouring:
-    """What colours show.
+    """What colours show."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called.
-    palette : (n, 3) uint8
-        Colours, sRGB, 256 at most, and so many where numbers are measured.
-    fixed : (V,) uint8, optional
-        Entries of the palette that never change; without them `measure` tells.
-    measure : function, optional
-        From points ``(V, 3)`` and the seconds elapsed since the first frame to numbers ``(V,)``, in the unit.
-    top : float
-        Number that has the last colour; 0 has the first.
-    unit : str
-        What the numbers are measured in.
-    of_faces : (3,) or (F, 3) float
-        RGB in 0..1 of the mesh or of each face, where nothing is measured.
-
-    Raises
-    ------
-    SettingsError
-        If it has both or neither of `fixed` and `measure`, or `top` is not a positive number.
-    """
-
-    name: str
-    palette: Bytes
-    fixed: Bytes | None = None
+    name: str  # what it is called
+    palette: Bytes  # (n, 3) colours, sRGB, 256 at most, and so many where numbers are measured
+    fixed: Bytes | None = None  # (V,) entries of the palette that never change; without them measure tells
+    # From points (V, 3) and the seconds elapsed since the first frame to numbers (V,), in the unit.
     measure: Numbers | None = None
-    top: float = 1.0
-    unit: str = ""
-    of_faces: ArrayLike = CLAY
+    top: float = 1.0  # number that has the last colour; 0 has the first
+    unit: str = ""  # what the numbers are measured in
+    of_faces: ArrayLike = CLAY  # (3,) RGB in 0..1 of the mesh or of each face, where nothing is measured
 
     def __post_init__(self) -> None:
         if (self.fixed is None) == (self.measure is None):
@@ -113,13 +91,7 @@ class Colouring:
         return float(np.quantile(self.measure(points, elapsed), SHARES[self.name]))
 
     def scaled(self, top: float) -> Colouring:
-        """Return the same with the last colour at another number.
-
-        Raises
-        ------
-        SettingsError
-            If that is not a positive number, or colours do not mean numbers.
-        """
+        """Return the same with the last colour at another number."""
         if self.constant:
             raise SettingsError(
                 f"{self.name} has no scale; choose a colour that means numbers, such as strain"
@@ -145,32 +117,7 @@ def colourings_of(
     original: Original | None = None,
     poses: Iterable[tuple[float, FloatArray]] = (),
 ) -> dict[str, Colouring]:
-    """Return what colours may show of a mesh, by name.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        Everything but the points.
-    rest : (V, 3) float
-        The pose that strain and curvature are measured against.
-    decomposition : Decomposition, optional
-        Parts and joints; without it there are no colours for them.
-    original : Original, optional
-        What errors are measured against; without it there are none. The unit is the diagonal of its points at 0.
-    poses : iterable of (float, (V, 3) float)
-        Elapsed seconds and points that the scales must reach, one by one; without any they reach `LEAST`, and
-        `Colouring.scaled` tells how far.
-
-    Returns
-    -------
-    dict
-        ``clay``, ``own``, ``parts``, ``error``, ``strain``, ``curvature``, in this order; those that there are.
-
-    Raises
-    ------
-    SettingsError
-        If the pose at rest, the parts or the original are of another mesh.
-    """
+    """Return what colours may show of a mesh, by name: rest ``(V, 3)``."""
     there: dict[Colour, bool] = {
         "own": header.surface.colours is not None,
         "parts": decomposition is not None,
@@ -194,13 +141,7 @@ def colouring_of(
     decomposition: Decomposition | None = None,
     original: Original | None = None,
 ) -> Colouring:
-    """Return one of `colourings_of`; its scale, if it has one, reaches `LEAST`.
-
-    Raises
-    ------
-    SettingsError
-        If the pose at rest, the parts or the original are of another mesh.
-    """
+    """Return one of `colourings_of`; its scale, if it has one, reaches `LEAST`."""
     faces, count = header.faces, header.vertex_count
     _check("the pose at rest", rest, count)
     if name == "clay":

@@ -17,18 +17,10 @@ SAMPLES = 12
 
 @dataclass(frozen=True, eq=False)
 class SceneColours:
-    """The colours of all meshes of a scene.
+    """The colours of all meshes of a scene."""
 
-    Attributes
-    ----------
-    scene : Scene
-        As it was opened: edits are measured against the first frames that it had then.
-    original : FrameStore, optional
-        What errors are measured against.
-    """
-
-    scene: Scene
-    original: FrameStore | None = None
+    scene: Scene  # as it was opened: edits are measured against the first frames that it had then
+    original: FrameStore | None = None  # what errors are measured against
     _found: dict[int, dict[str, Colouring]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -81,13 +73,7 @@ def with_one_scale(colourings: list[Colouring]) -> list[Colouring]:
 
 
 def check_original(scene: Scene, original: FrameStore) -> None:
-    """Refuse an original that is of no use.
-
-    Raises
-    ------
-    SettingsError
-        If no mesh of the scene has its vertices and triangles, or one that has them begins at another time.
-    """
+    """Refuse an original that is of no use."""
     header = original.header
     same = [item for item in scene.items if same_mesh(item.header, header)]
     if not same:

@@ -22,17 +22,10 @@ from mixseq.signals import Model
 
 @dataclass(frozen=True)
 class SceneItem:
-    """A mesh of a scene; equal to others of the same name and the very same motion.
+    """A mesh of a scene; equal to others of the same name and the very same motion."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called; may be empty.
-    motion : Model or sequence
-        What moves: a model, which is decoded at any time, or a sequence, of which the nearest frame is shown.
-    """
-
-    name: str
+    name: str  # what it is called; may be empty
+    # What moves: a model, which is decoded at any time, or a sequence, of which the nearest frame is shown.
     motion: Model | Frames | FrameStore
 
     def __str__(self) -> str:
@@ -110,21 +103,11 @@ class SceneItem:
 
 @dataclass(frozen=True, eq=False)
 class DecodedItem:
-    """The poses of a mesh over the frames of a film.
+    """The poses of a mesh over the frames of a film."""
 
-    Attributes
-    ----------
-    header : SequenceHeader
-        Everything but the points.
-    poses : (n, V, 3) array, perhaps on disk, of float
-        Poses that are shown.
-    pose_of_frame : (N,) int
-        Which of them every frame of the film shows.
-    """
-
-    header: SequenceHeader
-    poses: LargeArray
-    pose_of_frame: Index
+    header: SequenceHeader  # everything but the points
+    poses: LargeArray  # (n, V, 3) poses that are shown
+    pose_of_frame: Index  # (N,) which of them every frame of the film shows
 
     def pose(self, frame: int) -> Float:
         """Return the points ``(V, 3)`` in a frame of the film."""
@@ -139,21 +122,11 @@ class DecodedItem:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that is shown, and when.
+    """Everything that is shown, and when."""
 
-    Attributes
-    ----------
-    items : tuple of SceneItem
-        The meshes.
-    rate : float, optional
-        Frames per second that were asked for; by default those of the first item.
-    seconds : float, optional
-        Duration that was asked for; by default that of the longest item.
-    """
-
-    items: tuple[SceneItem, ...]
-    rate: float | None = None
-    seconds: float | None = None
+    items: tuple[SceneItem, ...]  # the meshes
+    rate: float | None = None  # frames per second that were asked for; by default those of the first item
+    seconds: float | None = None  # duration that was asked for; by default that of the longest item
 
     @cached_property
     def _timeline(self) -> tuple[Float, float]:
@@ -175,13 +148,7 @@ class Scene:
         return len(self.times)
 
     def checked(self) -> Scene:
-        """Return the scene as it is, if there are neither too few frames at its rate nor too many.
-
-        Raises
-        ------
-        SettingsError
-            If there are.
-        """
+        """Return the scene as it is, if there are neither too few frames at its rate nor too many."""
         film_times([item.header for item in self.items], self.rate, self.seconds)
         return self
 
@@ -210,13 +177,7 @@ def same_mesh(one: SequenceHeader, other: SequenceHeader) -> bool:
 
 
 def check_starts(items: Sequence[SceneItem], original: SequenceHeader) -> None:
-    """Refuse to measure errors of meshes that begin at another time than their original.
-
-    Raises
-    ------
-    SettingsError
-        If one does.
-    """
+    """Refuse to measure errors of meshes that begin at another time than their original."""
     for item in items:
         if abs(item.header.times[0] - original.times[0]) > 1e-3 / original.fps:
             raise SettingsError(

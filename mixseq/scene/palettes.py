@@ -69,12 +69,7 @@ def part_colours(count: int) -> Float:
 def segmentation_colours(part_of_face: IntArray, joint_of_face: IntArray) -> Float:
     """Return a colour ``(F, 3)`` for each face: its part's, or `JOINT_RED` where it bends.
 
-    Parameters
-    ----------
-    part_of_face : (F,) int
-        Rigid part of each face.
-    joint_of_face : (F,) int
-        Joint of each face; -1 where the face is rigid.
+    Shapes: part_of_face ``(F,)``; joint_of_face ``(F,)``.
     """
     palette = part_colours(int(np.max(part_of_face)) + 1)
     return np.where(np.asarray(joint_of_face)[:, None] >= 0, JOINT_RED, palette[part_of_face])

@@ -26,28 +26,7 @@ MOST_FRAMES = 100_000
 def film_times(
     headers: Sequence[SequenceHeader], fps: float | None = None, seconds: float | None = None
 ) -> tuple[Float, float]:
-    """Return the times of a film's frames since the meshes' first times, and its frames per second.
-
-    Parameters
-    ----------
-    headers : sequence of SequenceHeader
-        The meshes.
-    fps : float, optional
-        Frames per second, by default those of the first mesh.
-    seconds : float, optional
-        Duration of the film, by default the period; `STILL` where nothing moves.
-
-    Returns
-    -------
-    times : (N,) float64
-        In seconds, less than the period.
-    fps : float
-
-    Raises
-    ------
-    SettingsError
-        If there would be fewer than 2 frames or more than `MOST_FRAMES`.
-    """
+    """Return the times of a film's frames since the meshes' first times, and its frames per second: result ``(N,)``."""
     rate = headers[0].fps if fps is None else exact_rate(fps, headers[0].fps)
     period = max(_period(header) for header in headers)
     lasting = seconds or period or STILL

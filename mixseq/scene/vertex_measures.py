@@ -40,13 +40,6 @@ SHARE = 0.99
 class Strain:
     """Strain against a pose.
 
-    Attributes
-    ----------
-    edges : (E, 2) int
-        Edges of the mesh.
-    lengths : (E,) float
-        Their lengths in that pose.
-
     Examples
     --------
     >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -54,8 +47,8 @@ class Strain:
     [0.5, 0.5, 0.5, 0.5]
     """
 
-    edges: IntArray
-    lengths: Float
+    edges: IntArray  # (E, 2) edges of the mesh
+    lengths: Float  # (E,) their lengths in that pose
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Strain:
@@ -75,21 +68,6 @@ class Strain:
 class Curvature:
     """Change of dihedral angles against a pose.
 
-    Attributes
-    ----------
-    faces : (F, 3) int
-        Triangles of the mesh.
-    hinges : (H, 2) int
-        The vertices that the edge of every hinge joins.
-    sides : (H, 2) int
-        Its two faces.
-    signs : (H,) float
-        1 where they have one orientation, -1 elsewhere.
-    angles : (H,) float
-        Angles in that pose, in radians.
-    known : (H,) bool
-        Whether both faces have area in that pose.
-
     Examples
     --------
     >>> flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -98,12 +76,12 @@ class Curvature:
     [90.0, 90.0, 0.0, 0.0]
     """
 
-    faces: IntArray
-    hinges: IntArray
-    sides: IntArray
-    signs: Float
-    angles: Float
-    known: NDArray[np.bool_]
+    faces: IntArray  # (F, 3) triangles of the mesh
+    hinges: IntArray  # (H, 2) the vertices that the edge of every hinge joins
+    sides: IntArray  # (H, 2) its two faces
+    signs: Float  # (H,) 1 where they have one orientation, -1 elsewhere
+    angles: Float  # (H,) angles in that pose, in radians
+    known: NDArray[np.bool_]  # (H,) whether both faces have area in that pose
 
     @classmethod
     def of(cls, points: FloatArray, faces: IntArray) -> Curvature:

@@ -35,17 +35,7 @@ Kept = tuple[range, int]
 
 @dataclass(frozen=True, eq=False)
 class Copied:
-    """What became of the objects of an archive.
-
-    Parameters
-    ----------
-    schemas : dict of str to OCompoundProperty
-        Of the meshes that get other points, by path: where these go.
-    moving : dict of str to (float, float)
-        Paths of the objects with something that changes, and its first and last time in seconds.
-    lost : list of str
-        Paths of what the library cannot copy, ``/rig/hair.tint``.
-    """
+    """What became of the objects of an archive."""
 
     schemas: dict[str, Any] = field(default_factory=dict)
     moving: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -53,22 +43,7 @@ class Copied:
 
 
 def copy_archive(source: Any, target: Any, moved: Collection[str], frames: Float, room: int) -> Copied:
-    """Copy all objects of an archive, with the samples that some frames need.
-
-    Parameters
-    ----------
-    source : IArchive
-        The archive.
-    target : OArchive
-        The new one.
-    moved : collection of str
-        Paths of the meshes that get other points: these are not copied, nor normals, velocities and bounds.
-    frames : (T,) float
-        Times of these frames in seconds. What the archive has before and after them is left out, so that programs show
-        the range of the frames.
-    room : int
-        Size of the source in bytes, see `mixseq_io.alembic.library.values`.
-    """
+    """Copy all objects of an archive, with the samples that some frames need: frames ``(T,)``."""
     window = float(frames[0]), float(frames[-1])
     return _Copier(target, moved, window, room).copy(source.getTop())
 

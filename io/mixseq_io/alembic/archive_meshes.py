@@ -80,29 +80,7 @@ class Mesh:
 
 
 def choose_meshes(path: Path, archive: Any, prim: str | None) -> list[Mesh]:
-    """Return the meshes to read, in the archive's order.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    archive : IArchive
-        The archive.
-    prim : str, optional
-        See `mixseq_io.choosing.chosen`. By default all that move, or all if none does.
-
-    Raises
-    ------
-    FormatError
-        If there is no mesh, or none of that name.
-    AmbiguousError
-        If objects in several places have that name.
-
-    Warns
-    -----
-    MixseqWarning
-        If meshes are left out because they stand still, or are hidden at times.
-    """
+    """Return the meshes to read, in the archive's order."""
     meshes, others = find_meshes(path, archive)
     if not meshes:
         found = (

@@ -50,13 +50,7 @@ _HEADER = 16
 
 
 def open_archive(path: Path) -> Any:
-    """Open a file, an ``IArchive``.
-
-    Raises
-    ------
-    FormatError
-        If it is not Alembic, of the old kind, or not complete.
-    """
+    """Open a file, an ``IArchive``."""
     with path.open("rb") as file:
         start = file.read(_HEADER)
     if start.startswith(b"\x89HDF"):
@@ -85,22 +79,7 @@ def length(array: Any, sample: int) -> int:
 
 
 def values(array: Any, sample: int, room: int) -> NDArray[Any]:
-    """Return a sample of an array property.
-
-    Parameters
-    ----------
-    array : IArrayProperty
-        The property.
-    sample : int
-        Number of the sample.
-    room : int
-        Size of the file in bytes; nothing in it is compressed, so no array is larger.
-
-    Raises
-    ------
-    FormatError
-        If the array claims to be larger.
-    """
+    """Return a sample of an array property."""
     stored = stored_array(array, sample, room)
     channels = _CHANNELS.get(type(stored))
     if channels:

@@ -26,21 +26,7 @@ from mixseq_io.scene_meshes import SceneMesh
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A mesh of the sequence and the mesh of the archive whose points it takes the place of.
-
-    Parameters
-    ----------
-    scene_mesh : SceneMesh
-        That of the sequence.
-    mesh : Mesh
-        The mesh.
-    corners : (C,) int
-        The sequence's corner for every corner of the archive's polygons, which may be in another order.
-    placing : Placing
-        Where the transforms above the mesh are in every frame of the sequence.
-    mirrored : bool
-        Whether they turn left into right.
-    """
+    """A mesh of the sequence and the mesh of the archive whose points it takes the place of."""
 
     scene_mesh: SceneMesh
     mesh: Mesh
@@ -51,17 +37,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """An archive that a sequence fits.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    archive : IArchive
-        What it holds.
-    fits : tuple of Fit
-        The meshes of the sequence, each with its mesh in the archive.
-    """
+    """An archive that a sequence fits."""
 
     path: Path
     archive: Any
@@ -74,13 +50,7 @@ class Original:
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open an archive in which meshes may get other points.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read, or the meshes of the sequence are not in it.
-    """
+    """Open an archive in which meshes may get other points."""
     with reading(path, "Alembic", *ERRORS), naming(path):
         archive = open_archive(path)
         meshes, _ = find_meshes(path, archive)

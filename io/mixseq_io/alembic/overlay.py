@@ -33,19 +33,7 @@ _GROWTH = 2
 
 @dataclass(frozen=True, eq=False)
 class MovedMesh:
-    """A mesh of the copy whose points are written.
-
-    Parameters
-    ----------
-    fit : Fit
-        Its mesh of the sequence, and where its transforms place it.
-    positions, bounds : OArrayProperty, OBox3dProperty
-        Where points and bounds go.
-    velocities : OV3fArrayProperty, optional
-        Where velocities go.
-    normals : ON3fGeomParam, optional
-        Where normals go.
-    """
+    """A mesh of the copy whose points are written."""
 
     fit: Fit
     positions: Any
@@ -146,12 +134,6 @@ def lay_over(
         Whether it has velocities.
     sources : (T,) array-like, optional
         Times of the archive that the frames show, in seconds.
-
-    Warns
-    -----
-    MixseqWarning
-        If something cannot be copied, or moves at times of its own while the sequence is retimed, as `sources` or its
-        length tell.
     """
     moved = {fit.mesh.path for fit in original.fits}
     copied = copy_archive(original.archive, archive, moved, header.times, original.room)

@@ -27,15 +27,7 @@ _FLAT = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Placing:
-    """The transforms above a mesh in every frame, and how fast they move.
-
-    Parameters
-    ----------
-    matrices : (T, 4, 4) float
-        What takes the mesh to the world; they act on rows.
-    rates : (T, 4, 4) float
-        How fast they change, per second.
-    """
+    """The transforms above a mesh in every frame, and how fast they move."""
 
     matrices: Float
     rates: Float
@@ -51,13 +43,7 @@ class Placing:
         return cls(now, (after - before) * fps)
 
     def check(self) -> None:
-        """Check that nothing is made flat.
-
-        Raises
-        ------
-        FormatError
-            If a matrix has no inverse.
-        """
+        """Check that nothing is made flat."""
         with np.errstate(all="ignore"):
             sizes = np.abs(np.linalg.det(self.matrices[:, :3, :3]))
             largest = np.abs(self.matrices[:, :3, :3]).max(axis=(1, 2))

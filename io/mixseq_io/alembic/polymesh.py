@@ -63,18 +63,7 @@ class Source:
 
 
 def read_scene_mesh(source: Source) -> SceneMesh:
-    """Return a mesh, its polygons counter-clockwise seen from outside.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If its faces change over time.
-
-    Warns
-    -----
-    MixseqWarning
-        If it has several sets of texture coordinates or colours, or what is on it does not fit it.
-    """
+    """Return a mesh, its polygons counter-clockwise seen from outside."""
     schema, mesh = source.mesh.schema, source.mesh
     stored, order = stored_polygons(source)
     polygons = Polygons(stored.counts, stored.indices[order])

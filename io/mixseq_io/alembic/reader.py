@@ -43,25 +43,7 @@ from mixseq_io.scene_meshes import join
 
 
 def open_alembic(path: Path, prim: str | None = None) -> SequenceReader:
-    """Open an Alembic file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    prim : str, optional
-        Full name of a mesh, or of an object above several, which are then joined; "/" for all. By default all that
-        move.
-
-    Raises
-    ------
-    FormatError
-        If it is no Ogawa file, damaged, or has no such mesh.
-    AmbiguousError
-        If objects in several places have that name.
-    InvalidSequenceError
-        If the faces change over time.
-    """
+    """Open an Alembic file."""
     with reading(path, "Alembic", *ERRORS), naming(path):
         archive = open_archive(path)
         meshes = choose_meshes(path, archive, prim)

@@ -33,13 +33,7 @@ _USUAL_RATES = (24, 25, 30, 48, 50, 60, *NTSC_RATES, 100, 120, 240)
 
 
 def sample_times(sampled: Any) -> Float:
-    """Return the times ``(N,)`` in seconds of a property's or schema's samples.
-
-    Raises
-    ------
-    FormatError
-        If there are more than a million samples, or fewer times than samples.
-    """
+    """Return the times ``(N,)`` in seconds of a property's or schema's samples."""
     count, sampling = sampled.getNumSamples(), sampled.getTimeSampling()
     if count > _MOST_SAMPLES:
         raise FormatError(f"a property claims {count} samples; the file is damaged")
@@ -84,15 +78,7 @@ def time_sampling(times: Float, step: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class SampleWeights:
-    """Which two samples every frame is between, and how much each of them counts.
-
-    Parameters
-    ----------
-    before : (T,) int
-        The sample at or before each frame; the first, for frames before it.
-    weight : (T,) float
-        Weight of the sample after it, from 0 to 1; 0 at and after the last.
-    """
+    """Which two samples every frame is between, and how much each of them counts."""
 
     before: NDArray[np.int64]
     weight: Float
@@ -124,14 +110,7 @@ def locate(own: Float, frames: Float) -> SampleWeights:
 
 
 def frame_rate(times: Float, declared: str) -> float:
-    """Return the frames per second of a time line.
-
-    Parameters
-    ----------
-    times : (T,) float
-        The frames, in seconds.
-    declared : str
-        What the application says, "" for nothing. Frames need not be at its multiples.
+    """Return the frames per second of a time line: times ``(T,)``.
 
     Examples
     --------
@@ -166,13 +145,7 @@ def _plain(rate: float, tolerance: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """The transforms above a mesh, which take it to the world in every frame.
-
-    Parameters
-    ----------
-    above : tuple of (IXformSchema, SampleWeights)
-        The transforms above it, the nearest first.
-    """
+    """The transforms above a mesh, which take it to the world in every frame."""
 
     above: tuple[tuple[Any, SampleWeights], ...]
 

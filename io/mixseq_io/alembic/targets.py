@@ -27,15 +27,7 @@ _WITH_ALPHA = (AbcGeom.OC4fGeomParam, AbcGeom.OC4fGeomParamSample, imath.C4fArra
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A mesh to be written.
-
-    Parameters
-    ----------
-    scene_mesh : SceneMesh
-        The mesh.
-    place : Place
-        Where it is in the file.
-    """
+    """A mesh to be written."""
 
     scene_mesh: SceneMesh
     place: Place
@@ -142,15 +134,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class MadeMesh:
-    """A mesh in the file, which gets its samples.
-
-    Parameters
-    ----------
-    target : Target
-        What is written.
-    mesh : OPolyMesh or OSubD
-        The object.
-    """
+    """A mesh in the file, which gets its samples."""
 
     target: Target
     mesh: Any

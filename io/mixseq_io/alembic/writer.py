@@ -62,22 +62,6 @@ def write_alembic(
         The archive whose cameras, transforms and other objects are taken along, in place of that one.
     sources : (T,) array-like, optional
         Times of the archive that the frames show, in seconds, for a warning if these are not their own.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or is the one that everything else comes from; or if `onto` cannot be read or has
-        other meshes.
-    InvalidSequenceError
-        If points or velocities are too large for float32.
-    SettingsError
-        If both `flatten` and `onto` are given, or `sources` are more or fewer than the frames.
-
-    Warns
-    -----
-    MixseqWarning
-        If the sequence has units, an up axis, names, or hard edges of subdivided meshes, which Alembic cannot hold; if
-        the archive that it came from is not there any more or has other meshes; see also `lay_over`.
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")

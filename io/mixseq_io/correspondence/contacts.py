@@ -16,11 +16,6 @@ from mixseq_io.registry import PathLike
 def read_contacts(path: PathLike) -> dict[str, list[int]]:
     """Read contacts.
 
-    Raises
-    ------
-    FormatError
-        If there is no such file, or it is no JSON object of lists of vertices; the message names the contact.
-
     Examples
     --------
     >>> import tempfile

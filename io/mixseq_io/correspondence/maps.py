@@ -50,24 +50,12 @@ _STORED = ("corners", "weights", "faces", "leaders", "sizes", "source", "target"
 
 @dataclass(frozen=True, eq=False)
 class GivenMap:
-    """A map as a file has it.
+    """A map as a file has it."""
 
-    Attributes
-    ----------
-    file : Path
-        The file, for messages.
-    kind : str
-        ``vertices``, ``triangles``, ``barycentric`` (rows), or the arrays of an npz file: ``corners``, ``stored``.
-    rows : (n, k) float64
-        Rows in the order of the head of this module; empty for arrays.
-    arrays : dict of array
-        What an npz file has.
-    """
-
-    file: Path
-    kind: str
-    rows: NDArray[np.float64]
-    arrays: dict[str, NDArray[Any]]
+    file: Path  # the file, for messages
+    kind: str  # vertices, triangles, barycentric (rows), or the arrays of an npz file: corners, stored
+    rows: NDArray[np.float64]  # (n, k) rows in the order of the head of this module; empty for arrays
+    arrays: dict[str, NDArray[Any]]  # what an npz file has
 
 
 FEW = 0.1
@@ -75,20 +63,7 @@ FEW = 0.1
 
 
 def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
-    """Read a map; see the head of this module.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    kind : {"vertices", "triangles", "barycentric"}, optional
-        What the rows of a file are that does not say it.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, or it holds no map; the message names the line.
-    """
+    """Read a map; see the head of this module."""
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _read_npz(file)
@@ -96,19 +71,7 @@ def read_map(path: PathLike, kind: Kind | None = None) -> GivenMap:
 
 
 def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspondence:
-    """Make the correspondence of two meshes that a map says.
-
-    Parameters
-    ----------
-    given : GivenMap
-    source, target : (V, 3) float and (F, 3) int
-        Points and triangles of the meshes at rest.
-
-    Raises
-    ------
-    FormatError
-        If it is a map of other meshes; the message names the file, and the mesh.
-    """
+    """Make the correspondence of two meshes that a map says: source, target ``(V, 3)``."""
     try:
         if given.kind == "stored":
             return _stored(given.arrays, source, target)
@@ -143,13 +106,7 @@ def to_correspondence(given: GivenMap, source: Mesh, target: Mesh) -> Correspond
 def write_map(
     path: PathLike, correspondence: Correspondence, source_faces: IntArray, target_faces: IntArray
 ) -> None:
-    """Write a correspondence of meshes with triangles ``(F, 3)`` and ``(F', 3)`` as an npz file, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or is no ``.npz``.
-    """
+    """Write a correspondence of meshes with triangles ``(F, 3)``, ``(F', 3)`` as an npz file, whole or not at all."""
     file = Path(path)
     if file.suffix.lower() != ".npz":
         raise OutputError(f"{file}: maps are written as npz files; give it the extension .npz")

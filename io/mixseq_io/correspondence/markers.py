@@ -96,13 +96,7 @@ def read_markers(path: PathLike, *, reverse: bool = False) -> Markers:
 
 
 def write_markers(path: PathLike, markers: Markers) -> None:
-    """Write markers, in the form that the file's extension stands for; see the head of this module.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write markers, in the form that the file's extension stands for; see the head of this module."""
     file = Path(path)
     names = [" ".join(name.split()) for name in markers.names or [""] * len(markers)]
     rows = list(zip(markers.source.tolist(), markers.target.tolist(), names, strict=True))

@@ -15,25 +15,13 @@ from mixseq_io.reader import brief, read_whole, reading
 
 
 def read_text(file: Path, what: str) -> str:
-    """Read a file of UTF-8, with or without a byte order mark; `what` it should be is for the message.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, or it is no text.
-    """
+    """Read a file of UTF-8, with or without a byte order mark; `what` it should be is for the message."""
     with reading(file, what, UnicodeDecodeError):
         return read_whole(file, text=True).decode("utf-8-sig")
 
 
 def parse_json(file: Path, text: str) -> Any:
-    """Parse what was read from a file of JSON.
-
-    Raises
-    ------
-    FormatError
-        If it is none; the message names the file, line and column.
-    """
+    """Parse what was read from a file of JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits are a ValueError, too
@@ -52,13 +40,7 @@ _Rows = list[tuple[str, list[float]]]
 
 
 def read_rows(file: Path, kind: Kind | None = None) -> tuple[Kind, Float]:
-    """Read rows ``(n, k)``, and say what they are of: `kind`, or what the file says, or what it looks like.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, or a row is not of that kind.
-    """
+    """Read rows ``(n, k)``, and say what they are of: `kind`, or what the file says, or what it looks like."""
     text = read_text(file, "a map")
     said, rows = _of_json(file, text) if file.suffix.lower() == ".json" else _of_text(file, text)
     if not rows:

@@ -29,21 +29,7 @@ _LATEST = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One property of one node over time.
-
-    Parameters
-    ----------
-    node : int
-        The node.
-    name : {"translation", "rotation", "scale", "weights"}
-        The property.
-    times : (n,) float64
-        Its keys' times in seconds, increasing.
-    values : (n, k) float32
-        Its values at the keys; for cubic splines ``(n, 3, k)``: tangent before, value, tangent after.
-    interpolation : {"LINEAR", "STEP", "CUBICSPLINE"}
-        What is between the keys.
-    """
+    """One property of one node over time."""
 
     node: int
     name: str
@@ -137,16 +123,6 @@ def choose_animation(document: Document, choice: str | int | None) -> Fields | N
 
     What exporters write before a "|" in a name, as in ``AnimalArmature|Gallop``, may be left out. `NO_ANIMATION` is the
     pose in which the file has its nodes, unless an animation has that name.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such animation, or several.
-
-    Warns
-    -----
-    MixseqWarning
-        If there are several and none was asked for.
     """
     animations = document.items("animations")
     names = [each.text("name") or f"animation {index}" for index, each in enumerate(animations)]
@@ -198,18 +174,7 @@ def told_by(animation: Fields | None, name: str, least: float = -_LATEST) -> flo
 
 
 def read_channels(document: Document, animation: Fields | None, nodes: Collection[int]) -> list[Channel]:
-    """Read the channels of an animation that move some of the given nodes.
-
-    Raises
-    ------
-    FormatError
-        If a channel is not sound.
-
-    Warns
-    -----
-    MixseqWarning
-        If the extension KHR_animation_pointer animates something; it is left out.
-    """
+    """Read the channels of an animation that move some of the given nodes."""
     if animation is None:
         return []
     samplers = animation.objects("samplers")

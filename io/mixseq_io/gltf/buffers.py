@@ -43,13 +43,7 @@ UNKNOWN: Bounds = ([-1.2345678901234567e-100] * 3, [-1.2345678901234567e-100] * 
 
 
 class Layout:
-    """A document whose buffer takes shape: views follow each other as they are added.
-
-    Parameters
-    ----------
-    document : dict
-        The JSON document; buffer views and accessors are added to it.
-    """
+    """A document whose buffer takes shape: views follow each other as they are added."""
 
     def __init__(self, document: Json) -> None:
         self.document = document
@@ -70,16 +64,7 @@ class Layout:
         return number
 
     def add_array(self, values: NDArray[Any], **properties: int) -> int:
-        """Add an array with a view of its own; return its accessor.
-
-        Parameters
-        ----------
-        values : (n,), (n, k) or (n, 16) array
-            Scalars, vectors or matrices column by column, of float32, uint32, uint16 or uint8. Of attributes, rows
-            have a multiple of four bytes, as glTF demands.
-        **properties
-            Of the view: its ``target``.
-        """
+        """Add an array with a view of its own; return its accessor: values ``(n,), (n, k)``."""
         data = np.ascontiguousarray(values)
         view = self.add([data], data.nbytes, **properties)
         width = 1 if data.ndim == 1 else data.shape[1]
@@ -136,22 +121,7 @@ class BufferWriter:
 
 @contextmanager
 def writing_buffer(path: Path, temporary: Path, layout: Layout) -> Iterator[BufferWriter]:
-    """Write a file: what the layout has, then what the block puts, then the document as it is then.
-
-    Parameters
-    ----------
-    path : Path
-        What the file will be called; its suffix chooses between binary and text.
-    temporary : Path
-        Where it is written.
-    layout : Layout
-        Complete but for the bounds of points.
-
-    Raises
-    ------
-    OutputError
-        If the file becomes too large for its kind.
-    """
+    """Write a file: what the layout has, then what the block puts, then the document as it is then."""
     binary = path.suffix.lower() == ".glb"
     layout.document["buffers"] = [{"byteLength": layout.length}]
     _check_size(path, layout, binary)

@@ -19,27 +19,7 @@ _DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, Recursio
 
 
 def carried_materials(layout: Layout, names: Collection[str], origin: Origin | None) -> dict[str, int]:
-    """Copy materials into a document.
-
-    Parameters
-    ----------
-    layout : Layout
-        The document; images become part of its buffer.
-    names : collection of str
-        Which materials.
-    origin : Origin or None
-        The file that the sequence came from. Of others than glTF files there is nothing to copy.
-
-    Returns
-    -------
-    dict of str to int
-        The document's materials by name: those that the file has.
-
-    Warns
-    -----
-    MixseqWarning
-        If the file cannot be read any more, or an image of it.
-    """
+    """Copy materials into a document."""
     if origin is None or origin.format != "glTF" or not names:
         return {}
     path = Path(origin.path)

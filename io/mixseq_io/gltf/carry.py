@@ -54,21 +54,7 @@ _TRIANGLES = 4
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a mesh of the sequence is in a file.
-
-    Parameters
-    ----------
-    scene_mesh : SceneMesh
-        The mesh.
-    node : int
-        Its node in the file.
-    weld : Weld
-        How the vertices of the node's mesh are welded.
-    mirrored : bool
-        Whether the sequence's triangles are turned around relative to the file's.
-    corners : (C,) int
-        The sequence's corner for every corner of the file's triangles, which may be in another order.
-    """
+    """Where a mesh of the sequence is in a file."""
 
     scene_mesh: SceneMesh
     node: int
@@ -82,13 +68,7 @@ class Place:
 
 
 def find_places(document: Document, scene: Scene, header: SequenceHeader) -> list[Place]:
-    """Find the meshes of a sequence in a file: by their paths, else by their triangles if a single mesh has them.
-
-    Raises
-    ------
-    FormatError
-        If there is none, or one at an object's path with other triangles, or the file is damaged.
-    """
+    """Find the meshes of a sequence in a file: by their paths, else by their triangles if a single mesh has them."""
     meshes = {path: node for node, path in scene.paths.items() if scene.nodes[node].index("mesh") is not None}
 
     def welded(node: int) -> Weld:
@@ -141,17 +121,6 @@ def lay_over(
     """Return the file's document with its data, what of it will move with the sequence, and what else moves.
 
     `sources` are the times (T,) of the file that the frames show, in seconds.
-
-    Raises
-    ------
-    FormatError
-        If the sequence's meshes are not in the file, or the file is damaged.
-
-    Warns
-    -----
-    MixseqWarning
-        If something of the file is lost: other animations, points and lines; if something else moves while the
-        sequence is retimed; or if data that may be of no use is kept, see `prune`.
     """
     scene = read_scene(document)
     places = find_places(document, scene, header)

@@ -30,13 +30,7 @@ _ALIGNMENT = 4
 
 
 def plain(document: Document) -> Document:
-    """Return a document without compression; nothing is unpacked yet.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or what is packed has far more numbers than the file has bytes.
-    """
+    """Return a document without compression; nothing is unpacked yet."""
     edits = _Edits(document)
     for number, view in enumerate(document.items("bufferViews")):
         name = next((each for each in MESHOPT if each in view.object("extensions")), None)

@@ -31,15 +31,7 @@ class _File(io.FileIO):
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """A run of bytes.
-
-    Parameters
-    ----------
-    source : file or bytes
-        What it is a part of.
-    start, size : int
-        Where it begins there, and how long it is.
-    """
+    """A run of bytes."""
 
     source: _File | bytes
     start: int
@@ -109,20 +101,7 @@ def chunks(path: Path, data: Data) -> tuple[bytes, Data | None]:
 
 
 def data_of_uri(buffer: Fields, uri: str) -> Data:
-    """Return the bytes of a data URI, or of a file beside.
-
-    Parameters
-    ----------
-    buffer : Fields
-        The buffer or image that refers to it, for messages.
-    uri : str
-        What it refers to.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, damaged, or outside of the file's folder.
-    """
+    """Return the bytes of a data URI, or of a file beside."""
     if uri.startswith("data:"):
         header, _, data = uri.partition(",")
         if not header.endswith(";base64"):

@@ -48,21 +48,7 @@ _KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file: its JSON in memory, its numbers where they are.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    json : dict
-        Its JSON, as it stands.
-    chunk : Data or None
-        The binary chunk of a .glb, which is its first buffer.
-    size : int
-        Bytes of the file.
-    unpacking : mapping of int to callable
-        Of buffers that are nowhere in the file, what makes their bytes.
-    """
+    """A glTF file: its JSON in memory, its numbers where they are."""
 
     path: Path
     json: dict[str, Any]
@@ -89,13 +75,7 @@ class Document:
         return self._items[kind]
 
     def item(self, kind: str, index: int) -> Fields:
-        """Return one of them.
-
-        Raises
-        ------
-        FormatError
-            If there are not so many.
-        """
+        """Return one of them."""
         items = self._items[kind]
         if not 0 <= index < len(items):
             raise FormatError(
@@ -106,20 +86,7 @@ class Document:
     def accessor(self, index: int) -> NDArray[Any]:
         """Return the numbers of an accessor; sparse values are filled in, normalised integers made floats.
 
-        Parameters
-        ----------
-        index : int
-            Which of the file's accessors.
-
-        Returns
-        -------
-        (n,) or (n, k) float32, or the integers as stored
-            Scalars have one axis. Matrices (n, 16) are column by column. Read-only.
-
-        Raises
-        ------
-        FormatError
-            If it is not sound, or longer than the data.
+        Shapes: result ``(n,)``.
         """
         accessor = self.item("accessors", index)
         dtype, width = layout_of(accessor)
@@ -147,13 +114,7 @@ class Document:
         return "uri" in self.item("buffers", index) or (index == 0 and self.chunk is not None)
 
     def check_effort(self, numbers: int, what: str) -> None:
-        """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count.
-
-        Raises
-        ------
-        FormatError
-            If that is so.
-        """
+        """Refuse what has far more numbers than the file has bytes; a damaged or hostile file can name any count."""
         if numbers > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self.data_size:
             raise FormatError(
                 f"{self.path}: {what} have {numbers} numbers, but the file only {self.data_size} bytes; it is damaged, "
@@ -162,13 +123,7 @@ class Document:
         check_memory(self.path, 8 * numbers, what)
 
     def buffer(self, index: int) -> Data:
-        """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside.
-
-        Raises
-        ------
-        FormatError
-            If it is missing, too short, or outside of the file's folder.
-        """
+        """Return the bytes of a buffer: a part of the .glb, a data URI, or a file beside."""
         if index not in self._buffers:
             self._buffers[index] = self._read_buffer(index)
         return self._buffers[index]
@@ -189,13 +144,7 @@ class Document:
         return data.part(0, length)
 
     def part(self, place: Fields) -> bytes:
-        """Return the bytes at a place: an object with ``buffer``, ``byteOffset`` and ``byteLength``.
-
-        Raises
-        ------
-        FormatError
-            If they are not all there.
-        """
+        """Return the bytes at a place: an object with ``buffer``, ``byteOffset`` and ``byteLength``."""
         data = self.buffer(place.integer("buffer"))
         start, length = place.integer("byteOffset", 0), place.integer("byteLength")
         if start + length > data.size:
@@ -236,13 +185,7 @@ class Document:
 
 
 def load_document(path: Path) -> Document:
-    """Read a .gltf or .glb file; buffers in other files are read when they are needed.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, damaged, of another version, or needs an extension that is not known here.
-    """
+    """Read a .gltf or .glb file; buffers in other files are read when they are needed."""
     with reading(path, "glTF"):
         data = data_of_file(path)
         binary = data.read(0, 4) == b"glTF"
@@ -264,13 +207,7 @@ def load_document(path: Path) -> Document:
 
 
 def layout_of(accessor: Fields) -> tuple[np.dtype[Any], int]:
-    """Return the type of an accessor's components, and how many an element has.
-
-    Raises
-    ------
-    FormatError
-        If meshes and animations have no such accessors.
-    """
+    """Return the type of an accessor's components, and how many an element has."""
     kind, shape = accessor.integer("componentType"), accessor.text("type")
     if kind not in COMPONENTS or shape not in WIDTHS:
         raise accessor.error(

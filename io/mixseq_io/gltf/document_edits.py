@@ -32,18 +32,6 @@ def prune(path: Path, document: Json) -> None:
     """Take unused meshes, accessors and buffer views out of a document, and renumber the others.
 
     Skins that no node has stay without their matrices: they tell programs such as Blender which nodes are bones.
-
-    Parameters
-    ----------
-    path : Path
-        The file that it comes from, for messages.
-    document : dict
-        The document; it is changed, unless it has extensions that may refer to these in ways of their own.
-
-    Warns
-    -----
-    MixseqWarning
-        If it has such extensions.
     """
     unknown = sorted(name for name in used_extensions(document) if not name.startswith(_HARMLESS))
     if unknown:
@@ -126,20 +114,6 @@ def detach(document: Json, node: int, in_place: bool = False) -> int | None:
     """Take a node with a mesh out of the tree, without its transform; what else it was, a new node is in its place.
 
     A new node is needed if it had children, was a joint, had a camera or a light.
-
-    Parameters
-    ----------
-    document : dict
-        The document; it is changed.
-    node : int
-        The node.
-    in_place : bool
-        Whether it stays in the tree, before the new node; nothing above it may move it.
-
-    Returns
-    -------
-    int or None
-        The new node.
     """
     entry = document["nodes"][node]
     rest = {key: entry.pop(key) for key in list(entry) if key not in _OF_THE_MESH}
@@ -194,13 +168,7 @@ _BEGINNINGS = {
 
 
 def embed_images(layout: Layout, document: Document) -> None:
-    """Put the images of a document that are files into its buffer, byte for byte.
-
-    Warns
-    -----
-    MixseqWarning
-        If an image is missing, of an unknown type, or not in the folder of the file; the reference to it stays.
-    """
+    """Put the images of a document that are files into its buffer, byte for byte."""
     images = document.top.objects("images")
     for entry, image in zip(layout.document.get("images", ()), images, strict=True):
         uri = image.text("uri", "data:")
@@ -216,13 +184,7 @@ def embed_images(layout: Layout, document: Document) -> None:
 
 
 def content_of_image(image: Fields) -> tuple[bytes, str]:
-    """Return the bytes that an image's URI refers to, and their MIME type.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, of an unknown type, or not in the folder of the file.
-    """
+    """Return the bytes that an image's URI refers to, and their MIME type."""
     uri = image.text("uri")
     file = data_of_uri(image, uri)
     data = file.read(0, file.size)

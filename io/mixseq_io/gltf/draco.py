@@ -24,17 +24,7 @@ from mixseq_io.isolation import call_isolated
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an accessor shall get.
-
-    Parameters
-    ----------
-    unique_id : int or None
-        Which of Draco's attributes; None for the triangles.
-    dtype : dtype
-        Type of its components.
-    count, width : int
-        How many elements it has, and numbers in an element.
-    """
+    """What an accessor shall get."""
 
     unique_id: int | None
     dtype: np.dtype[Any]
@@ -50,15 +40,7 @@ class Wanted:
 def unpacked_primitive(
     document: Document, packed: Fields, wanted: Sequence[Wanted], sizes: Sequence[int]
 ) -> bytes:
-    """Return the numbers of accessors one after the other, each filled up to a size.
-
-    Raises
-    ------
-    MissingExtraError
-        If DracoPy is not installed.
-    FormatError
-        If the data are damaged, or not what the accessors tell.
-    """
+    """Return the numbers of accessors one after the other, each filled up to a size."""
     if find_spec("DracoPy") is None:
         raise MissingExtraError(
             f"{document.path} is compressed with Draco; to read it: pip install 'mixseq[gltf]'"

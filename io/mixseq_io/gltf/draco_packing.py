@@ -30,19 +30,7 @@ _NAMES = {0: "POSITION", 1: "NORMAL", 2: "COLOR_0", 3: "TEXCOORD_0"}
 
 @dataclass(frozen=True, eq=False)
 class DracoTriangles:
-    """Compressed triangles.
-
-    Parameters
-    ----------
-    data : bytes
-        What Draco made of them.
-    attributes : mapping of str to array
-        The values that a decoder gets, by the names of glTF's attributes.
-    identifiers : mapping of str to int
-        Draco's numbers of the same attributes.
-    triangle_count : int
-        How many there are; Draco leaves out those without area.
-    """
+    """Compressed triangles."""
 
     data: bytes
     attributes: Mapping[str, NDArray[Any]]
@@ -60,13 +48,6 @@ def compressed_triangles(
     """Compress triangles ``(F, 3)`` and what vertices have: points, normals ``(n, 3)``, texture coordinates, colours.
 
     Texture coordinates are ``(n, 2)``; colours ``(n, 4)`` become bytes.
-
-    Raises
-    ------
-    MissingExtraError
-        If DracoPy is not installed.
-    OutputError
-        If Draco cannot compress them: all of them are without area.
     """
     library = _library()
     try:

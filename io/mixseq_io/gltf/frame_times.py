@@ -62,15 +62,7 @@ def key_times(channels: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def sampled_times(path: Path, keys: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
-    """Return times from the first key to the last, `fps` per second.
-
-    Raises
-    ------
-    SettingsError
-        If `fps` is not a positive number.
-    FormatError
-        If there were more than a million frames.
-    """
+    """Return times from the first key to the last, `fps` per second."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
     if not keys.size:
@@ -91,12 +83,7 @@ def played_times(keys: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     that is less than half a frame from a key is left out. Nothing is added where there is a key in every frame, nor
     where more than 100 000 frames would be.
 
-    Parameters
-    ----------
-    keys : (n,) float64
-        Times of the keys in seconds, increasing.
-    rate : float
-        Frames per second.
+    Shapes: keys ``(n,)``.
 
     Examples
     --------

@@ -45,13 +45,7 @@ def read_joints(path: Path, name: str | None) -> Skeleton:
 
 
 def nodes_on(document: Document, scene: Scene, name: str | None) -> list[int]:
-    """Return the nodes whose meshes follow a skeleton: those of its skins, and what hangs on its joints.
-
-    Raises
-    ------
-    NoMeshError
-        If there are none.
-    """
+    """Return the nodes whose meshes follow a skeleton: those of its skins, and what hangs on its joints."""
     wanted = set(joints_of(document, _chosen(document, name)))
     nodes = [node for node in chosen_nodes(document, scene, None) if _follows(document, scene, node, wanted)]
     if not nodes:

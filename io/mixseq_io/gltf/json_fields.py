@@ -46,18 +46,7 @@ _HARMLESS = (
 
 
 def check_extensions(top: Fields) -> None:
-    """Refuse files whose meshes cannot be understood without an extension that is not known here.
-
-    Parameters
-    ----------
-    top : Fields
-        The outermost object of the JSON.
-
-    Raises
-    ------
-    FormatError
-        Naming the extension.
-    """
+    """Refuse files whose meshes cannot be understood without an extension that is not known here."""
     for name in top.texts("extensionsRequired"):
         if name not in (*_UNDERSTOOD, *_HARMLESS) and not name.startswith(_APPEARANCE):
             raise FormatError(
@@ -70,17 +59,7 @@ _LARGEST = 2**53  # of the integers that JSON readers agree on
 
 @dataclass(frozen=True)
 class Fields:
-    """A JSON object, and where it stands.
-
-    Parameters
-    ----------
-    file : Path
-        The file, for messages.
-    place : str
-        Where the object stands in it: ``animations[2].channels[0]``.
-    values : mapping
-        Its fields.
-    """
+    """A JSON object, and where it stands."""
 
     file: Path
     place: str

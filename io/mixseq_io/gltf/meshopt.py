@@ -24,15 +24,7 @@ Rows = NDArray[np.uint8]
 
 
 def unpacked_view(document: Document, packed: Fields) -> bytes:
-    """Return what is in a view, given what the extension says of it.
-
-    Raises
-    ------
-    MissingExtraError
-        If the package meshopt is not installed.
-    FormatError
-        If the data are damaged, or packed in a way that is not known here.
-    """
+    """Return what is in a view, given what the extension says of it."""
     if find_spec("meshopt") is None:
         raise MissingExtraError(
             f"{document.path} is compressed by meshoptimizer; to read it: pip install 'mixseq[gltf]'"

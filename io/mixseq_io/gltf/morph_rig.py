@@ -35,17 +35,7 @@ _KINDS = {"translation": "VEC3", "rotation": "VEC4", "weights": "SCALAR"}
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What a property of some nodes is at every frame.
-
-    Parameters
-    ----------
-    nodes : sequence of int
-        The nodes.
-    path : {"translation", "rotation", "weights"}
-        The property.
-    values : (T, k) float32
-        Its values.
-    """
+    """What a property of some nodes is at every frame."""
 
     nodes: Sequence[int]
     path: str
@@ -62,11 +52,6 @@ def animate(layout: Layout, header: SequenceHeader, tracks: Sequence[Track]) -> 
 
     Tracks that stand still are left out: nodes have the values of the first frame anyway. If all do, there is no
     animation. Linear samplers turn rotations at a constant rate by the shorter way (spherical linear interpolation).
-
-    Raises
-    ------
-    InvalidSequenceError
-        If frames follow each other too closely for float32.
     """
     moving = [track for track in tracks if track.moves]
     if not moving:
@@ -102,33 +87,14 @@ _ILL_DEFINED = 1e-6
 
 
 def morphed_scene(morph: Morph) -> Layout:
-    """Return a document of a mesh with morph targets and the animation of their weights.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If points or times do not fit into float32.
-    """
+    """Return a document of a mesh with morph targets and the animation of their weights."""
     layout, meshes = new_scene(morph.header)
     animate(layout, morph.header, add_targets(layout, meshes, shape_of(morph)))
     return layout
 
 
 def add_targets(layout: Layout, meshes: Sequence[MovingMesh], morph: Morph) -> list[Track]:
-    """Give the meshes of a document points, normals and targets.
-
-    Parameters
-    ----------
-    layout, meshes
-        The document, and its meshes.
-    morph : Morph
-        What they show, with weights from 0 to 1.
-
-    Returns
-    -------
-    list of Track
-        The track of the weights, with a value for every target; none if there are no targets.
-    """
+    """Give the meshes of a document points, normals and targets."""
     base = as_float32(morph.base[None], 0, "glTF")[0]
     targets = as_float32(morph.targets, 0, "glTF", "a target of vertex")
     for mesh in meshes:

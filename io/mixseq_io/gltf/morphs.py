@@ -32,17 +32,7 @@ _BYTES_PER_VECTOR = 12
 
 @dataclass(frozen=True, eq=False)
 class MovingPrimitive:
-    """A primitive of the document whose vertices will move.
-
-    Parameters
-    ----------
-    entry : dict
-        The primitive in the document; it gets ``POSITION``, ``NORMAL`` and targets.
-    vertices : (n,) int
-        Vertex of the mesh that each glTF vertex is a copy of.
-    normals : (n,) int or None
-        Its group of corners that share a normal; None if the primitive has no normals.
-    """
+    """A primitive of the document whose vertices will move."""
 
     entry: Json
     vertices: IntArray
@@ -59,21 +49,7 @@ class MovingMesh:
 
 
 class Morphs:
-    """The frames in the buffer: lays them out when it is made, then writes them one after the other.
-
-    Parameters
-    ----------
-    layout : Layout
-        The document with its buffer. The frames are what comes last in it.
-    meshes : sequence of MovingMesh
-        What moves.
-    header : SequenceHeader
-        How many frames there are, and when.
-    keep_start : bool
-        Whether the animation begins when the sequence does, and not at 0.
-    others : OtherMotion
-        What else of the document moves.
-    """
+    """The frames in the buffer: lays them out when it is made, then writes them one after the other."""
 
     def __init__(
         self,
@@ -170,11 +146,6 @@ def key_times(header: SequenceHeader, keep_start: bool = False) -> tuple[NDArray
     """Return the times of the keys ``(T,)``, float32, and what the animation tells of them for our reader.
 
     Its extras are ``fps``, and ``start``, the time in seconds that key time 0 is, if that is not 0.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If frames follow each other too closely for float32.
     """
     start = time_shift(header, keep_start)
     keys = (header.times - start).astype(np.float32)

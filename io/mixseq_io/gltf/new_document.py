@@ -104,15 +104,7 @@ def _by_owner(owner: IntArray) -> Iterator[tuple[int, IntArray]]:
 
 
 def _distinct(columns: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-    """Find rows of n columns ``(n,)`` of indices that are not the same.
-
-    Returns
-    -------
-    chosen : (m,) int
-        One row of each kind, in the order of their numbers.
-    kinds : (n,) int
-        Which of these every row is like.
-    """
+    """Find rows of n columns ``(n,)`` of indices that are not the same."""
     numbers = columns[0].astype(np.int64)
     for column in columns[1:]:
         several = numbers * (int(column.max(initial=0)) + 1) + column

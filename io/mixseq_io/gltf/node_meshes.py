@@ -28,20 +28,7 @@ from mixseq_io.scene_meshes import SceneMesh
 
 
 def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int]:
-    """Return the nodes with meshes that `prim` means, or all; those that are hidden only if there are no others.
-
-    Parameters
-    ----------
-    prim : str or None
-        See `mixseq_io.choosing.chosen`.
-
-    Raises
-    ------
-    FormatError
-        If there is no such node or mesh.
-    AmbiguousError
-        If several have that name.
-    """
+    """Return the nodes with meshes that `prim` means, or all; those that are hidden only if there are no others."""
     nodes = [node for node in scene.objects if "mesh" in scene.nodes[node]]
     if prim is not None:
         nodes = [nodes[i] for i in chosen(document.path, [scene.objects[node] for node in nodes], prim)]
@@ -51,13 +38,7 @@ def chosen_nodes(document: Document, scene: Scene, prim: str | None) -> list[int
 def moving_nodes(
     document: Document, scene: Scene, nodes: Sequence[int], channels: Collection[Channel]
 ) -> list[int]:
-    """Return the nodes whose meshes move; all if none does.
-
-    Warns
-    -----
-    MixseqWarning
-        Of those that are left out.
-    """
+    """Return the nodes whose meshes move; all if none does."""
     moved = {channel.node for channel in channels if channel.moves and channel.name != "weights"}
     morphed = {channel.node for channel in channels if channel.moves and channel.name == "weights"}
     moves = [
@@ -68,15 +49,7 @@ def moving_nodes(
 
 
 def scene_mesh_of(document: Document, shape: Shape, first: int, mirrored: bool) -> SceneMesh:
-    """Return the surface of a node's mesh.
-
-    Parameters
-    ----------
-    first : int
-        Its first vertex in the sequence.
-    mirrored : bool
-        Whether the node turns its faces inside out; then their corners are listed the other way round.
-    """
+    """Return the surface of a node's mesh."""
     weld, scene = shape.weld, shape.scene
     order = [0, 2, 1] if mirrored else [0, 1, 2]
     corners = np.concatenate(

@@ -29,20 +29,7 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The nodes of a file, and those of its default scene.
-
-    Parameters
-    ----------
-    nodes : sequence of Fields
-        The JSON of every node of the file.
-    parents : sequence of int
-        Parent of every node, -1 where there is none.
-    objects : dict of int to SceneObject
-        The nodes of the default scene, depth-first. Their paths are the names from the root down with slashes
-        between, no two alike; they can be called by their mesh's name, too.
-    hidden : set of int
-        Those of them that the extension KHR_node_visibility hides, by themselves or from above.
-    """
+    """The nodes of a file, and those of its default scene."""
 
     nodes: Sequence[Fields]
     parents: Sequence[int]
@@ -72,15 +59,7 @@ class Scene:
         return found - {-1}
 
     def world(self, wanted: Iterable[int], pose: Pose) -> dict[int, Float]:
-        """Return the matrices of nodes, from their own space to the world's.
-
-        Parameters
-        ----------
-        wanted : iterable of int
-            The nodes.
-        pose : Pose
-            What is animated in these frames.
-        """
+        """Return the matrices of nodes, from their own space to the world's."""
         found: dict[int, Float] = {-1: np.eye(4)[None]}
         for node in wanted:
             missing = []
@@ -95,13 +74,7 @@ class Scene:
 
 
 def read_scene(document: Document) -> Scene:
-    """Read the node tree.
-
-    Raises
-    ------
-    FormatError
-        If a node has two parents or is below itself, or paths are absurdly long.
-    """
+    """Read the node tree."""
     nodes = document.items("nodes")
     children = [node.integers("children") for node in nodes]
     parents = [-1] * len(nodes)

@@ -25,17 +25,7 @@ _SEEN = ("mesh", "camera", "extensions")
 
 @dataclass(frozen=True, eq=False)
 class OtherMotion:
-    """What goes on.
-
-    Parameters
-    ----------
-    things : sequence of str
-        The paths of what is seen to move: meshes, cameras, lights.
-    channels : sequence of Channel
-        What moves it, by the original's times.
-    start : float
-        The time in seconds that 0 is there.
-    """
+    """What goes on."""
 
     things: Sequence[str] = ()
     channels: Sequence[Channel] = ()
@@ -85,13 +75,7 @@ NOTHING = OtherMotion()
 
 
 def other_motion(document: Document, scene: Scene, taken: Collection[int]) -> OtherMotion:
-    """Return what goes on in a file with one animation, when the nodes `taken` get a motion of their own.
-
-    Raises
-    ------
-    FormatError
-        If a channel is not sound.
-    """
+    """Return what goes on in a file with one animation, when the nodes `taken` get a motion of their own."""
     animations = document.items("animations")
     if len(animations) != 1:
         return NOTHING

@@ -18,21 +18,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """A primitive that consists of triangles.
-
-    Parameters
-    ----------
-    document : Document
-        The file.
-    number : int
-        Which one of its mesh it is.
-    fields : Fields
-        Its JSON.
-    positions : (n, 3) array
-        Positions of its vertices, as stored.
-    triangles : (F, 3) int32
-        Its triangles, by its own vertices; strips and fans are resolved.
-    """
+    """A primitive that consists of triangles."""
 
     document: Document
     number: int
@@ -84,14 +70,7 @@ class Primitive:
 
 
 def primitives_of(document: Document, mesh: int) -> tuple[list[Primitive], list[int]]:
-    """Return the primitives of a mesh that consist of triangles, and the numbers of the others.
-
-    Raises
-    ------
-    FormatError
-        If indices or attributes do not fit together, or a small file makes a mesh enormous by naming the same data
-        again and again.
-    """
+    """Return the primitives of a mesh that consist of triangles, and the numbers of the others."""
     found: list[Primitive] = []
     others, numbers = [], 0
     for number, fields in enumerate(document.item("meshes", mesh).objects("primitives")):

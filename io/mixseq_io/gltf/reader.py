@@ -48,33 +48,7 @@ from mixseq_io.scene_meshes import join
 def open_gltf(
     path: Path, prim: str | None = None, animation: str | int | None = None, fps: float | None = None
 ) -> SequenceReader:
-    """Open a glTF file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    prim : str, optional
-        Path of a node, whose meshes and those below it are read, or name of a node or mesh; "/" is everything.
-        By default all meshes that move, or all if none does.
-    animation : str or int, optional
-        Name or number of the animation, from 0, or the part of the name after a "|"; by default the first. "none"
-        is one frame, as the file has its nodes: mostly the pose at rest.
-    fps : float, optional
-        Frames per second from the first key to the last; by default the frames are at the animation's keys, and
-        between keys that are far apart where more moves than translations and morph weights with linear keys.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, compressed, or has no such mesh.
-    AmbiguousError
-        If several nodes have the name `prim`.
-    SettingsError
-        If there is no such animation, or `fps` is not positive, or one of them is given for a compressed model.
-    InvalidSequenceError
-        If a mesh is mirrored in some frames only.
-    """
+    """Open a glTF file."""
     if is_glb(path) and has_sequence(path):
         return _frames_of_model(path, {"prim": prim, "animation": animation, "fps": fps})
     # What is not finite is reported with its vertex, when points are read.

@@ -36,13 +36,7 @@ def is_glb(path: Path) -> bool:
 
 
 def has_sequence(path: Path) -> bool:
-    """Whether a .glb has a mesh sequence.
-
-    Raises
-    ------
-    FormatError
-        If it is missing or damaged.
-    """
+    """Whether a .glb has a mesh sequence."""
     with reading(path, "glTF"):
         data = data_of_file(path)
         if data.read(0, 4) != b"glTF":
@@ -54,15 +48,7 @@ def has_sequence(path: Path) -> bool:
 
 
 def read_container(path: Path) -> Container:
-    """Read text and streams of the mesh sequence in a .glb.
-
-    Raises
-    ------
-    FormatError
-        If it has none, or is damaged.
-    AmbiguousError
-        If it has several.
-    """
+    """Read text and streams of the mesh sequence in a .glb."""
     document = load_document(path)
     extension = _only_one(document)
     return Container(
@@ -73,13 +59,7 @@ def read_container(path: Path) -> Container:
 
 
 def other_data(path: Path) -> int:
-    """Return the bytes of what a .glb has beside text and streams: a still, and images.
-
-    Raises
-    ------
-    FormatError, AmbiguousError
-        As `read_container`.
-    """
+    """Return the bytes of what a .glb has beside text and streams: a still, and images."""
     document = load_document(path)
     extension = _only_one(document)
     own = {extension.index(name) for name in ("coding", "streams")}

@@ -32,29 +32,7 @@ _FINER = 1.02
 
 
 def write_sequence(path: Path, coded: CompressedSequence, still: StillName) -> None:
-    """Write a compressed sequence as a .glb.
-
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is replaced when the new one is complete.
-    coded : CompressedSequence
-        The sequence.
-    still : {"draco", "plain", "none"}
-        How the first frame is stored for other viewers, see `add_still`.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, there are no faces, or an older mixseq compressed the sequence.
-    MissingExtraError
-        If Draco is not installed.
-
-    Warns
-    -----
-    MixseqWarning
-        If materials cannot be taken along.
-    """
+    """Write a compressed sequence as a .glb."""
     container = pack(coded)
     if container.version != CHECKED_VERSION:
         raise OutputError(
@@ -73,17 +51,7 @@ def write_container(
 
 
 def other_bytes(header: SequenceHeader, points: FloatArray, still: StillName) -> int:
-    """Return the bytes of a .glb beside its streams, at most.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        Mesh and times.
-    points : (V, 3) float
-        About what the first frame will be: that of the original.
-    still : {"draco", "plain", "none"}
-        As in `write_sequence`.
-    """
+    """Return the bytes of a .glb beside its streams, at most: points ``(V, 3)``."""
     layout = _layout(header, points, Container(bytes(_TEXT + 6 * len(header.name)), b""), still)
     return int(_FINER * glb_size(layout))
 

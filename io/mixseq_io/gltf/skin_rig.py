@@ -36,15 +36,7 @@ _MOST_OF_A_BYTE = 256
 
 
 def skinned_scene(skin: Skin) -> Layout:
-    """Return a document of a skinned mesh, its bones and their animation.
-
-    Raises
-    ------
-    OutputError
-        If there are more than 65535 bones.
-    InvalidSequenceError
-        If points or times do not fit into float32.
-    """
+    """Return a document of a skinned mesh, its bones and their animation."""
     if skin.bone_count > MOST_BONES:
         raise OutputError(
             f"the skin has {skin.bone_count} bones, glTF has numbers for {MOST_BONES}; fit it with fewer (bones=N)"

@@ -70,30 +70,7 @@ def runs_of_polygons(mesh: SceneMesh) -> list[int]:
 def add_still(
     layout: Layout, mesh: SceneMesh, points: FloatArray, still: StillName, materials: dict[str, int]
 ) -> list[Json]:
-    """Add the primitives of a still to a document.
-
-    Parameters
-    ----------
-    layout : Layout
-        The document; it gets accessors and buffer views.
-    mesh : SceneMesh
-        The mesh.
-    points : (V, 3) float
-        Its points in the first frame.
-    still : {"draco", "plain", "none"}
-        How it is stored.
-    materials : dict of str to int
-        The document's materials by their names in glTF; those that are missing are added, plain.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If points do not fit into float32.
-    OutputError
-        If there are no faces, or Draco cannot compress them.
-    MissingExtraError
-        If Draco is not installed.
-    """
+    """Add the primitives of a still to a document: points ``(V, 3)``."""
     single = as_float32(points[None], 0, "glTF")[0]
     normals = shared_normals(single[None], mesh.polygons, mesh.hard_edges)[0].astype(np.float32)
     add = {"draco": _draco, "plain": _plain, "none": _none}[still]

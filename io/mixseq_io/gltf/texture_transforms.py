@@ -27,13 +27,7 @@ _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")
 
 
 def texture_transform(document: Document, primitive: Fields) -> NDArray[np.float64]:
-    """Return what the material of a primitive does to TEXCOORD_0: ``(2, 3)``, the offset in the last column.
-
-    Raises
-    ------
-    FormatError
-        If there is no such material, or it is not sound.
-    """
+    """Return what the material of a primitive does to TEXCOORD_0: ``(2, 3)``, the offset in the last column."""
     index = primitive.index("material")
     textures = [] if index is None else _textures(document.item("materials", index))
     for texture in textures:

@@ -28,19 +28,7 @@ Attribute = Callable[[Primitive], NDArray[Any] | None]
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """The welded vertices of a glTF mesh.
-
-    Parameters
-    ----------
-    primitives : tuple of Primitive
-        The primitives that consist of triangles, in the file's order.
-    skipped : tuple of int
-        Numbers of the mesh's other primitives: points, lines, those without positions.
-    of_primitive : tuple of (n,) int32
-        For each of `primitives` the welded vertex of each of its own vertices.
-    representatives : (W,) int
-        For every welded vertex the first of the vertices that it is made of, counted through all primitives.
-    """
+    """The welded vertices of a glTF mesh."""
 
     primitives: tuple[Primitive, ...]
     skipped: tuple[int, ...]
@@ -70,18 +58,6 @@ def weld(document: Document, mesh: int) -> Weld:
     """Weld the vertices of a mesh.
 
     The same file always gives the same vertices in the same order: that of ``_VERTEX``, or of their first appearance.
-
-    Parameters
-    ----------
-    document : Document
-        The file.
-    mesh : int
-        Which of its meshes.
-
-    Raises
-    ------
-    FormatError
-        If it has no triangles, or is not sound.
     """
     primitives, skipped = primitives_of(document, mesh)
     if not primitives:

@@ -79,11 +79,6 @@ class Shape:
         """Return 1 for each of the B frames where the mesh is as modelled, -1 where it is mirrored, 0 where flat.
 
         Of a skin's joints, the majority decides.
-
-        Parameters
-        ----------
-        world : dict of int to (B, 4, 4) array
-            The matrices of its bearers, see `Scene.world`.
         """
         if self.skin is None:
             return _signs(world[self.node])
@@ -123,13 +118,7 @@ def _skinned(
 
 
 def bearers(document: Document, node: Fields, index: int) -> list[int]:
-    """Return the nodes whose matrices move a node's mesh: its skin's joints, or else the node itself.
-
-    Raises
-    ------
-    FormatError
-        If there are no such nodes.
-    """
+    """Return the nodes whose matrices move a node's mesh: its skin's joints, or else the node itself."""
     skin = node.index("skin")
     if skin is None:
         return [index]
@@ -137,13 +126,7 @@ def bearers(document: Document, node: Fields, index: int) -> list[int]:
 
 
 def joints_of(document: Document, skin: Fields) -> list[int]:
-    """Return the nodes that are a skin's joints.
-
-    Raises
-    ------
-    FormatError
-        If there are no such nodes.
-    """
+    """Return the nodes that are a skin's joints."""
     joints = skin.integers("joints")
     if not joints:
         raise skin.error("has no joints; the file is damaged")
@@ -153,13 +136,7 @@ def joints_of(document: Document, skin: Fields) -> list[int]:
 
 
 def read_shape(document: Document, scene: Scene, node: int, weld: Weld) -> Shape:
-    """Read what moves a node's mesh.
-
-    Raises
-    ------
-    FormatError
-        If morph weights or the skin do not fit the mesh.
-    """
+    """Read what moves a node's mesh."""
     fields = scene.nodes[node]
     mesh = document.item("meshes", fields.integer("mesh"))
     positions = np.concatenate([each.positions for each in weld.primitives]).astype(np.float64)
@@ -192,13 +169,7 @@ def _read_skin(document: Document, index: int, joints: Sequence[int], weld: Weld
 
 
 def inverse_binds_of(document: Document, skin: Fields, count: int) -> NDArray[np.float64]:
-    """Return a skin's matrices ``(J, 4, 4)`` from the mesh to each of its `count` joints.
-
-    Raises
-    ------
-    FormatError
-        If they do not fit the joints.
-    """
+    """Return a skin's matrices ``(J, 4, 4)`` from the mesh to each of its `count` joints."""
     binds = skin.index("inverseBindMatrices")
     if binds is None:
         return np.tile(np.eye(4), (count, 1, 1))

@@ -57,22 +57,6 @@ def write_gltf(
         Let the animation begin when the sequence does. By default it begins at 0, and tells our reader when that is.
     sources : (T,) array-like, optional
         Times of the original that the frames show, in seconds: where they are others, a warning names what else moves.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, would be too large, or is the one that everything else comes from; or if
-        `onto` cannot be read or has other meshes.
-    InvalidSequenceError
-        If points or times do not fit into float32.
-    SettingsError
-        If both `flatten` and `onto` are given.
-
-    Warns
-    -----
-    MixseqWarning
-        If something is lost: of the sequence, of the file it came from, or all of that file because it is not there
-        any more or has other meshes.
     """
     if flatten and onto is not None:
         raise SettingsError("flatten writes the sequence alone, onto lays it over a file; give one of them")

@@ -13,15 +13,7 @@ from mixseq.polygons import Polygons, frozen
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """One label per triangle.
-
-    Parameters
-    ----------
-    part_of_face : (F,) int64
-        Number of the label of every triangle, an index of `names`.
-    names : tuple of str
-        What the labels are called.
-    """
+    """One label per triangle."""
 
     part_of_face: Index
     names: tuple[str, ...]

@@ -66,13 +66,7 @@ def labels_of_sets(sets: Sequence[FaceSet], polygons: Polygons) -> Labels:
 
 
 def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
-    """Label polygons by the colours ``(sum of counts, k)`` of their corners.
-
-    Raises
-    ------
-    FormatError
-        If there are more than `MOST_COLOURS`; the message goes on from the name of the file.
-    """
+    """Label polygons by the colours ``(sum of counts, k)`` of their corners."""
     bytes_ = np.rint(255 * np.clip(np.nan_to_num(colours), 0, _BRIGHTEST)).astype(np.int64)
     kinds, of_corner = np.unique(bytes_, axis=0, return_inverse=True)
     if len(kinds) > MOST_COLOURS:
@@ -88,18 +82,7 @@ def labels_of_colours(colours: FloatArray, polygons: Polygons) -> Labels:
 
 
 def labels_of_skinning(skinning: Skinning, polygons: Polygons, smallest: float = SMALLEST_JOINT) -> Labels:
-    """Label polygons by the joint that they follow most.
-
-    Parameters
-    ----------
-    skinning : Skinning
-        Weights of the vertices.
-    polygons : Polygons
-        The faces.
-    smallest : float
-        Joints with a smaller share of the polygons join the one above them, if there is one, and smaller regions of
-        joints the labels beside them; 0 leaves all as they are.
-    """
+    """Label polygons by the joint that they follow most."""
     count = len(polygons.counts)
     rows = np.repeat(np.arange(count), polygons.counts)
     of_polygon = csr_array(
@@ -150,16 +133,7 @@ def without_small_regions(of_polygon: Index, polygons: Polygons, vertex_count: i
     The smallest region comes first; it belongs to its new neighbour from then on. Regions that are all of a
     connected component stay.
 
-    Parameters
-    ----------
-    of_polygon : (P,) int
-        Label of every polygon.
-    polygons : Polygons
-        The faces.
-    vertex_count : int
-        Number of vertices.
-    fewest : float
-        Number of polygons that a region needs.
+    Shapes: of_polygon ``(P,)``.
     """
     pairs = _beside(polygons, vertex_count)
     count = len(of_polygon)

@@ -31,17 +31,7 @@ SMALLEST_JOINT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Skinning:
-    """How much each vertex follows each joint.
-
-    Parameters
-    ----------
-    weights : (V, J) sparse
-        The weights; rows sum to 1.
-    joints : tuple of J str
-        Path of every joint; no two are alike.
-    parents : tuple of J str
-        Path of the joint above each, "" if there is none.
-    """
+    """How much each vertex follows each joint."""
 
     weights: csr_array
     joints: tuple[str, ...]
@@ -57,15 +47,7 @@ class Skinning:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Markings:
-    """What tells parts of a mesh apart.
-
-    Parameters
-    ----------
-    sets : mapping of str to tuple of FaceSet
-        Named sets of polygons by their source; sets of one name count as one.
-    skinning : Skinning, optional
-        The joints that move the vertices.
-    """
+    """What tells parts of a mesh apart."""
 
     sets: Mapping[str, tuple[FaceSet, ...]] = field(default_factory=dict)
     skinning: Skinning | None = None

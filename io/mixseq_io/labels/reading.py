@@ -56,33 +56,6 @@ def read_labels(
 
     `mixseq.segmentation.segment_by_labels` makes a segmentation of them, whose parts are connected.
 
-    Parameters
-    ----------
-    path : path-like
-        An npz file with an array of labels, or any file that can be read as a sequence of the same mesh: one frame
-        is enough, and it may be the sequence's own file.
-    sequence : MeshSequence, SequenceReader or SequenceHeader
-        Whose faces are labelled.
-    source : str, optional
-        Which of the things in the file, see the head of this module; needed where there are several.
-    smallest_joint : float
-        With a skeleton: joints with a smaller share of the polygons join the one above them.
-    **options
-        The ``read_options`` of the file's format, see `mixseq_io.open_sequence`.
-
-    Returns
-    -------
-    Labels
-
-    Raises
-    ------
-    FormatError
-        If the file has no labels, no such source, labels of another mesh, or more than 256 colours.
-    AmbiguousError
-        If it has several sources, and none is chosen.
-    SettingsError
-        If `smallest_joint` is not a share.
-
     Examples
     --------
     >>> import tempfile

@@ -37,27 +37,6 @@ def write_labels(
     - USD: a subset of the family ``mixseq`` for every part. Over the file of a reader, it is a layer that
       adds these and changes nothing else, so that points, skeletons and materials are still those of the file.
     - OBJ, Alembic and HDF5 sequences: a face set for every part in place of those that stand for no material.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    sequence : MeshSequence or SequenceReader
-        The animation.
-    labels : Labels
-        Its parts.
-    flatten : bool
-        Write USD that does not need the file that the sequence was read from.
-
-    Raises
-    ------
-    OutputError
-        If the format has no place for parts, or the file cannot be written.
-
-    Warns
-    -----
-    MixseqWarning
-        If polygons are in several parts, but the format has whole polygons; and as `mixseq_io.write_blocks`.
     """
     file, header = Path(path), sequence.header
     form = check_holds_labels(file)
@@ -78,13 +57,7 @@ def write_labels(
 
 
 def check_holds_labels(path: PathLike) -> str:
-    """Return the name of a file's format if parts can be written into it.
-
-    Raises
-    ------
-    OutputError
-        If not; the message tells which formats can.
-    """
+    """Return the name of a file's format if parts can be written into it."""
     extension = Path(path).suffix.lower()
     able = [form for form in FORMATS if form.name in (ARRAYS, SUBSETS, *SETS)]
     for form in able:

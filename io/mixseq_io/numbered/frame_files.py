@@ -91,26 +91,7 @@ class FrameFormat:
     damage: tuple[type[Exception], ...] = ()
 
     def open(self, path: Path, fps: float = DEFAULT_FPS, allow_gaps: bool = False) -> SequenceReader:
-        """Open numbered files.
-
-        Parameters
-        ----------
-        path : Path
-            A pattern (``walk_####.obj``, ``walk_%04d.obj``, ``walk_*.obj``), a folder, or one file.
-        fps : float
-            Frames per second: a frame's time is ``number / fps``, see `mixseq.frame_numbers`.
-        allow_gaps : bool
-            Accept missing numbers.
-
-        Raises
-        ------
-        SettingsError
-            If `fps` is not positive.
-        FormatError, AmbiguousError
-            If there are no such files, several sequences of them, or damaged ones.
-        InvalidSequenceError
-            If numbers are missing, or a file's faces differ from the first's.
-        """
+        """Open numbered files."""
         if not (np.isfinite(fps) and fps > 0):
             raise SettingsError(f"fps is {fps}; a positive number is expected")
         files, numbers = find_frames(path, allow_gaps, f".{self.name.lower()}")

@@ -31,26 +31,7 @@ def numbered_name(pattern: Path, number: int) -> str:
 
 
 def find_frames(path: Path, allow_gaps: bool, extension: str = ".obj") -> tuple[list[Path], list[int]]:
-    """Find the files of a sequence and their numbers, in order.
-
-    Parameters
-    ----------
-    path : Path
-        A pattern, a glob, a folder, or one file, whose number is 0.
-    allow_gaps : bool
-        Accept missing numbers.
-    extension : str
-        Extension of the files to look for in a folder, in lower case with the dot.
-
-    Raises
-    ------
-    FormatError
-        If there are no such files.
-    AmbiguousError
-        If a folder or glob holds several sequences.
-    InvalidSequenceError
-        If numbers are missing or occur twice.
-    """
+    """Find the files of a sequence and their numbers, in order."""
     if path.is_file():
         return [path], [0]
     if path.is_dir():

@@ -18,15 +18,7 @@ NOTHING = "(null)"
 
 @dataclass(frozen=True)
 class Statement:
-    """A line ``o``, ``g`` or ``usemtl``; it holds until the next of its kind.
-
-    Parameters
-    ----------
-    kind, text : str
-        The keyword and what follows it.
-    face, vertex : int
-        Numbers of faces and vertices before it.
-    """
+    """A line ``o``, ``g`` or ``usemtl``; it holds until the next of its kind."""
 
     kind: str
     text: str

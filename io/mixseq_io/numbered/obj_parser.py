@@ -37,25 +37,7 @@ _NONE = -(2**40)  # below whatever relative indices of a damaged file give
 
 
 def parse_obj(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse an OBJ file.
-
-    Parameters
-    ----------
-    file : Path
-        Its name.
-    data : bytes
-        Its content.
-    like : MeshFile or None
-        The first frame: a file with the same lines of faces need not have them parsed again. What else is on the
-        mesh, but its colours, is only read without it.
-
-    Raises
-    ------
-    FormatError
-        If a line is not what it should be, or the file truncated.
-    InvalidSequenceError
-        If a face has less than three corners.
-    """
+    """Parse an OBJ file."""
     lines = _read_lines(file, data, like)
     faces = (lines.faces, lines.vertices_before)
     if like is not None and len(lines.points) == len(like.points) and faces == like.source:
@@ -161,12 +143,7 @@ def _read_lines(file: Path, data: bytes, like: MeshFile | None) -> _Lines:
 def _parse_faces(file: Path, lines: _Lines) -> tuple[IntArray, IntArray]:
     """Parse corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``, where -1 is what stands last before the face.
 
-    Returns
-    -------
-    counts : (P,) int
-        Numbers of corners.
-    corners : (sum of counts, 3) int
-        Vertex, texture coordinate and normal of every corner, from 0; `_NONE` where there is none.
+    Shapes: result ``(P,)``, ``(sum of counts, 3)``.
     """
     counts: list[int] = []
     corners: list[tuple[int, int, int]] = []

@@ -31,15 +31,7 @@ _COLOUR = 4
 
 
 def parse_off(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse an OFF file.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged or truncated.
-    InvalidSequenceError
-        If its faces use vertices that are not there.
-    """
+    """Parse an OFF file."""
     from trimesh.exchange.off import load_off
 
     lines = [line for each in data.splitlines() if (line := each.partition(b"#")[0].strip())]

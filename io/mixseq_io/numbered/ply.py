@@ -44,15 +44,7 @@ _KINDS = {"f4": "float", "f8": "double", "u1": "uchar"}
 
 
 def parse_ply(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse a PLY file; one whose faces are the same bytes as in `like` need not have them parsed again.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or has no vertices or faces.
-    InvalidSequenceError
-        If a face has less than three corners.
-    """
+    """Parse a PLY file; one whose faces are the same bytes as in `like` need not have them parsed again."""
     elements, source = read_elements(data, None if like is None else like.source)
     points = _side_by_side(elements.get("vertex", {}), "x", "y", "z")
     if points is None:

@@ -41,27 +41,7 @@ class Rows:
 
 
 def read_elements(data: bytes, faces: Rows | None = None) -> tuple[dict[str, Columns], Rows | None]:
-    """Read all elements of a file.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    faces : Rows, optional
-        The second result of another file. Where the faces are the same, they are left out of the first result.
-
-    Returns
-    -------
-    elements : dict of str to Columns
-        The columns of every element by name.
-    faces : Rows or None
-        The element ``face``, if there is one.
-
-    Raises
-    ------
-    ValueError
-        If the file is not what it should be.
-    """
+    """Read all elements of a file."""
     order, elements, start = read_header(data)
     if order == "":
         # Text is turned into binary numbers of one type, so that there is one way to read rows.

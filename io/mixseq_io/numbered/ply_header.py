@@ -41,27 +41,7 @@ class Element:
 
 
 def read_header(data: bytes) -> tuple[str, Sequence[Element], int]:
-    """Read a header.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-
-    Returns
-    -------
-    order : {"<", ">", ""}
-        The byte order; "" stands for text.
-    elements : sequence of Element
-        The elements in their order.
-    start : int
-        Where their rows begin.
-
-    Raises
-    ------
-    ValueError
-        If there is no header, or a line of it has no meaning.
-    """
+    """Read a header."""
     end = data.find(b"end_header", 0, _LARGEST_HEADER)
     start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or start == 0:

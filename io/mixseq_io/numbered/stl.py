@@ -38,15 +38,7 @@ _PREAMBLE = 80
 
 
 def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
-    """Parse an STL file, with the vertices of the first frame `like` if this is a later one.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged or truncated.
-    InvalidSequenceError
-        If it has another number of triangles than the first frame, or corners of a vertex have come apart.
-    """
+    """Parse an STL file, with the vertices of the first frame `like` if this is a later one."""
     corners = _read_corners(file, data)
     if like is None:
         first, indices = _weld(corners)
@@ -75,12 +67,7 @@ def parse_stl(file: Path, data: bytes, like: MeshFile | None) -> MeshFile:
 def _weld(corners: FloatArray) -> tuple[IntArray, IntArray]:
     """Make vertices of corners ``(3 F, 3)`` at equal positions, in the order in which they first occur.
 
-    Returns
-    -------
-    first : (V,) int
-        First corner of every vertex.
-    indices : (3 F,) int
-        Vertex of every corner.
+    Shapes: result ``(V,)``, ``(3 F,)``.
     """
     _, first, indices = np.unique(corners + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 is 0
     order = np.argsort(first)

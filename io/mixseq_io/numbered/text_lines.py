@@ -35,11 +35,6 @@ def colours_of_words(
     """Return the colours of some vertices, all of which have three, or all four words.
 
     In frames after the first, those that cannot be read are no numbers, and so others than in the first.
-
-    Raises
-    ------
-    FormatError
-        If in the first frame a word is no number.
     """
     try:
         return from_text(np.array(rows, dtype=np.float64))

@@ -38,17 +38,7 @@ _MESHES = (".obj", ".ply", ".usdc", ".usda", ".usd", ".usdz", ".abc", ".glb", ".
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the points of a cache are in its file.
-
-    Parameters
-    ----------
-    start : int
-        Number of bytes before the first frame.
-    frames, points : int
-        How many frames, and points in each.
-    order : {"<", ">"}
-        Byte order of the float32 numbers.
-    """
+    """Where the points of a cache are in its file."""
 
     start: int
     frames: int
@@ -61,13 +51,7 @@ class Layout:
         return 12 * self.points
 
     def check_size(self, file: IO[bytes]) -> None:
-        """Check against the size of the file, before anything is allocated.
-
-        Raises
-        ------
-        ValueError
-            If there are no frames or points, or more or fewer bytes than they need.
-        """
+        """Check against the size of the file, before anything is allocated."""
         if self.frames < 1 or self.points < 1:
             raise ValueError(f"it says that it has {self.frames} frames of {self.points} points")
         size, needed = os.fstat(file.fileno()).st_size, self.start + self.frames * self.frame_size
@@ -109,27 +93,7 @@ class PointCacheReader(SequenceReader):
 def open_cache(
     path: Path, kind: str, mesh: MeshPath, read_start: Callable[[IO[bytes]], tuple[Layout, Timing]]
 ) -> SequenceReader:
-    """Open a point cache and the mesh that goes with it.
-
-    Parameters
-    ----------
-    path : Path
-        The cache.
-    kind : str
-        The format's name.
-    mesh : path-like or None
-        File of the mesh; by default one of the cache's name with another extension.
-    read_start : callable
-        Reads what stands before the points, and returns where they are and when; a `ValueError` tells what is wrong.
-
-    Raises
-    ------
-    FormatError
-        If the cache is damaged, or its size not that of its frames; if there is no mesh, or one with another number
-        of vertices.
-    InvalidSequenceError
-        If times do not increase.
-    """
+    """Open a point cache and the mesh that goes with it."""
     with ExitStack() as stack:
         with reading(path, a_file(kind), ValueError):
             file = stack.enter_context(path.open("rb"))
@@ -199,13 +163,6 @@ def write_cache(
         Byte order of the numbers.
     lost : iterable of str
         What the format cannot hold of the times.
-
-    Raises
-    ------
-    OutputError
-        If the files cannot be written, or another mesh has the name of this one's.
-    InvalidSequenceError
-        If a coordinate is too large for float32.
     """
     target = Path(os.path.realpath(path))
     mesh = target.with_suffix(".obj")

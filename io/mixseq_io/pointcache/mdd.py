@@ -81,18 +81,7 @@ def write_mdd(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
-    """Write an MDD file, and its mesh beside it; parameters and errors are those of `write_cache`.
-
-    Raises
-    ------
-    InvalidSequenceError
-        Also if two times are the same in float32.
-
-    Warns
-    -----
-    MixseqWarning
-        If the frame rate does not follow from the times.
-    """
+    """Write an MDD file, and its mesh beside it; parameters and errors are those of `write_cache`."""
     times = header.times.astype(np.float32)
     together = np.flatnonzero(np.diff(times) <= 0)
     if together.size:

@@ -41,24 +41,7 @@ _FRAME_ERROR = 1e-3
 
 
 def open_pc2(path: Path, mesh: MeshPath = None, fps: float = DEFAULT_FPS) -> SequenceReader:
-    """Open a PC2 file.
-
-    Parameters
-    ----------
-    path : Path
-        The cache.
-    mesh : path-like, optional
-        File of the mesh; by default one beside the cache with its name.
-    fps : float
-        Frames per second: sample ``i`` is at ``(first frame + i * frames between samples) / fps`` seconds.
-
-    Raises
-    ------
-    SettingsError
-        If `fps` is not positive.
-    FormatError, InvalidSequenceError
-        See `mixseq_io.pointcache.cache.open_cache`.
-    """
+    """Open a PC2 file."""
     if not (np.isfinite(fps) and fps > 0):
         raise SettingsError(f"fps is {fps}; a positive number is expected")
 
@@ -83,13 +66,7 @@ def write_pc2(
     blocks: Iterable[FloatArray],
     velocities: Iterable[FloatArray] | None = None,
 ) -> None:
-    """Write a PC2 file, and its mesh beside it; parameters and errors are those of `write_cache`.
-
-    Warns
-    -----
-    MixseqWarning
-        If times are uneven, and written as if they were even, or if the frame rate is not 24.
-    """
+    """Write a PC2 file, and its mesh beside it; parameters and errors are those of `write_cache`."""
     frames = header.times * header.fps
     first, step = np.float32(frames[0]), np.float32(1)
     lost = []

@@ -33,21 +33,7 @@ _CLIP_SET = "mixseq"
 def save_in_clips(
     layer: Sdf.Layer, cast: Cast, frames: Iterable[Frame], length: int, folder: NewFolder
 ) -> None:
-    """Write frames into clips, and save a layer that tells how they follow each other.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        What the clips belong to.
-    cast : Cast
-        Whose frames.
-    frames : iterable of Frame
-        The frames.
-    length : int
-        Frames per clip.
-    folder : NewFolder
-        Where the clips go.
-    """
+    """Write frames into clips, and save a layer that tells how they follow each other."""
     starts: list[float] = []
     times: list[float] = []
     clip: Samples | None = None

@@ -30,24 +30,7 @@ _LOOKS = "Looks"
 
 
 def define_component(layer: Sdf.Layer, target: Path, header: SequenceHeader, velocities: bool) -> Cast:
-    """Author everything but samples, and return what is to get them.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        An empty layer.
-    target : Path
-        Where it will be.
-    header : SequenceHeader
-        The sequence.
-    velocities : bool
-        Whether there are velocities.
-
-    Warns
-    -----
-    MixseqWarning
-        If materials overlap, or are written by name only.
-    """
+    """Author everything but samples, and return what is to get them."""
     stage = Usd.Stage.Open(layer)
     name = identifier(header.name)
     root = UsdGeom.Xform.Define(stage, f"/{name}")

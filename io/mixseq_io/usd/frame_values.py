@@ -30,13 +30,7 @@ Frame = tuple[float, Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The space of a prim at some time.
-
-    Parameters
-    ----------
-    to_world, to_local : (4, 4) float
-        The transforms from it to the world and back, for rows: x' = x M.
-    """
+    """The space of a prim at some time."""
 
     to_world: Float
     to_local: Float
@@ -49,19 +43,7 @@ SpaceAt = Callable[[float], Space]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Normals:
-    """How a mesh's normals are written.
-
-    Parameters
-    ----------
-    attribute : {"normals", "primvars:normals"}
-        Where they are written.
-    interpolation : str
-        The attribute's interpolation.
-    groups : (sum of counts,) int, optional
-        Which corners share a normal, see `shared_normals`.
-    order : (n,) int, optional
-        The group of every element of the attribute; by default group after group.
-    """
+    """How a mesh's normals are written."""
 
     attribute: str
     interpolation: str
@@ -111,19 +93,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bounds:
-    """A prim above meshes that has an extent of its own: the root of a skeleton.
-
-    Parameters
-    ----------
-    path : str
-        Path of the prim.
-    scene_meshes : tuple of SceneMesh
-        The meshes below it.
-    space : SpaceAt
-        Its space.
-    others : callable
-        Corners (n, 3) of a box around what else is below it, in its space, at a time in seconds.
-    """
+    """A prim above meshes that has an extent of its own: the root of a skeleton."""
 
     path: str
     scene_meshes: tuple[SceneMesh, ...]
@@ -142,24 +112,7 @@ class Cast:
 def frames(
     cast: Cast, codes: NDArray[np.float64], times: NDArray[np.float64], numbered: Iterable[Numbered]
 ) -> Iterator[Frame]:
-    """Yield the values of every frame.
-
-    Parameters
-    ----------
-    cast : Cast
-        Whose values.
-    codes, times : (T,) float
-        Time codes of the frames, and their times in seconds.
-    numbered : iterable of Numbered
-        The blocks, see `mixseq_io.blocks.checked`.
-
-    Raises
-    ------
-    OutputError
-        If a prim's transform is singular.
-    InvalidSequenceError
-        If a value is too large for float32.
-    """
+    """Yield the values of every frame: codes, times ``(T,)``."""
     for first, block, speeds in numbered:
         for frame, points in enumerate(block, first):
             velocities = None if speeds is None else speeds[frame - first]

@@ -31,19 +31,7 @@ _INVERSE = "!invert!"
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """How a mesh is held still.
-
-    Parameters
-    ----------
-    carrier : Usd.Prim
-        The outermost prim that has nothing but the mesh below it, or the mesh.
-    own : tuple of UsdGeom.XformOp
-        The operations of the mesh and of what is above it up to the carrier, the innermost first. They are held.
-    undone : tuple of UsdGeom.XformOp
-        Those further up, as far as something moves.
-    fixed : tuple of UsdGeom.XformOp
-        Those above these.
-    """
+    """How a mesh is held still."""
 
     carrier: Usd.Prim
     own: Operations
@@ -55,13 +43,7 @@ class Holding:
         return product((*self.own, *self.fixed), code)
 
     def author(self, layer: Sdf.Layer, shown: Shown) -> None:
-        """Author it in a layer, the operations held as they are in its first frame.
-
-        Raises
-        ------
-        OutputError
-            If a transform to be undone moves by a spline.
-        """
+        """Author it in a layer, the operations held as they are in its first frame."""
         for attribute in dict.fromkeys(each.GetAttr() for each in self.own):
             if varies(attribute):
                 held = attribute_in(layer, str(attribute.GetPath()), attribute.GetTypeName())

@@ -93,31 +93,7 @@ def attribute_in(
 
 
 def pack(layer: Sdf.Layer, package: Path, name: str, folders: Sequence[Path]) -> list[str]:
-    """Write a package of a saved layer.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        The layer; its textures are named as from the package's folder.
-    package : Path
-        The file to write, under a temporary name: what else is made of it is deleted with that.
-    name : str
-        What the layer is called in it.
-    folders : sequence of Path
-        Where textures may be, or files that they may be in.
-
-    Returns
-    -------
-    list of str
-        Files elsewhere, and scenes, which the layer names no longer.
-
-    Raises
-    ------
-    OutputError
-        If USD cannot pack it.
-    OSError
-        If that is because the disk is full.
-    """
+    """Write a package of a saved layer."""
     left_out: dict[str, None] = {}
 
     def packed(asset: str, folder: Path) -> str:

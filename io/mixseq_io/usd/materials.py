@@ -31,32 +31,7 @@ _UV_READERS = {
 def define_materials(
     stage: Usd.Stage, target: Path, scope: str, names: Iterable[str], origin: Origin | None
 ) -> Mapping[str, UsdShade.Material]:
-    """Define materials below a scope.
-
-    Parameters
-    ----------
-    stage : Usd.Stage
-        Where.
-    target : Path
-        The file that this will be.
-    scope : str
-        Path of the scope; made if there are materials.
-    names : iterable of str
-        What the materials are called in the sequence: names, or paths in `origin`.
-    origin : Origin, optional
-        The file that they were in.
-
-    Returns
-    -------
-    mapping of str to UsdShade.Material
-        The materials by `names`.
-
-    Warns
-    -----
-    MixseqWarning
-        If there is nothing to copy, so that materials are only names; not where the file is gone, of which there is
-        a warning before.
-    """
+    """Define materials below a scope."""
     wanted = list(dict.fromkeys(names))
     if not wanted:
         return {}

@@ -21,15 +21,7 @@ from mixseq_io.usd.transforms import Placement, varies
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """A mesh and what moves it.
-
-    Parameters
-    ----------
-    mesh : UsdGeom.Mesh
-        The mesh.
-    skin : Skin or None
-        Its skeleton and blend shapes.
-    """
+    """A mesh and what moves it."""
 
     mesh: UsdGeom.Mesh
     skin: Skin | None
@@ -57,15 +49,7 @@ class Mover:
 
 @dataclass(frozen=True, eq=False)
 class AnimatedMesh:
-    """A mesh over the frames of a sequence.
-
-    Parameters
-    ----------
-    mover : Mover
-        The mesh.
-    codes : (T,) float64
-        Time codes of the frames.
-    """
+    """A mesh over the frames of a sequence."""
 
     mover: Mover
     codes: NDArray[np.float64]
@@ -110,14 +94,7 @@ class AnimatedMesh:
         return bool(self._first_determinant * bind < 0)
 
     def points(self, code: float, pose: Pose | None) -> NDArray[np.float32]:
-        """Return the vertices (V, 3) in the world at a time code, the skeleton being in a pose.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If there are others than in the first frame, or the transform mirrors otherwise than before; in words
-            that follow the number of the frame.
-        """
+        """Return the vertices (V, 3) in the world at a time code, the skeleton being in a pose."""
         path = self.mesh.GetPath()
         value = self.mesh.GetPointsAttr().Get(Usd.TimeCode(code))
         if value is None:
@@ -138,13 +115,7 @@ class AnimatedMesh:
         return _placed(value, matrix, 1.0)[self.weld.representatives]
 
     def velocities(self, code: float) -> NDArray[np.float32]:
-        """Return the velocities (V, 3) in the world, in units per second.
-
-        Raises
-        ------
-        InvalidSequenceError
-            If there are more or fewer than points.
-        """
+        """Return the velocities (V, 3) in the world, in units per second."""
         value = self.mesh.GetVelocitiesAttr().Get(Usd.TimeCode(code))
         if value is None or len(value) != self.point_count:
             raise InvalidSequenceError(

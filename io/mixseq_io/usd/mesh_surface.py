@@ -50,21 +50,7 @@ def scene_mesh_of(
 ) -> SceneMesh:
     """Return a mesh as it is in the first frame, its faces counter-clockwise seen from outside in world space.
 
-    Parameters
-    ----------
-    animated : AnimatedMesh
-        The mesh.
-    first_vertex : int
-        Index of its first vertex in the sequence.
-    codes : (T,) float64
-        Time codes of the frames.
-    notes : Notes
-        Takes what is left out.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If the faces change over time, or do not fit the vertices.
+    Shapes: codes ``(T,)``.
     """
     mesh, code = animated.mesh, Usd.TimeCode(animated.start)
     path = str(mesh.GetPath())

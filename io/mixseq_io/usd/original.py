@@ -50,17 +50,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Original:
-    """A file that a sequence fits.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    stage : Usd.Stage
-        What it holds.
-    fits : tuple of Fit
-        The meshes of the sequence, each with its mesh in the file.
-    """
+    """A file that a sequence fits."""
 
     path: Path
     stage: Usd.Stage
@@ -73,13 +63,7 @@ class Original:
 
 
 def open_original(path: Path, header: SequenceHeader) -> Original:
-    """Open a file on which a sequence may be laid.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be opened, has no time, or does not fit: other faces, units or up axis.
-    """
+    """Open a file on which a sequence may be laid."""
     try:
         with reading_usd(path):
             stage = open_stage(path)

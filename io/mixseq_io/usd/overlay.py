@@ -49,31 +49,7 @@ _COPIED = (
 
 
 def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, velocities: bool) -> Cast:
-    """Author everything but samples, and return what is to get them.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        An empty layer.
-    target : Path
-        Where it will be.
-    original : Original
-        What it is laid over.
-    shown : Shown
-        Which time of that is shown when.
-    velocities : bool
-        Whether there are velocities.
-
-    Raises
-    ------
-    OutputError
-        If the transform of a mesh is singular.
-
-    Warns
-    -----
-    MixseqWarning
-        If instances become prims of their own, or meshes with others below them still move with what is above them.
-    """
+    """Author everything but samples, and return what is to get them."""
     put_over(layer, target, original)
     moving = [fit for fit in original.fits if Placement(fit.mesh.GetPrim()).moves]
     holdings = {fit: held for fit in moving if (held := holding_of(fit.mesh.GetPrim()))}
@@ -104,13 +80,7 @@ def lay_over(layer: Sdf.Layer, target: Path, original: Original, shown: Shown, v
 
 
 def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
-    """Make a file the sublayer of an empty layer, of which everything stays.
-
-    Warns
-    -----
-    MixseqWarning
-        If instances become prims of their own.
-    """
+    """Make a file the sublayer of an empty layer, of which everything stays."""
     layer.subLayerPaths.append(reference_to(original.path, target))
     below = original.stage.GetRootLayer()
     for key in _COPIED:
@@ -120,13 +90,7 @@ def put_over(layer: Sdf.Layer, target: Path, original: Original) -> None:
 
 
 def split_instances(layer: Sdf.Layer, target: Path, prims: Iterable[Usd.Prim]) -> None:
-    """Give instances with some prims below them prims of their own, on which there can be opinions.
-
-    Warns
-    -----
-    MixseqWarning
-        If there are any.
-    """
+    """Give instances with some prims below them prims of their own, on which there can be opinions."""
     above = [each for prim in prims for each in lineage(prim) if each.IsInstance()]
     paths = list(dict.fromkeys(str(prim.GetPath()) for prim in above))
     for path in paths:

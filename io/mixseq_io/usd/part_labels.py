@@ -40,15 +40,7 @@ NUMBER = "mixseq:part"
 
 
 def markings_of(header: SequenceHeader, meshes: Sequence[AnimatedMesh]) -> Markings:
-    """Return what tells parts of the meshes of a stage apart.
-
-    Parameters
-    ----------
-    header : SequenceHeader
-        The sequence that joins the meshes.
-    meshes : sequence of AnimatedMesh
-        The meshes in the order of their vertices.
-    """
+    """Return what tells parts of the meshes of a stage apart."""
     polygons = [_polygons(animated) for animated in meshes]
     skinned = any(_is_skinned(animated) for animated in meshes)
     materials = {source: sets for source, sets in sets_of(header).items() if source == MATERIALS}
@@ -140,32 +132,14 @@ def _above(root: str, joint: str, skeleton: UsdSkel.SkeletonQuery) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of a sequence's polygons.
-
-    Parameters
-    ----------
-    of_polygon : tuple of (n,) int
-        Part of every polygon, mesh by mesh.
-    names : sequence of str
-        What the parts are called.
-    """
+    """Parts of a sequence's polygons."""
 
     of_polygon: tuple[IntArray, ...]
     names: Sequence[str]
 
 
 def define_parts(layer: Sdf.Layer, meshes: Sequence[str], parts: Parts) -> None:
-    """Author a subset for every part of every mesh; those that the meshes have from before are replaced.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        The layer, which may have others below it.
-    meshes : sequence of str
-        Paths of the meshes' prims, in the order of `parts`.
-    parts : Parts
-        The parts.
-    """
+    """Author a subset for every part of every mesh; those that the meshes have from before are replaced."""
     stage = Usd.Stage.Open(layer)
     for path, of_polygon in zip(meshes, parts.of_polygon, strict=True):
         _define(UsdGeom.Mesh(stage.GetPrimAtPath(path)), of_polygon, parts.names)

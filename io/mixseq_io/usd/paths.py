@@ -48,11 +48,6 @@ def identifier(name: str) -> str:
 class Identifiers:
     """Gives siblings names that prims can have, all different.
 
-    Parameters
-    ----------
-    *taken : str
-        Names that are taken.
-
     Examples
     --------
     >>> names = Identifiers("leg_1")

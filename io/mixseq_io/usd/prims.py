@@ -24,14 +24,7 @@ _LONGEST_LIST = 20
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a file as it is on the disk, with all payloads.
-
-    Raises
-    ------
-    FormatError
-        If it is missing, damaged or of another type, or a layer that it names is a pipe or a device: USD would wait
-        for it.
-    """
+    """Open a file as it is on the disk, with all payloads."""
     if not path.is_file():
         raise FormatError(f"{path} does not exist")
     # A process shares its layers by their identifier, with an application's unsaved edits in them, or with
@@ -54,13 +47,7 @@ def absolute(path: Path) -> str:
 
 
 def prims_of(path: Path, stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """Yield the prims of a stage depth-first: native instances resolved, prototypes of point instancers left out.
-
-    Raises
-    ------
-    FormatError
-        If there are too many.
-    """
+    """Yield the prims of a stage depth-first: native instances resolved, prototypes of point instancers left out."""
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for count, prim in enumerate(prims):
         if count == _MOST_PRIMS:
@@ -89,15 +76,7 @@ def define(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> None:
 
 @dataclass(frozen=True)
 class Notes:
-    """What is to be told about prims: one warning for all that have the same problem.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    found : dict of str to list of str
-        The problems, and the paths of prims that have them.
-    """
+    """What is to be told about prims: one warning for all that have the same problem."""
 
     path: Path
     found: dict[str, list[str]] = field(default_factory=dict)

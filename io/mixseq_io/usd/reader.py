@@ -44,31 +44,7 @@ from mixseq_io.usd.transforms import is_spline
 
 
 def open_usd(path: Path, prim: str | None = None) -> SequenceReader:
-    """Open a USD file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    prim : str, optional
-        Path of a mesh, or of a prim above meshes, or its name where no other prim has it: all meshes at or below it
-        are read, ``/`` for all of the stage. By default those that move; all if none does.
-
-    Raises
-    ------
-    AmbiguousError
-        If several prims have the name `prim`.
-    FormatError
-        If there is no mesh, or its motion is a spline.
-    InvalidSequenceError
-        If the faces change over time.
-
-    Warns
-    -----
-    MixseqWarning
-        Of what cannot be read: meshes that stand still beside others that move, point instances, visibility that
-        changes, holes, further texture coordinates, and what USD itself reports.
-    """
+    """Open a USD file."""
     notes = Notes(path)
     with quiet() as reports, reading_usd(path), naming(path):
         shot = _shot(path, open_stage(path), prim, notes)
@@ -102,19 +78,7 @@ def open_usd_bind_pose(path: Path, skeleton: str | None) -> SequenceReader:
 
 @dataclass(frozen=True)
 class _Shot:
-    """Where the frames come from.
-
-    Parameters
-    ----------
-    stage : Usd.Stage
-        Held, because prims die with their stage.
-    meshes : sequence of AnimatedMesh
-        The meshes, in the order of their vertices.
-    codes : (T,) float64
-        Time codes of the frames.
-    posed : callable
-        The pose of a skeleton at a time code.
-    """
+    """Where the frames come from."""
 
     stage: Usd.Stage
     meshes: Sequence[AnimatedMesh]
@@ -209,22 +173,7 @@ def _header(path: Path, shot: _Shot, notes: Notes) -> SequenceHeader:
 
 
 def _frame_codes(path: Path, stage: Usd.Stage, movers: Sequence[Mover]) -> NDArray[np.float64]:
-    """Return the time codes (T,) of the frames in which all meshes are to be read.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    stage : Usd.Stage
-        The stage.
-    movers : sequence of Mover
-        The meshes.
-
-    Raises
-    ------
-    FormatError
-        If something moves by a spline.
-    """
+    """Return the time codes (T,) of the frames in which all meshes are to be read."""
     sources = list(dict.fromkeys(each for mover in movers for each in mover.sources))
     for each in sources:
         if is_spline(each):

@@ -38,13 +38,7 @@ def what_else_moves(original: Original) -> list[str]:
 def warn_of_rest(
     target: Path, header: SequenceHeader, original: Original, times: NDArray[np.float64]
 ) -> None:
-    """Tell what else moves in a file, if the frames of a sequence show `times` of it that are not their own.
-
-    Warns
-    -----
-    MixseqWarning
-        If there is anything.
-    """
+    """Tell what else moves in a file, if the frames of a sequence show `times` of it that are not their own."""
     if not is_retimed(header, times):
         return
     cure = "; whole_stage=True (--whole-stage) retimes everything" if np.isfinite(times).all() else ""
@@ -53,24 +47,7 @@ def warn_of_rest(
 
 
 def retime_rest(layer: Sdf.Layer, target: Path, original: Original, shown: Shown) -> None:
-    """Give what moves in a file, as far as its layer does not tell it itself, samples at the layer's frames.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        The layer, with everything that it tells itself.
-    target : Path
-        Where it will be.
-    original : Original
-        The file.
-    shown : Shown
-        Which time of the file is shown when.
-
-    Warns
-    -----
-    MixseqWarning
-        If instances become prims of their own.
-    """
+    """Give what moves in a file, as far as its layer does not tell it itself, samples at the layer's frames."""
     every = Usd.PrimRange.Stage(original.stage, Usd.TraverseInstanceProxies())
     moving = [
         each for prim in every for each in _animated(prim) if not layer.GetAttributeAtPath(each.GetPath())

@@ -20,21 +20,7 @@ from mixseq_io.usd.writer import check_not_needed, check_up_axis, folders_of, wa
 
 
 def write_usd_rig(path: Path, rig: Skin | Morph) -> None:
-    """Write a skin or a morph.
-
-    Raises
-    ------
-    OutputError
-        If the up axis is X, which USD does not know, the file cannot be written, or it would replace the one that the
-        sequence came from.
-    InvalidSequenceError
-        If a number is too large for float32.
-
-    Warns
-    -----
-    MixseqWarning
-        Of materials that overlap or are only names, and of textures elsewhere that are not packed.
-    """
+    """Write a skin or a morph."""
     header = rig.header
     check_up_axis(path, header)
     origin = header.surface.origin

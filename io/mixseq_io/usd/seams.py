@@ -26,15 +26,7 @@ VERTICES = "mixseq:vertices"
 
 @dataclass(frozen=True, eq=False)
 class Weld:
-    """Which points of a mesh are which vertex.
-
-    Parameters
-    ----------
-    of_point : (P,) int
-        The vertex of every point.
-    representatives : (W,) int
-        The first point of every vertex; vertices are numbered in this order.
-    """
+    """Which points of a mesh are which vertex."""
 
     of_point: IntArray
     representatives: IntArray

@@ -22,17 +22,7 @@ from mixseq_io.usd.paths import time_codes
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Which time codes of the file below those of a layer show.
-
-    Parameters
-    ----------
-    rate_below, rate : float
-        Time codes per second, of the file and of the layer.
-    codes : (T,) float
-        Time codes of the layer's frames.
-    sources : (T,) float, optional
-        Time of the file that each of them shows, in seconds; by default the same.
-    """
+    """Which time codes of the file below those of a layer show."""
 
     rate_below: float
     rate: float
@@ -63,13 +53,7 @@ class Shown:
 
 
 def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float64]:
-    """Return the times (T,) that frames show, in seconds.
-
-    Raises
-    ------
-    SettingsError
-        If there are more or fewer than frames.
-    """
+    """Return the times (T,) that frames show, in seconds."""
     times = np.asarray(sources, dtype=np.float64)
     if times.shape != header.times.shape:
         raise SettingsError(
@@ -79,13 +63,7 @@ def source_times(header: SequenceHeader, sources: ArrayLike) -> NDArray[np.float
 
 
 def shown_by(header: SequenceHeader, rate_below: float, sources: NDArray[np.float64] | None = None) -> Shown:
-    """Return what the frames of a sequence show of a file with a rate.
-
-    Raises
-    ------
-    SettingsError
-        If one of the `sources` is not a time.
-    """
+    """Return what the frames of a sequence show of a file with a rate."""
     if sources is not None and not np.isfinite(sources).all():
         frame = int(np.argmin(np.isfinite(sources)))
         raise SettingsError(

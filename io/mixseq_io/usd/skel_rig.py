@@ -35,27 +35,7 @@ from mixseq_io.usd.paths import Identifiers, time_codes
 
 
 def define_rig(layer: Sdf.Layer, target: Path, rig: Skin | Morph) -> None:
-    """Author a skin or a morph.
-
-    Parameters
-    ----------
-    layer : Sdf.Layer
-        A layer with times and units only.
-    target : Path
-        Where it will be.
-    rig : Skin or Morph
-        What to author.
-
-    Raises
-    ------
-    InvalidSequenceError
-        If a number is too large for float32.
-
-    Warns
-    -----
-    MixseqWarning
-        If materials overlap, or are written by name only.
-    """
+    """Author a skin or a morph."""
     shape = shape_of(rig)
     cast = define_component(layer, target, rig.header, velocities=False)
     _put_base(layer, cast, shape)

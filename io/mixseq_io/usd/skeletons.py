@@ -23,15 +23,7 @@ from mixseq_io.usd.prims import Notes, lineage
 
 @dataclass(frozen=True)
 class Pose:
-    """A skeleton at one time.
-
-    Parameters
-    ----------
-    joints : array of Gf.Matrix4d
-        Transforms from the bind pose, in the space of the skeleton.
-    weights : array of float
-        Weights of the animation's blend shapes.
-    """
+    """A skeleton at one time."""
 
     joints: Vt.Matrix4dArray
     weights: Vt.FloatArray

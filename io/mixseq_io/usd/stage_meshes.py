@@ -23,13 +23,6 @@ def meshes_of(path: Path, stage: Usd.Stage, prim: str | None, notes: Notes) -> l
     """Return the meshes of a stage, or those at or below `prim`, in the order of the stage.
 
     Hidden meshes, guides, proxies, and meshes without points count only where there is nothing else.
-
-    Raises
-    ------
-    AmbiguousError
-        If `prim` is a plain name that prims in several places have.
-    NoMeshError, FormatError
-        If there is none, or none of that name; the message lists what there is.
     """
     prims = list(prims_of(path, stage))
     meshes = [mesh for each in prims if (mesh := UsdGeom.Mesh(each))]

@@ -22,13 +22,7 @@ Operations = tuple[UsdGeom.XformOp, ...]
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The way from a prim's space to the world.
-
-    Parameters
-    ----------
-    prim : Usd.Prim
-        The prim.
-    """
+    """The way from a prim's space to the world."""
 
     prim: Usd.Prim
 

@@ -72,21 +72,6 @@ def write_usd(
         Retime everything else that moves in the original, too: cameras, hair, lights, other meshes.
     parts : Parts, optional
         Parts to write as subsets of the faces, see `mixseq_io.labels.writing`.
-
-    Raises
-    ------
-    OutputError
-        If the up axis is X, which USD does not know, if `onto` does not fit the sequence, or if the file would
-        replace the one that the sequence was read from, or a layer of that, without `flatten`.
-    SettingsError
-        If the options contradict each other.
-
-    Warns
-    -----
-    MixseqWarning
-        If the file that the sequence was read from is gone or does not fit, so that the new one stands alone; of
-        what is lost, see `lay_over` and `define_component`; of what keeps its own speed beside frames that show
-        `sources`; of textures elsewhere that are not packed; and of clips that an older file has left.
     """
     packed = path.suffix.lower() == ".usdz"
     _check_options(packed, flatten, onto, clips, pack_from)
@@ -148,18 +133,7 @@ def write_usd(
 
 
 def write_usd_parts(path: Path, header: SequenceHeader, parts: Parts) -> bool:
-    """Write a layer over the file that a sequence was read from, which adds parts and changes nothing else.
-
-    Returns
-    -------
-    bool
-        False, and nothing is written, if there is no such file, or the file to write stands alone (.usdz).
-
-    Raises
-    ------
-    OutputError
-        As `write_usd`.
-    """
+    """Write a layer over the file that a sequence was read from, which adds parts and changes nothing else."""
     original = _original(path, header, flatten=False, onto=None)
     if original is None:
         return False

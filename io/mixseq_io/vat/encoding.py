@@ -19,15 +19,7 @@ _COARSE, _FINE = 65535.0, 1024.0
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Numbers as pixels.
-
-    Parameters
-    ----------
-    pixels : array
-        Of the shape of the numbers: uint16 or uint8 for PNG, float32 for EXR.
-    offset, scale : (channels,) float64
-        What makes numbers of pixels between 0 and 1.
-    """
+    """Numbers as pixels."""
 
     pixels: Pixels
     offset: NDArray[np.float64]
@@ -64,12 +56,6 @@ def in_two(numbers: NDArray[np.floating], largest: float, kind: Kind) -> tuple[E
 
     A shader's number is :math:`o + s (p + p' / 65535)` with the pixel `p'` that is T rows below `p`. It has 6 bits, as
     more are noise that cannot be compressed; of EXR it is 0.
-
-    Returns
-    -------
-    encoded : Encoded
-    numbers : (T, n, 3) float64
-        What a shader sees.
     """
     if kind is np.float32:
         made = encoded(np.concatenate([numbers, np.zeros_like(numbers)]), 0, 1, np.float32)

@@ -51,13 +51,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def write_exr(path: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an EXR of pixels ``(height, width, 3 or 4)``, from the top left.
-
-    Raises
-    ------
-    MissingExtraError
-        If OpenEXR is not installed.
-    """
+    """Write an EXR of pixels ``(height, width, 3 or 4)``, from the top left."""
     library = exr_library(path)
     names = "RGBA"[: pixels.shape[2]]
     channels = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
@@ -67,13 +61,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32]) -> None:
 
 
 def exr_library(path: Path) -> Any:
-    """Return the package that writes EXR.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
+    """Return the package that writes EXR."""
     try:
         import OpenEXR
     except ModuleNotFoundError as error:

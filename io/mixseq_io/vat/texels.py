@@ -103,13 +103,7 @@ class Texels:
         return -(-self.count // _USUAL_WIDTH)
 
     def stacked(self, layers: NDArray[np.floating], what: str) -> NDArray[np.floating]:
-        """Return layers ``(n, N, channels)`` as pixels ``(n * rows, width, channels)``, filled up with zeros.
-
-        Raises
-        ------
-        SettingsError
-            If they are more than graphics cards take.
-        """
+        """Return layers ``(n, N, channels)`` as pixels ``(n * rows, width, channels)``, filled up with zeros."""
         count, _, channels = layers.shape
         if count * self.rows > LARGEST:
             raise SettingsError(

@@ -29,16 +29,10 @@ _NEGLIGIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What textures shall show, in float64.
+    """What textures shall show, in float64."""
 
-    Attributes
-    ----------
-    points, normals : (T, N, 3) float64
-        Of the N texels of every frame.
-    """
-
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    points: NDArray[np.float64]  # (T, N, 3) of the N texels of every frame
+    normals: NDArray[np.float64]  # (T, N, 3) of the N texels of every frame
 
     @classmethod
     def of(cls, points: FloatArray, texels: Texels) -> Frames:
@@ -49,24 +43,12 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures, and what they show.
+    """Textures, and what they show."""
 
-    Attributes
-    ----------
-    images : dict of str to Encoded
-        By name.
-    told : dict
-        What ``vat.json`` tells besides.
-    rank : int
-        Number of basis vectors, 0 of plain textures.
-    shown : Frames
-        Points and normals as a shader has them.
-    """
-
-    images: dict[str, Encoded]
-    told: dict[str, Any]
-    rank: int
-    shown: Frames
+    images: dict[str, Encoded]  # by name
+    told: dict[str, Any]  # what vat.json tells besides
+    rank: int  # number of basis vectors, 0 of plain textures
+    shown: Frames  # points and normals as a shader has them
 
 
 def plain(frames: Frames, texels: Texels, kind: Kind) -> Textures:
@@ -88,13 +70,7 @@ def _unstacked(texture: Encoded, texels: Texels) -> NDArray[np.float64]:
 
 
 def low_rank(fitted: LowRank, frames: Frames, texels: Texels, kind: Kind) -> Textures:
-    """Return textures of basis vectors and of coefficients.
-
-    Raises
-    ------
-    SettingsError
-        If they would be too large.
-    """
+    """Return textures of basis vectors and of coefficients."""
     basis = in_fours(fitted.basis[texels.vertices])
     layers, columns = len(basis), 4 * len(basis)
     count, parts = fitted.coefficients.shape[:2]

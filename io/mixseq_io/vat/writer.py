@@ -47,29 +47,15 @@ _UNEVEN = 1e-3
 
 @dataclass(frozen=True)
 class VatReport:
-    """What was written, and how far it is off.
+    """What was written, and how far it is off."""
 
-    Attributes
-    ----------
-    kind : {"plain", "low rank"}
-        See `mixseq_io.vat.textures`.
-    rank : int
-        Number of basis vectors, 0 of plain textures.
-    max_error, rms_error : float
-        Largest and root mean square distance of a vertex, in diagonals.
-    normal_degrees : float
-        Root mean square angle of the normals.
-    file_bytes, memory_bytes : int
-        Of the textures, as files and in the memory of a graphics card.
-    """
-
-    kind: str
-    rank: int
-    max_error: float
-    rms_error: float
-    normal_degrees: float
-    file_bytes: int
-    memory_bytes: int
+    kind: str  # see mixseq_io.vat.textures
+    rank: int  # number of basis vectors, 0 of plain textures
+    max_error: float  # largest and root mean square distance of a vertex, in diagonals
+    rms_error: float  # largest and root mean square distance of a vertex, in diagonals
+    normal_degrees: float  # root mean square angle of the normals
+    file_bytes: int  # of the textures, as files and in the memory of a graphics card
+    memory_bytes: int  # of the textures, as files and in the memory of a graphics card
 
 
 @public
@@ -144,13 +130,7 @@ def write_vat(
 
 
 def check_vat_target(path: Path) -> None:
-    """Refuse what is no name of a folder of textures.
-
-    Raises
-    ------
-    OutputError
-        If it does not end in .vat.
-    """
+    """Refuse what is no name of a folder of textures."""
     if path.suffix.lower() != VAT_EXTENSION:
         raise OutputError(f"{path}: vertex animation textures are a folder; end its name in {VAT_EXTENSION}")
     if path.exists() and not path.is_dir():
