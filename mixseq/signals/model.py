@@ -28,11 +28,11 @@ from mixseq.signals.decoding import Decodable, ResidualLayer
 from mixseq.signals.mds_embedding import Plane, plane_of
 from mixseq.signals.pose import PoseMap
 from mixseq.spaces.base import ShapeSpace
-from mixseq.spaces.mixed import MixedSpace, as_mixed
 from mixseq.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from mixseq.segmentation.joints import Decomposition
+    from mixseq.spaces.mixed import MixedSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +168,8 @@ class Model(Decodable, PickledWithoutCaches):
         SettingsError
             If it is another one, which has no parts.
         """
+        from mixseq.spaces.mixed import as_mixed  # heavy, and not needed to decode
+
         return as_mixed(self.space)
 
     def __repr__(self) -> str:

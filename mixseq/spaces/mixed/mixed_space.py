@@ -34,7 +34,7 @@ from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.geometry.rotations import continued, inverse, product, quaternions
+from mixseq.geometry.rotations import continued, exponentials, inverse, product, quaternions
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
@@ -462,8 +462,8 @@ class MixedSpace(ShapeSpace):
         return np.stack([self._posed(MixedBlocks(*row)) for row in rows])
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving` by a complex step, if no steps are taken."""
-        if self.projection.steps:
+        """Implement `ShapeSpace.decode_moving` by a complex step, where all of P_m is analytic."""
+        if self.projection.steps or self.placement == "free":
             return super().decode_moving(vectors, rates)
         blocks = self.split(with_rates(np.asarray(vectors, dtype=np.float64), rates))
         points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
@@ -509,8 +509,6 @@ class MixedSpace(ShapeSpace):
 
     def corrected_poses(self, poses: Float, corrections: Float) -> Poses:
         """Return poses ``(T, p)`` of parts as seen from their bodies, of pose columns and corrections ``(T, ...)``."""
-        from mixseq.geometry.rotations import exponentials
-
         agreed = self.articulation.agreed(self.part_poses(poses))
         spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
         return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)
