@@ -40,7 +40,6 @@ from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
-from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.metric import ANGLE, radii_of_gyration
 from mixseq.spaces.mixed import skinning_kernels as kernels
@@ -449,9 +448,8 @@ class MixedSpace(ShapeSpace):
         moved = self.joints.project(x, lengths, angles, self.projection.share)
         if not self.projection.steps:
             return moved
-        all_lengths, all_angles = lengths_and_angles(x, self.topology.edges, self.topology.hinges)
-        all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
-        return self.joints.shell.relaxed(moved, all_lengths, all_angles, self.projection.steps).points
+        targets = self.joints.targets(x, lengths, angles)
+        return self.joints.shell.relaxed(moved, *targets, self.projection.steps).points
 
     def _posed(self, row: MixedBlocks) -> Numbers:
         return np.asarray(kernels.pose(*self._skinning, self._duals(row), np.ascontiguousarray(row.unposed)))
