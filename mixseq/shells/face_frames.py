@@ -38,6 +38,10 @@ SHORTEST = 1e-12
 """No side is shorter, in diagonals: a triangle has a side 01 that its frame can follow."""
 
 
+FLATTEST = 1e-7
+"""Heights below this share of a side are rounding errors of lengths: such a triangle is laid on a line."""
+
+
 def flat_triangles(lengths: Float) -> Float:
     """Lay triangles with sides ``(m, 3)`` = 01, 12, 20 into the plane, as corners ``(m, 3, 2)``.
 
@@ -50,7 +54,8 @@ def flat_triangles(lengths: Float) -> Float:
     """
     l01, l12, l20 = np.maximum(lengths, SHORTEST).T
     x = np.clip((l01**2 + l20**2 - l12**2) / (2.0 * l01), -l20, l20)
-    y = np.sqrt(l20**2 - x**2)
+    square = l20**2 - x**2
+    y = np.sqrt(np.where(square > FLATTEST**2 * l20**2, square, 0.0))
     zero = np.zeros_like(x)
     return np.stack([zero, zero, l01, zero, x, y], axis=1).reshape(-1, 3, 2)
 
@@ -220,6 +225,11 @@ def connected(count: int, pairs: Index) -> Index:
 
 
 def bridging(count: int, pairs: Index, sound: Mask) -> Mask:
-    """Mark the sound pairs ``(h, 2)`` of ``count``, and of the others those that connect what the sound ones do not."""
-    component = connected(count, pairs[sound])
-    return np.asarray(sound | (component[pairs[:, 0]] != component[pairs[:, 1]]))
+    """Mark the sound pairs ``(h, 2)`` of ``count``, and of the others a forest that connects what those do not."""
+    ends = np.sort(connected(count, pairs[sound])[pairs], axis=1)
+    apart = np.flatnonzero(ends[:, 0] != ends[:, 1])
+    several, first = np.unique(ends[apart], axis=0, return_index=True)
+    graph = sparse.coo_array((1.0 + apart[first], tuple(several.T)), shape=(count, count)).tocsr()
+    marks = sound.copy()
+    marks[csgraph.minimum_spanning_tree(graph).data.astype(np.int64) - 1] = True
+    return marks

@@ -52,6 +52,9 @@ the curvature, and steps that are too long for it shake vertices. Ours."""
 THIN = 1e-6
 """Triangles that are less high, relative to their sides, have no area."""
 
+ROUNDED = 2.0**-19
+"""Nor have those that are less high than this, in diagonals: reference frames may be rounded to half of it."""
+
 STEP = 1e-4
 """Size of a difference quotient, relative to edges."""
 
@@ -159,7 +162,7 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def thin(self) -> Index:
         """Faces without area, whose frames say nothing of their sides."""
-        return np.flatnonzero(self._normals <= THIN * np.square(self._longest))
+        return np.flatnonzero(self._normals <= np.maximum(THIN * self._longest, ROUNDED) * self._longest)
 
     @cached_property
     def bend(self) -> Float:
@@ -172,12 +175,13 @@ class Shell(PickledWithoutCaches):
     @cached_property
     def sound(self) -> Mask:
         """Mark the hinges ``(H,)`` that say something: those of triangles with area."""
-        return np.asarray(self.bend > THIN)
+        thin = np.isin(self.topology.hinge_faces, self.thin).any(axis=1)
+        return np.asarray((self.bend > THIN) & ~thin)
 
     @cached_property
     def _bend(self) -> Float:
-        """Weights ``(H,)`` of angles."""
-        return self.bending * self.bend
+        """Weights ``(H,)`` of angles, zero where these are noise."""
+        return np.where(self.sound, self.bending * self.bend, 0.0)
 
     @cached_property
     def _smallest(self) -> Float:
@@ -240,7 +244,7 @@ class Shell(PickledWithoutCaches):
             If lengths, angles or the start are not finite.
         """
         turns = _turns(angles)
-        near = kernels.nearness(start, self.topology.hinges, turns)
+        near = np.where(self.sound, kernels.nearness(start, self.topology.hinges, turns), 1.0)
         bend = near * self._bend
         gradient, energy = self._gradient(start, lengths, turns, bend)
         if not np.isfinite(energy):

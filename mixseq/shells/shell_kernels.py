@@ -136,6 +136,8 @@ def misfit(
 ) -> float:
     """Return one less the cosine of how far the angle of the hinge abcd is off, and write its gradient.
 
+    A hinge of triangles without area has no angle, and is not off.
+
     Parameters
     ----------
     x, a, b, c, d, scale, near, far, g
@@ -148,6 +150,8 @@ def misfit(
     size = max(math.sqrt(across * across + along * along), TINY)
     off, even = (across * cosine - along * sine) / size, (along * cosine + across * sine) / size
     _write_gradient(e, p, q, n, m, scale * off, near, far, g)
+    if size == TINY:
+        return 0.0
     return off * off / (1.0 + even) if even > 0.0 else 1.0 - even
 
 

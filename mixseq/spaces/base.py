@@ -182,7 +182,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
         SettingsError
             If the points are no numbers, not finite, or not those of the mesh.
         """
-        return self.unwrap(self.encode_apart(self._checked_points(points)), previous)
+        frames = self._checked_points(points)
+        return self.unwrap(self.encode_apart(frames), previous) if len(frames) else np.zeros((0, self.dim))
 
     def _checked_points(self, points: FloatArray) -> FloatArray:
         """Return frames ``(T, V, 3)``, if these are of the mesh."""
@@ -238,6 +239,8 @@ class ShapeSpace(PickledWithoutCaches, ABC):
 
         Raises
         ------
+        SettingsError
+            If the vectors are not of this space.
         ReconstructionError
             If no mesh could be found for a vector.
         """

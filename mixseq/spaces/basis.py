@@ -132,9 +132,11 @@ class BasisSpace(ShapeSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        points = np.zeros((len(vectors), self.basis.shape[1], 3))
+        points = np.zeros((len(vectors), self.vertex_count, 3))
         with one_blas_thread():
-            for frame, vector in zip(points, vectors, strict=True):  # the same bits whatever is asked with it
+            for frame, vector in zip(
+                points, self.checked(vectors), strict=True
+            ):  # the same bits whatever is asked with it
                 coefficients = self.scale * vector.reshape(-1, 3)
                 for vertices, some, transposed in self._blocks:
                     frame[vertices] = transposed @ coefficients[some]

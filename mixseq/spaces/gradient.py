@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixseq.arrays import Float, FloatArray, Index
-from mixseq.errors import ReconstructionError, SettingsError
+from mixseq.errors import ReconstructionError
 from mixseq.geometry.rigid import nearest_rotations
 from mixseq.geometry.rotations import matrices, unwrap, vectors
 from mixseq.progress import Progress, silent
@@ -130,6 +130,11 @@ class GradientSpace(ShapeSpace):
         return (self.integration,)
 
     @property
+    def vertex_count(self) -> int:  # type: ignore[override]
+        """Implement `ShapeSpace.vertex_count`."""
+        return self.topology.vertex_count
+
+    @property
     def dim(self) -> int:
         """Length D of a vector: nine numbers for every face, three for every piece."""
         return 9 * len(self.topology.faces) + self.placement_dim
@@ -173,7 +178,7 @@ class GradientSpace(ShapeSpace):
         wrong = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
         if wrong.size:
             raise ReconstructionError(f"vector {wrong[0]} is not finite")
-        points = np.empty((len(blocks.turns), self.topology.vertex_count, 3))
+        points = np.empty((len(blocks.turns), self.vertex_count, 3))
         with one_blas_thread():
             for number, (turns, stretches, centres) in enumerate(zip(*blocks, strict=True)):
                 gradients = matrices(turns) @ stretches[:, FULL]
@@ -188,17 +193,9 @@ class GradientSpace(ShapeSpace):
         return completed(x[self.pieces.row_vertices], self.faces, self.edges)
 
     def split(self, vectors: Float) -> Gradients:
-        """Return the blocks of vectors ``(T, D)``.
-
-        Raises
-        ------
-        SettingsError
-            If the vectors are not of this space.
-        """
-        if vectors.ndim != 2 or vectors.shape[1] != self.dim:
-            raise SettingsError(f"vectors have shape {vectors.shape}; (T, {self.dim}) is expected")
+        """Return the blocks of vectors ``(T, D)``; it raises what `checked` does."""
         count, faces = len(vectors), len(self.topology.faces)
-        turns, stretches, centres = np.split(vectors, [3 * faces, 9 * faces], axis=1)
+        turns, stretches, centres = np.split(self.checked(vectors), [3 * faces, 9 * faces], axis=1)
         return Gradients(
             turns.reshape(count, faces, 3),
             stretches.reshape(count, faces, 6),

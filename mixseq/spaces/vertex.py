@@ -43,7 +43,7 @@ class VertexSpace(ShapeSpace):
 
     def decode(self, vectors: Float, progress: Progress = silent) -> Float:
         """Implement `ShapeSpace.decode`."""
-        return vectors.reshape(len(vectors), self.vertex_count, 3) * self.scale
+        return np.asarray(self.checked(vectors).reshape(len(vectors), self.vertex_count, 3) * self.scale)
 
     def shape_difference(self, vector: Float, before: Float, after: Float) -> Float:
         """Implement `ShapeSpace.shape_difference`."""

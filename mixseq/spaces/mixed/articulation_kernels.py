@@ -49,10 +49,14 @@ def _turn(q: Float, v: Float, r: Float) -> None:
 
 @inlined
 def _normalise(q: Float) -> None:
-    """Scale a quaternion to length one."""
-    inverse = 1.0 / np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    for i in range(4):
-        q[i] *= inverse
+    """Scale a quaternion to length one; zero, a blend of rotations half a turn apart, becomes no rotation."""
+    square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if square.real > 0.0:
+        inverse = 1.0 / np.sqrt(square)
+        for i in range(4):
+            q[i] *= inverse
+    else:
+        q[0] += 1.0
 
 
 @compiled

@@ -234,8 +234,8 @@ class Assembly(PickledWithoutCaches):
         return np.array(found).reshape(-1, 4)
 
     def placed(self, posed: Float, points: Float) -> Float:
-        """Move components of points ``(V, 3)`` to where their seeds are posed."""
-        result = points.copy()
+        """Move components of points ``(V, 3)`` to where their seeds are posed; vertices of no face are posed alone."""
+        result = posed.copy()
         for vertices, seeds in self._bodies:
             first = self._seed_vertices[seeds[0]]
             turn, _ = kabsch(points[first], posed[first])

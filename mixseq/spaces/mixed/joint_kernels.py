@@ -17,6 +17,9 @@ SHORTEST = 1e-12
 FLATTEST = 1e-12
 """A triangle has no area, and any frame, if its height is below this share of its sides."""
 
+SLIVER = 1e-4
+"""Lengths and angles of triangles of this area, over squared sides, count half: those of smaller ones are noise."""
+
 
 @compiled
 def lengths_of(x: Float, edges: Index) -> Float:
@@ -49,6 +52,18 @@ def flatten(lengths: Float, face_edges: Index) -> Float:
             flat[f, 2] = np.sqrt(square)
         flat[f, 0], flat[f, 1] = a, x
     return flat
+
+
+@compiled
+def soundness(flat: Float) -> Float:
+    """Return how much lengths and angles of triangles count ``(m,)``: 1, and without area 0."""
+    sound = np.empty(len(flat), flat.dtype)
+    for f in range(len(flat)):
+        u, v, h = flat[f, 0], flat[f, 1], flat[f, 2]
+        area = u * h / (u * u + v * v + (v - u) * (v - u) + 2.0 * h * h)
+        power = area * area * area * area
+        sound[f] = power / (power + SLIVER**4)
+    return sound
 
 
 @compiled
@@ -116,6 +131,7 @@ def target_turns(
     pairs: Index,
     flat: Float,
     target_flat: Float,
+    sound: Float,
     sides: Index,
     backward: Index,
     reversed_normals: Float,
@@ -131,6 +147,8 @@ def target_turns(
         Frames of the posed faces, and the two faces of every hinge.
     flat, target_flat : (m, 3)
         The posed triangles in the plane, and those with target lengths, as `flatten` lays them.
+    sound : (m,)
+        How much lengths and angles of the posed triangles count.
     sides, backward : (h, 2) int64
         Which side of both faces the hinge's edge is, and whether it runs against it.
     reversed_normals : (h,) float64
@@ -182,6 +200,12 @@ def target_turns(
         # The posed turn, times what the target differs by: at frames of the sequence that is exactly nothing.
         a, b = p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3, p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
         d, e = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1, p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+        part = sound[i] * sound[j]
+        if a.real < 0.0:
+            a, b, d, e = -a, -b, -d, -e
+        a, b, d, e = 1.0 - part + part * a, part * b, part * d, part * e
+        scale = 1.0 / np.sqrt(a * a + b * b + d * d + e * e)
+        a, b, d, e = a * scale, b * scale, d * scale, e * scale
         turns[k, 0] = w * a - x * b - y * d - z * e
         turns[k, 1] = w * b + x * a + y * e - z * d
         turns[k, 2] = w * d - x * e + y * a + z * b

@@ -10,7 +10,7 @@ of the way from those of the posed mesh to the target ones; a share of 0 leaves 
    .. math:: \min_d \sum_f \sum_{ab} w_{ab}\, |d_b - d_a - (s'_{ab} - s_{ab})|^2 + \eta\, w \sum_v |d_v|^2 .
 
 Everything is a difference against the posed mesh, so that frames of the sequence, where lengths and angles are those of
-the posed mesh, come out exactly.
+the posed mesh, come out exactly. Posed triangles with hardly any area keep their shapes and angles, which are noise.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from functools import cached_property
 import numpy as np
 
 from mixseq.arrays import Float, Index, Mask
-from mixseq.geometry.lengths_angles import edge_lengths
+from mixseq.geometry.lengths_angles import edge_lengths, wrap
 from mixseq.pickling import PickledWithoutCaches
 from mixseq.shells.face_frames import Hinges
 from mixseq.shells.shell import Shell
+from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.shells.solvers import Factor, factored_laplacian
 from mixseq.spaces.mixed import joint_kernels as kernels
 from mixseq.spaces.mixed.complex_step import Numbers, solve
@@ -190,6 +191,22 @@ class JointProjection(PickledWithoutCaches):
             np.add.at(held, ends[border, first], weights[border])
         return factored_laplacian(ends[both], weights[both], held)
 
+    def targets(self, x: Float, lengths: Float, angles: Float) -> tuple[Float, Float]:
+        """Return lengths ``(E,)`` and angles ``(H,)`` of the whole mesh: those of joints, and else of posed vertices.
+
+        Parameters
+        ----------
+        x, lengths, angles
+            As in `project`.
+        """
+        topology = self.topology
+        all_lengths, all_angles = lengths_and_angles(x, topology.edges, topology.hinges)
+        sound = kernels.soundness(kernels.flatten(all_lengths, topology.face_edges.astype(np.int64)))
+        part = sound[topology.hinge_faces[self.hinge_ids]].prod(axis=1)
+        all_angles[self.hinge_ids] += part * wrap(angles - all_angles[self.hinge_ids])
+        all_lengths[self.edge_ids] = np.maximum(lengths, 0.0)
+        return all_lengths, all_angles
+
     def project(self, x: Numbers, lengths: Numbers, angles: Numbers, share: float) -> Numbers:
         """Return posed vertices ``(V, 3)``, with those of joints moved.
 
@@ -208,10 +225,12 @@ class JointProjection(PickledWithoutCaches):
         posed = kernels.lengths_of(x, self._edges)
         wanted = posed.copy()
         wanted[known] += share * (np.where(lengths.real > 0.0, lengths, 0.0) - posed[known])
-        flat, target_flat = kernels.flatten(posed, face_edges), kernels.flatten(wanted, face_edges)
+        flat = kernels.flatten(posed, face_edges)
+        sound = kernels.soundness(flat)
+        target_flat = flat + sound[:, None] * (kernels.flatten(wanted, face_edges) - flat)
         frames = kernels.frames_of(x, self._faces)
         turns = kernels.target_turns(
-            frames, self._pairs, flat, target_flat, *self._hinge_tables, angles, share
+            frames, self._pairs, flat, target_flat, sound, *self._hinge_tables, angles, share
         )
         target_frames, moving = frames, len(self._moving_faces)
         for _ in range(ROUNDS):

@@ -34,13 +34,20 @@ from mixseq.arrays import Float, FloatArray, Index, Mask
 from mixseq.choices import PlacementName
 from mixseq.errors import SettingsError
 from mixseq.geometry.lengths_angles import dihedral_angles, edge_lengths, unwrap_angles, wrap
-from mixseq.geometry.rotations import continued, inverse, product, quaternions, rotations_of, turned
+from mixseq.geometry.rotations import (
+    continued,
+    exponentials,
+    inverse,
+    product,
+    quaternions,
+    rotations_of,
+    turned,
+)
 from mixseq.prediction.operator import Operator
 from mixseq.prediction.poses import Poses
 from mixseq.progress import Progress, silent
 from mixseq.segmentation.joints import Decomposition
 from mixseq.shells.shell import Relaxation
-from mixseq.shells.shell_kernels import lengths_and_angles
 from mixseq.spaces.base import ShapeSpace
 from mixseq.spaces.metric import ANGLE, radii_of_gyration
 from mixseq.spaces.mixed import skinning_kernels as kernels
@@ -449,9 +456,8 @@ class MixedSpace(ShapeSpace):
         moved = self.joints.project(x, lengths, angles, self.projection.share)
         if not self.projection.steps:
             return moved
-        all_lengths, all_angles = lengths_and_angles(x, self.topology.edges, self.topology.hinges)
-        all_lengths[self.edge_ids], all_angles[self.hinge_ids] = np.maximum(lengths, 0.0), angles
-        return self.joints.shell.relaxed(moved, all_lengths, all_angles, self.projection.steps).points
+        targets = self.joints.targets(x, lengths, angles)
+        return self.joints.shell.relaxed(moved, *targets, self.projection.steps).points
 
     def _posed(self, row: MixedBlocks) -> Numbers:
         return np.asarray(kernels.pose(*self._skinning, self._duals(row), np.ascontiguousarray(row.unposed)))
@@ -462,8 +468,8 @@ class MixedSpace(ShapeSpace):
         return np.stack([self._posed(MixedBlocks(*row)) for row in rows])
 
     def decode_moving(self, vectors: Float, rates: Float) -> tuple[Float, Float]:
-        """Implement `ShapeSpace.decode_moving` by a complex step, if no steps are taken."""
-        if self.projection.steps:
+        """Implement `ShapeSpace.decode_moving` by a complex step, where all of P_m is analytic."""
+        if self.projection.steps or self.placement == "free":
             return super().decode_moving(vectors, rates)
         blocks = self.split(with_rates(np.asarray(vectors, dtype=np.float64), rates))
         points, velocities = np.empty((2, len(vectors), self.vertex_count, 3))
@@ -515,8 +521,6 @@ class MixedSpace(ShapeSpace):
 
     def corrected_poses(self, poses: Float, corrections: Float) -> Poses:
         """Return poses ``(T, p)`` of parts as seen from their bodies, of pose columns and corrections ``(T, ...)``."""
-        from mixseq.geometry.rotations import exponentials
-
         agreed = self.articulation.agreed(self.part_poses(poses))
         spins, shifts = corrections.reshape(len(poses), 2, -1, 3).swapaxes(0, 1)
         return Poses(product(agreed.rotations, exponentials(spins)), agreed.centres + shifts)

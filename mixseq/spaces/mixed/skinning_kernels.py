@@ -35,7 +35,7 @@ def _blend(starts: Index, parts: Index, weights: Float, duals: Float, v: int, to
             for i in range(8):
                 total[i] += weights[place] * duals[parts[place], i]
         square = total[0] * total[0] + total[1] * total[1] + total[2] * total[2] + total[3] * total[3]
-        inverse = 1.0 / np.sqrt(square)
+        inverse = 1.0 / np.sqrt(square) if square.real > 0.0 else 0.0 * square  # of nothing, no motion
         for i in range(8):
             total[i] *= inverse
     w, x, y, z = total[0], total[1], total[2], total[3]
