@@ -1,19 +1,22 @@
 r"""Drag: a place on the curve that a motion is in the plane is moved, and the motion next to it follows.
 
-Frames of the model say what pose belongs to a place: :math:`c^*(y)` interpolates the pulled point and frames that are
-spread over the plane, as a sketch does (`mixseq.operations.sketch`), so a point that is pulled to a frame becomes that
-frame. The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where
-the interpolated pose misses the place by :math:`\Delta y`, the change that changes the shape least is along the two
-principal directions P of the plane (`mixseq.signals.mds_embedding`),
+The pose at a place is interpolated from the pulled point and from frames spread over the plane, by the cardinal weights
+of `mixseq.operations.sketch`: :math:`c^*(y)`. The correction is interpolated by the same weights, so a point that is
+pulled to one of these frames becomes that frame. Two frames that are near each other in the plane, and far apart in
+pose space, would make :math:`c^*` steep; one of them is left out.
 
-.. math:: \delta = c^*(y) - c(t_0) + P\, (A^T P)^+ \Delta y .
+The embedding of a model (`Model.embedding`) is affine in pose space, :math:`y(t) = A^T (c(t) - \bar c)`. Where the
+interpolated pose misses the place by :math:`\Delta y`, the step that changes the shape least is along the two principal
+directions P of the plane (`mixseq.signals.mds_embedding`),
+
+.. math:: \delta = c^*(y) - c^*(y(t_0)) + P\, (A^T P)^+ \Delta y .
 
 The change fades out on both sides,
 
 .. math:: c(t) \to c(t) + w(t)\, \delta, \qquad w(t_0) = 1, \qquad w(t) = 0 \text{ for } |t - t_0| \ge \text{reach},
 
 with a weight of three cubics on each side, two times continuously differentiable. So the result is a cubic spline
-again: exactly, with seven knots more.
+again: exactly, with seven knots more. The correction changes by the same weight.
 """
 
 from __future__ import annotations
@@ -22,13 +25,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.distance import cdist
 
-from mixseq.arrays import Float
+from mixseq.arrays import Float, Index
 from mixseq.errors import SettingsError
 from mixseq.frame_numbers import Seconds
 from mixseq.operations.joining import SLACK, snapped
 from mixseq.operations.sculpt import smoothstep
-from mixseq.operations.sketch import cardinal_weights, farthest_points
+from mixseq.operations.sketch import cardinal_weights
 from mixseq.operations.splines import between, breakpoints, sites_of
 from mixseq.public import public
 from mixseq.signals.curve import Curve
@@ -42,7 +46,13 @@ FRAMES = 2
 """Shortest default reach, in frames. Ours."""
 
 SPREAD_FRAMES = 64
-"""Frames, spread over the plane, that say what poses belong to places."""
+"""Largest number of frames that poses are interpolated from."""
+
+STEEPEST = 2.0
+"""Largest distance of two of these in pose space per distance in the plane, as a multiple of the mean."""
+
+SAME_PLACE = 1e-6
+"""Frames closer than this fraction of the largest distance in the plane have one place."""
 
 
 @public
@@ -51,8 +61,8 @@ def drag(
 ) -> Model:
     """Return the model with its curve in the embedding pulled to a place.
 
-    The pose becomes the one that frames near that place have; where bodies are does not change. The residual layer
-    is kept.
+    The pose is interpolated from frames near that place. Where bodies are does not change. The residual layer is
+    kept.
 
     Parameters
     ----------
@@ -89,41 +99,57 @@ def drag(
         raise SettingsError(
             "the embedding of the model is one point, as its shape does not change; there is nothing to drag"
         )
-    change = _change(model, time, place, plane)
-
-    ends = np.array([model.time.start, model.time.end])
-    knots = np.concatenate([breakpoints(model.time), time + reach * np.linspace(-1.0, 1.0, 7)])
-    sites = sites_of(ends, between(knots, *ends))
-    sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
-    weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
+    step, correction = _changes(model, time, place, plane)
     return replace(
         model,
-        time=Curve(sites, model.time(sites) + weight[:, None] * change),
-        correction=_faded(model, time, reach),
+        time=_pulled(model.time, time, reach, step),
+        correction=_pulled(model.correction, time, reach, correction),
     )
 
 
-def _change(model: Model, time: float, place: Float, plane: Plane) -> Float:
-    """Return the change in pose space ``(k,)`` of the point at a time that is pulled to a place ``(2,)``."""
-    here = model.embedding([time], plane)
-    frames = model.times[farthest_points(model.embedding(model.times, plane), here[0], SPREAD_FRAMES)]
-    places = np.concatenate([here, model.embedding(frames, plane)])
-    points = np.concatenate([model.time([time]), model.time(frames)])
-    change = (cardinal_weights(places)(place[None]) @ points)[0] - points[0]
-    along = (model.pose.rates(plane.directions.T) @ plane.axes).T  # A^T P: 1, but for rounding and for lines
-    there = here[0] + model.pose.rates(change[None])[0] @ plane.axes
-    return np.asarray(change + plane.directions @ np.linalg.pinv(along, rcond=1e-6) @ (place - there))
+def _changes(model: Model, time: float, place: Float, plane: Plane) -> tuple[Float, Float]:
+    """Return changes of time signal ``(k,)`` and correction ``(C,)`` that move the point at a time to a place."""
+    move = place - model.embedding([time], plane)[0]
+    axes = model.pose.matrix @ plane.axes
+    times = np.append(time, model.times)
+    times = times[_spread_frames(model.time(times), axes)]
+    points = model.time(times)
+    weights = cardinal_weights((points - points[0]) @ axes)(np.stack([move, np.zeros(2)]))
+    change = weights[0] - weights[1]
+    step, correction = change @ points, change @ model.correction(times)
+    rest = np.linalg.pinv(axes.T @ plane.directions, rcond=1e-6) @ (move - step @ axes)
+    return step + plane.directions @ rest, correction
 
 
-def _faded(model: Model, time: float, reach: float) -> Curve:
-    """Return the correction without what it is at the time: it belongs to the pose that was there."""
-    if not model.correction.values.any():
-        return model.correction
-    ends = np.array([model.correction.start, model.correction.end])
-    knots = np.concatenate([model.correction.times, time + reach * np.linspace(-1.0, 1.0, 7)])
+def _spread_frames(points: Float, axes: Float) -> Index:
+    """Return which of points ``(N, k)`` of pose space to interpolate: the first, and others far apart in the plane."""
+    places = points @ axes
+    places -= places[0]
+    nearest = np.linalg.norm(places, axis=1)
+    least = SAME_PLACE * float(nearest.max())
+    found = [0]
+    while len(found) <= SPREAD_FRAMES and nearest.max() > least:
+        found.append(int(nearest.argmax()))
+        np.minimum(nearest, np.linalg.norm(places - places[found[-1]], axis=1), out=nearest)
+    apart, away = (cdist(each[found], each[found]) for each in (places, points))
+    steepest = STEEPEST * np.linalg.norm(away) / (np.linalg.norm(apart) or 1.0)
+    kept: list[int] = []
+    for number in range(len(found)):
+        if (away[number, kept] <= steepest * apart[number, kept]).all():
+            kept.append(number)
+    return np.array(found)[kept]
+
+
+def _pulled(curve: Curve, time: float, reach: float, change: Float) -> Curve:
+    """Return a curve with a change ``(k,)`` at a time, which fades over `reach` seconds on both sides."""
+    if not change.any():
+        return curve
+    ends = np.array([curve.start, curve.end])
+    knots = np.concatenate([breakpoints(curve), time + reach * np.linspace(-1.0, 1.0, 7)])
     sites = sites_of(ends, between(knots, *ends))
+    sites[np.abs(sites - time).argmin()] = time  # which may be taken for a knot that is nearly there
     weight = smoothstep(sites, time - reach, time) * (1.0 - smoothstep(sites, time, time + reach))
-    return Curve(sites, (1.0 - weight[:, None]) * model.correction(sites))
+    return Curve(sites, curve(sites) + weight[:, None] * change)
 
 
 def default_reach(model: Model) -> float:

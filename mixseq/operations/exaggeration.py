@@ -3,7 +3,7 @@ r"""More or less of a motion: how parts stand to each other and how their shape 
 .. math:: c(t) \to \bar c + \text{gain}\, (c(t) - \bar c)
 
 with the time signal c, whose mean is over the frames. In the mixed shape space a point of pose space is a pose of the
-whole character, wherever it stands.
+whole character, wherever it stands. The correction is scaled alike.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mixseq.arrays import Float
 from mixseq.errors import SettingsError
 from mixseq.public import public
 from mixseq.signals.curve import Curve
@@ -36,7 +37,8 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
     gain : float
         1 changes nothing, 0 freezes all at the mean, more than 1 exaggerates, less damps.
     modes : sequence of int, optional
-        Scale these coordinates of pose space alone, from 0 on: in a model that was fitted the modes, the largest first.
+        Scale these coordinates of pose space alone, from 0 on, and no correction: in a model that was fitted the modes,
+        the largest first.
 
     Raises
     ------
@@ -51,9 +53,17 @@ def exaggerate(model: Model, gain: float, modes: Sequence[int] | None = None) ->
             raise SettingsError(f"there is no mode {mode}; the model has {count}, from 0 on")
     gains = np.ones(count)
     gains[list(wanted)] = gain
-    mean = model.time(model.times).mean(axis=0)
-    values = np.where(gains == 1.0, model.time.values, mean + gains * (model.time.values - mean))
-    return replace(model, time=Curve(model.time.times, values))
+    scaled = replace(model, time=_scaled(model, model.time, gains))
+    if modes is not None:
+        return scaled
+    return replace(scaled, correction=_scaled(model, model.correction, np.full(model.correction.dim, gain)))
+
+
+def _scaled(model: Model, curve: Curve, gains: Float) -> Curve:
+    """Return a curve with its coordinates scaled about their means over the frames of a model."""
+    mean = curve(model.times).mean(axis=0)
+    values = np.where(gains == 1.0, curve.values, mean + gains * (curve.values - mean))
+    return Curve(curve.times, values)
 
 
 def check_gain(gain: float) -> None:

@@ -135,20 +135,6 @@ def cardinal_weights(places: Float) -> Callable[[Float], Float]:
     return weights
 
 
-def farthest_points(places: Float, start: Float, count: int) -> Index:
-    """Return at most `count` of places ``(M, 2)`` that are spread widely: each the farthest from a start and others.
-
-    Places that coincide with one of these are left out.
-    """
-    nearest = np.linalg.norm(places - start, axis=1)
-    least = SAME * float(nearest.max(initial=0.0))
-    chosen: list[int] = []
-    while len(chosen) < min(count, len(places)) and nearest.max() > least:
-        chosen.append(int(nearest.argmax()))
-        np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1), out=nearest)
-    return np.array(chosen, dtype=np.int64)
-
-
 def _drawn(curve: ArrayLike, duration: float) -> Curve:
     """The spline through the points of a curve, by the lengths of the chords between them."""
     points = np.asarray(curve, dtype=np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 
 from mixseq.arrays import Float
 from mixseq.choices import SpaceName
+from mixseq.creature import walk_cycle
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from tests.meshes import bar, rotation, tube
@@ -29,6 +30,12 @@ def bar_motion(space: SpaceName = "mixed", knots: int | None = None, frames: int
     return fit(sequence, exact=knots is None, knots=knots, space=space)
 
 
+@cache
+def fox(rank: int | None = None) -> Model:
+    """The fox's walk of one second, exact or of few modes; with few, all of its signals say something."""
+    return fit(walk_cycle(frames=24), exact=rank is None, rank=rank)
+
+
 def spinning(angles: Float, step: float = 0.0) -> Float:
     """Points ``(T, V, 3)`` of a rigid body at angles ``(T,)`` about `AXIS`, which goes `step` to x per radian."""
     points = tube(5, 4)[0]
@@ -44,11 +51,6 @@ def spin(step: float = 0.0) -> Model:
     return fit(MeshSequence.from_arrays(spinning(angles, step), tube(5, 4)[1], fps=12), exact=True)
 
 
-def signals(model: Model) -> tuple[Curve, Curve]:
-    """The time signal and the placement."""
-    return model.time, model.placement
-
-
 def jets(curve: Curve, times: Float) -> Float:
     """Values, slopes and curvatures ``(3, N, k)``."""
     return np.stack([curve(times), curve.derivative(times), curve.derivative(times, 2)])
@@ -56,7 +58,7 @@ def jets(curve: Curve, times: Float) -> Float:
 
 def jumps(curve: Curve) -> Float:
     """How much value, slope and curvature ``(3,)`` jump between the cubics of a curve, relative to the largest."""
-    if not curve.dim:
+    if not curve.values.any():
         return np.zeros(3)
     knots = np.unique(curve.spline.t)
     starts = np.stack([curve.spline(knots[:-1], nu=order) for order in range(4)])

@@ -1,4 +1,4 @@
-"""Drags: the place that is pulled arrives, by the smallest change there is, and what is far away stays."""
+"""Drags: the place that is pulled arrives, with a pose of the motion, and what is far away stays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from mixseq.signals.mds_embedding import Plane
 from tests.meshes import rotation, seeds, tube
-from tests.operations.motions import bar_motion, jumps
+from tests.operations.motions import bar_motion, fox, jumps
 
 CIRCLE = 2 * np.pi * np.arange(17) / 17
 
@@ -60,16 +60,50 @@ def test_the_point_arrives_and_what_is_out_of_reach_stays(
         assert len(pulled.time.times) <= len(model.time.times) + 9
 
 
-def test_no_smaller_change_gets_there() -> None:
-    """The step is as long as it is in the plane, and one along any other coordinate would come on top."""
-    for model in (circling(), bar_motion(), exaggerate(circling(), 1.3, modes=[0])):
-        move = np.array([0.02, -0.01])
-        time = float(model.times[4])
-        pulled = drag(model, time, place_of(model, time) + move)
-        step = (pulled.time([time]) - model.time([time])) @ model.pose.matrix @ model.shapes
-        assert np.linalg.norm(step * model.space.embedding_weights) == pytest.approx(
-            np.linalg.norm(move), rel=1e-9
-        )
+@pytest.mark.parametrize("rank", [None, 6])
+def test_at_the_place_of_a_frame_it_is_that_frame(rank: int | None) -> None:
+    """Its shape and its correction; the body stays where it is."""
+    model = fox(rank)
+    far = farthest(model, 3)
+    pulled = drag(model, float(model.times[3]), place_of(model, float(model.times[far])))
+    shape, placement = model.space.shape_dim, model.space.placement_dim
+    there = model.vectors[far].copy()
+    there[shape : shape + placement] = model.vectors[3, shape : shape + placement]
+    np.testing.assert_allclose(pulled.vectors[3], there, atol=1e-9)
+
+
+def farthest(model: Model, frame: int) -> int:
+    """The frame that is farthest from another one in the plane."""
+    places = model.embedding(model.times)
+    return int(np.linalg.norm(places - places[frame], axis=1).argmax())
+
+
+@pytest.mark.parametrize("rank", [None, 6])
+def test_small_steps_move_the_pose_by_small_steps(rank: int | None) -> None:
+    model = fox(rank)
+    time, way = float(model.times[3]), np.linspace(0.0, 1.0, 17)[:, None]
+    here, there = place_of(model, time), place_of(model, float(model.times[farthest(model, 3)]))
+    poses = np.stack([drag(model, time, place)(time) for place in here + way * (there - here)])
+    steps = np.linalg.norm(np.diff(poses, axis=0), axis=(1, 2))
+    assert steps.max() < 1.5 * steps.mean()
+
+
+def test_frames_near_each_other_in_the_plane_make_no_leaps() -> None:
+    """Two rounds of a circle, a little apart in the plane, and far apart across it."""
+    points, faces = tube(6, 5)
+    round_and_round = 2 * np.pi * np.arange(32) / 16.01
+    shifts = np.stack(
+        [3 * np.cos(round_and_round), 3 * np.sin(round_and_round), np.repeat([0, 1], 16)], axis=1
+    )
+    sequence = MeshSequence.from_arrays(points + shifts[:, None], faces, fps=16)
+    model = fit(sequence, exact=True, space="vertex")
+    time, end = 0.0, place_of(model, 0.5)
+    ways = np.linspace(0.0, 1.0, 65)[:, None]
+    poses = np.stack(
+        [drag(model, time, place)(time)[0] for place in (1 - ways) * place_of(model, time) + ways * end]
+    )
+    steps = np.linalg.norm(np.diff(poses, axis=0), axis=1)
+    assert steps.max() < 2 * steps.mean()
 
 
 def test_a_circle_is_pulled_out_by_hand() -> None:
@@ -114,22 +148,19 @@ def test_ends_can_be_pulled(time: float) -> None:
 
 
 def test_nothing_happens_where_nothing_is_pulled() -> None:
-    model = bar_motion()
-    same = drag(model, 0.33, place_of(model, 0.33))
-    times = np.linspace(0, 0.8, 33)
-    np.testing.assert_allclose(same.curve(times), model.curve(times), atol=1e-12)
+    for model in (bar_motion(), fox(6)):
+        same = drag(model, 0.33, place_of(model, 0.33))
+        times = np.linspace(0, 0.8, 33)
+        np.testing.assert_allclose(same.curve(times), model.curve(times), atol=1e-12)
 
 
 def test_many_drags_in_one_picture() -> None:
-    """As in the viewer: there and back again, by the plane of the first model; knots do not pile up."""
+    """In the plane of the first model; knots do not pile up."""
     model = shown = bar_motion()
     for step in range(20):
         shown = drag(shown, 0.33, [0.01 * step, 0.1], plane=model.plane)
         np.testing.assert_allclose(place_of(shown, 0.33, model.plane), [0.01 * step, 0.1], atol=1e-9)
     assert len(shown.time.times) <= len(model.time.times) + 8
-    back = drag(shown, 0.33, place_of(model, 0.33), plane=model.plane)
-    times = np.linspace(0, 0.8, 33)
-    np.testing.assert_allclose(back.curve(times), model.curve(times), atol=1e-9)
 
 
 def test_a_line_is_followed_as_far_as_it_goes() -> None:

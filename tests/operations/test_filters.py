@@ -14,7 +14,7 @@ from mixseq.operations.filters import smoothed
 from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, fit
 from tests.meshes import tube
-from tests.operations.motions import CIRCLE, bar_motion, jumps, signals, spin, spinning
+from tests.operations.motions import CIRCLE, bar_motion, jumps, spin, spinning
 
 TIMES = np.linspace(0, 10, 401)
 MIDDLE = (TIMES > 2) & (TIMES < 8)
@@ -73,7 +73,7 @@ def test_all_signals_of_a_model_are_smoothed() -> None:
     )
     calm = smooth(shaken, 0.8)
     np.testing.assert_array_equal(calm.times, model.times)
-    for before, after in zip(signals(shaken), signals(calm), strict=True):
+    for before, after in zip(shaken.curves, calm.curves, strict=True):
         times = np.linspace(0, 0.8, 50)
         assert np.abs(after.derivative(times, 2)).max() < 0.1 * np.abs(before.derivative(times, 2)).max()
 

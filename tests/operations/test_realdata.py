@@ -10,7 +10,7 @@ import pytest
 import mixseq
 from mixseq.operations import into, loop, repeat, transition
 from mixseq.sequence import MeshSequence
-from tests.operations.motions import jumps, signals
+from tests.operations.motions import jumps
 
 pytestmark = pytest.mark.realdata
 
@@ -25,7 +25,7 @@ def test_repeat_leaves_frames_outside_untouched(gallop: MeshSequence) -> None:
     model = mixseq.fit(gallop, rank=8, knots=12)
     start, end = model.times[[9, 19]]
     longer = repeat(model, start, end, times=3)
-    assert all((jumps(curve) < 1e-9).all() for curve in signals(longer))
+    assert all((jumps(curve) < 1e-9).all() for curve in longer.curves)
     before, after = np.array([7, 8, 9]), np.array([19, 20, 21])
     times = np.concatenate([model.times[before], model.times[after] + 2 * (end - start)])
     expected = model.sample(model.times[np.concatenate([before, after])]).points

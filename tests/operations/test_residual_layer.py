@@ -38,7 +38,7 @@ def with_layer(model: Model) -> Model:
 
 def hanging(model: Model) -> int:
     """A part that hangs on another one."""
-    return int(np.flatnonzero(model.space.parents >= 0)[0])
+    return int(np.flatnonzero(model.mixed.articulation.parents >= 0)[0])
 
 
 def moved(model: Model, time: float) -> Float:

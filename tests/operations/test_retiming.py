@@ -19,7 +19,7 @@ from mixseq.operations.splines import shape_measure
 from mixseq.sequence import bounding_diagonal
 from mixseq.signals import Model, fit
 from tests.meshes import seeds
-from tests.operations.motions import bar_motion, signals, spin
+from tests.operations.motions import bar_motion, spin
 
 GRID = np.linspace(0, 1, 201)
 
@@ -154,7 +154,7 @@ TO_AND_FRO = [[0.0, 0.0], [0.5, 0.8], [0.7, 0.8], [1.6, 0.1], [2.0, 0.6]]
 
 def same_signals(one: Model, other: Model, atol: float = 1e-10) -> None:
     times = np.linspace(one.start, one.end, 61)
-    for found, expected in zip(signals(one), signals(other), strict=True):
+    for found, expected in zip(one.curves, other.curves, strict=True):
         np.testing.assert_allclose(found(times), expected(times), atol=atol)
 
 
@@ -194,7 +194,7 @@ def test_signals_are_those_of_the_source(seed: int, smooth: bool, knots: int | N
     times = np.linspace(keys[0, 0], keys[-1, 0], 301)
     apart = shape_measure(model)(found.time(times) - model.time(retiming(times)))
     assert apart.max() < 5e-5
-    whole, source = signals(found)[1], signals(model)[1]
+    whole, source = found.curves[1], model.curves[1]
     np.testing.assert_allclose(whole(times), source(retiming(times)), atol=3e-4)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixseq.arrays import Float
-from mixseq.operations.splines import ROUNDS, placement_measure, sampled, shape_measure
+from mixseq.operations.splines import ROUNDS, correction_measure, placement_measure, sampled, shape_measure
 from mixseq.signals import fit
 from tests.meshes import bar
 
@@ -61,5 +61,13 @@ def test_vertices_that_move_alike_move_by_the_length() -> None:
 def test_the_size_of_a_placement_is_its_largest_number() -> None:
     model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
     changes = np.zeros((2, model.space.placement_dim))
-    changes[1, 4 * 2] = -0.25  # of a centre, after both quaternions
+    changes[1, 4] = -0.25  # of the centre, after the quaternion
     np.testing.assert_allclose(placement_measure(model)(changes), [0.0, 0.25])
+
+
+def test_the_size_of_a_correction_is_its_largest_number() -> None:
+    model = fit(bar(sides=5, rings=15, frames=3), exact=True, parts=2)
+    changes = np.zeros((2, model.space.correction_dim))
+    changes[1, 3 * 2] = -0.25  # of a shift, after the turns of both parts
+    np.testing.assert_allclose(correction_measure(model)(changes), [0.0, 0.25])
+    assert correction_measure(fit(bar(sides=5, rings=15, frames=2), space="lri"))(np.zeros((1, 0))) == [0.0]

@@ -21,7 +21,7 @@ from mixseq.sequence import MeshSequence
 from mixseq.signals import Curve, Model, fit
 from tests.meshes import bar, bending, rotation, tube
 from tests.operations.chains import chain, labels
-from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, signals, spin, spinning
+from tests.operations.motions import CIRCLE, bar_motion, jets, jumps, spin, spinning
 
 SPACES: list[SpaceName] = ["mixed", "vertex"]
 
@@ -103,7 +103,7 @@ def test_one_after_the_other(space: SpaceName) -> None:
     both = concatenate(a, b, fade=0.15)
     assert (both.start, both.end) == pytest.approx((0, 1.3))
     np.testing.assert_allclose(both.times, [*np.arange(8) / 10, *(0.8 + np.arange(11) / 20)])
-    assert all((jumps(curve) < 1e-9).all() for curve in signals(both))
+    assert all((jumps(curve) < 1e-9).all() for curve in both.curves)
     points = both.sample().points
     np.testing.assert_allclose(points[:7], bar(5, 15, 9).points[:7], atol=1e-9)
     np.testing.assert_allclose(points[-8:], swing_sequence().points[-8:], atol=1e-9)
@@ -129,7 +129,7 @@ def test_a_transition(space: SpaceName, at: float, duration: float) -> None:
     assert over.end == pytest.approx(at + 0.5)
     outside = np.linspace(0, at, 20), np.linspace(at + duration, at + 0.5, 20)
     one, other = together(a, shift(b, at))
-    for curve, before, after in zip(signals(over), signals(one), signals(other), strict=True):
+    for curve, before, after in zip(over.curves, one.curves, other.curves, strict=True):
         assert (jumps(curve) < 1e-9).all()
         for times, kept in zip(outside, (before, after), strict=True):
             if times[0] == times[-1]:
